@@ -1,4 +1,9 @@
-"""Builds a robot from its two files."""
+"""Building of a ``Robot`` from a ``Description``, and rebuilding with changes.
+
+Input: URDF and MJCF. Both models are built, their joints are matched by name, and the armature of
+the MJCF is copied to Pinocchio's model. The result contains contact points, nominal stand and
+notes. Effort limits can be replaced, and limits that appear to be placeholders are reported.
+"""
 
 from __future__ import annotations
 
@@ -57,32 +62,32 @@ Array = NDArray[np.float64]
 def build_robot(
     description: Description, *, fixed_base: bool = False, foot_depth: float | None = None
 ) -> Robot:
-    """Builds the robot of a description.
+    """Build the robot of a description.
 
     Args:
-        description: Both files' contents.
-        fixed_base: Fix the base in the world, at the pose that the MJCF gives it; if it was free,
-            the ground touches nothing then.
-        foot_depth: How far below the hips the nominal stand has its feet (m); by default the lowest
-            foot of the keyframe ``home`` touches the ground.
+        description: Contents of both files.
+        fixed_base: Whether to fix a free base to the world at its pose in the MJCF; contacts with
+            the ground are then disabled.
+        foot_depth: Distance [m] of the feet below the hips in the nominal stand. By default, the
+            lowest foot of the keyframe ``home`` touches the ground.
 
     Raises:
-        ModelError: If a model cannot be built, or the two do not have the same joints.
-        UnknownNameError: If a foot is not in a model.
+        ModelError: If a model cannot be built, or the joints of the models differ.
+        UnknownNameError: If the frame of a foot is missing in a model.
     """
-    mj_model, keyframe, added = _mujoco_model(description, fixed_base)
+    mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)
     floating = has_free_joint(mj_model)
-    joint_names = _actuator_order(mj_model, description.mjcf_source)
-    mj_base = _base_body(mj_model, floating, joint_names)
+    joint_names = _list_joints(mj_model, description.mjcf_source)
+    mj_base = _find_base_body(mj_model, floating, joint_names)
     if not floating:
-        mj_base = _same_base(mj_model, mj_base, description.urdf)
+        mj_base = _match_root_link(mj_model, mj_base, description.urdf)
     mj_convention = MujocoConvention.of(mj_model, joint_names)
-    pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
+    pin_model = _build_pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
+    notes = [*added, *option_notes(mj_model), *_check_forces_at_rest(mj_model)]
     notes += tell_ranges_not_kept(mj_model)
     notes += tell_bonds_not_kept(mj_model)
-    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
+    notes += _copy_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}
     for frame in contact_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -96,17 +101,19 @@ def build_robot(
     radius = {point: size for point, (_, size) in geoms.items()}
     feet: dict[str, tuple[str, ...]] = {point: (point,) for point in description.contact_points}
     for foot, points in description.feet.items():
-        feet = {other: own for other, own in feet.items() if other not in points} | {foot: points}
+        others = {name: own for name, own in feet.items() if name not in points}
+        feet = others | {foot: points}
     foot_of = {point: foot for foot, points in feet.items() for point in points}
-    # The keyframe may be that of the model with a free base.
+    # The keyframe may belong to the model with a free base, and then has more elements.
     home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
+    properties_hash = _hash_properties(pin_model, joint_names, contact_frames, radius)
     return Robot(
         name=description.name,
         description=description,
         pin_model=pin_model,
         mj_model=mj_model,
         floating=floating,
-        base=_root_link(pin_model),
+        base=_find_root_link(pin_model),
         mj_base=mj_base,
         joint_names=joint_names,
         contact_points=tuple(description.contact_points),
@@ -119,18 +126,16 @@ def build_robot(
         home=home,
         nominal=np.array([description.nominal.get(name, 0.0) for name in joint_names]),
         stand_height=stand_height(mj_model, mj_base, places, radius, keyframe, foot_depth),
-        imu=_imu(mj_model, pin_model),
+        imu=_find_imu(mj_model, pin_model),
         pin_convention=pin_convention,
         mj_convention=mj_convention,
-        fingerprint=f"{description.name} {_hash(pin_model, joint_names, contact_frames, radius)}",
+        fingerprint=f"{description.name} {properties_hash}",
         notes=tuple(notes),
     )
 
 
 def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
-    """Builds a robot anew with changes of its description; its nominal stand and notes stay.
-
-    So does what is known of its files as they were published.
+    """Build a robot with a changed description; keep nominal stand, notes and published file.
 
     Args:
         robot: The robot.
@@ -139,31 +144,36 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
     Raises:
         ModelError: If a model cannot be built.
     """
-    described = replace(robot.description, **changes)
-    return with_knowledge_of(build_robot(described, fixed_base=not robot.floating), robot)
+    description = replace(robot.description, **changes)
+    return with_knowledge_of(build_robot(description, fixed_base=not robot.floating), robot)
 
 
-def equipped_robot(robot: Robot, *added: Addition) -> Robot:
-    """Builds a robot anew whose MJCF is given something; see ``rebuild_robot``."""
-    described = robot.description.given(*added)
-    return rebuild_robot(robot, mjcf=described.mjcf, added=described.added)
+def equipped_robot(robot: Robot, *additions: Addition) -> Robot:
+    """Build a robot with additions to its MJCF; see ``rebuild_robot``."""
+    description = robot.description.given(*additions)
+    return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 
 
 def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
-    """Returns a robot that was built anew with what is known of it, and is in no description."""
-    known = replace(
+    """Copy data that no description contains from a robot to its rebuilt version.
+
+    Args:
+        built: Rebuilt robot.
+        robot: Original robot.
+    """
+    result = replace(
         built,
         stand_height=robot.stand_height,
         notes=robot.notes,
         published=None if robot.published is None else robot.published.of_changed(robot),
     )
-    return known if not robot.touching else with_touching(known, robot, robot.touching)
+    return result if not robot.touching else with_touching(result, robot, robot.touching)
 
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
-    """Returns a robot that has a task's contacts, and the stands of the one it was built of."""
-    hands = {name for name, one in touching.items() if one.offset is not None}
-    feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # as they are, hands last
+    """Return a rebuilt robot with the contacts of a task, and the fingerprint of the original."""
+    hands = {name for name, properties in touching.items() if properties.offset is not None}
+    feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # hands last
     return replace(
         built,
         feet=MappingProxyType(dict(feet)),
@@ -173,10 +183,11 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
     )
 
 
-def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells what acts at rest; gravity compensation by motors becomes passive, in place.
+def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
+    """Report forces at rest other than weight and motors; make gravity compensation passive.
 
-    MuJoCo counts it as the motors' torque; here it is what they are relieved of.
+    MuJoCo adds gravity compensation to the motor torques if ``actuatorgravcomp`` is set, which is
+    cleared in place: here the compensation reduces the torques of the motors.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -192,17 +203,14 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     return notes
 
 
-def _take_armature(
+def _copy_armature(
     mj_model: mujoco.MjModel,
     mj_convention: MujocoConvention,
     pin_model: pin.Model,
     pin_convention: PinocchioConvention,
     joint_names: Sequence[str],
 ) -> list[Diagnostic]:
-    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it.
-
-    And about efforts, in which the files may differ.
-    """
+    """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts."""
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {})
     notes = effort_notes(limits)
     armature = np.zeros(pin_model.nv)
@@ -218,13 +226,13 @@ def _take_armature(
     return notes
 
 
-def _hash(
+def _hash_properties(
     model: pin.Model,
     joint_names: Sequence[str],
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Returns a hash of what a stand depends on."""
+    """Return a hash of all properties that a stand depends on."""
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
     ]
@@ -232,23 +240,26 @@ def _hash(
         model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
         for frame in contact_frames.values()
     ]
-    for angle in (0.0, 0.3):  # rad: where the joints are, and how they turn
+    for angle in (0.0, 0.3):  # [rad]: two configurations determine positions and axes
         q = pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
         joints = joint_placements(model, q)
         feet = [joints[frame.parentJoint] * frame.placement for frame in frames]
         places = np.array([placement.homogeneous for placement in (*joints, *feet)])
-        # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
+        # Rounded to a nanometre, because processors differ in the last digit; + 0.0 removes -0.0.
         parts += [place.tobytes() for place in np.round(places, 9) + 0.0]
     parts += [inertia.toDynamicParameters().tobytes() for inertia in model.inertias]
     parts += [model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()]
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 
-def _mujoco_model(
+def _compile_mujoco_model(
     description: Description, fixed_base: bool
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
-    """Compiles the MJCF; returns it with the qpos of its keyframe ``home``, and what was added."""
-    added = []
+    """Compile the MJCF; return model, qpos of the keyframe ``home``, and notes of additions.
+
+    Without keyframe ``home``, the first keyframe is used; without keyframes, qpos0.
+    """
+    notes = []
     spec = description.mjcf.copy()
     keys = sorted(spec.keys, key=lambda key: key.name != "home")
     keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
@@ -256,36 +267,40 @@ def _mujoco_model(
     if fixed_base:
         for element in (*free, *spec.keys):
             spec.delete(element)
-        added += leave_ground(spec) if free else []  # which it hangs above, or through
+        notes += leave_ground(spec) if free else []  # a fixed robot may intersect the ground
     elif free and not floor_of(spec):
         SpecTree(spec).add_floor()
-        added.append(diagnose("ground-added"))
+        notes.append(diagnose("ground-added"))
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
-    return model, keyframe if len(keyframe) else np.array(model.qpos0), added
+    return model, keyframe if len(keyframe) else np.array(model.qpos0), notes
 
 
-def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """Returns the joints' names in actuator order, then those without actuator in tree order."""
-    known: list[str] = []
+def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
+    """Return the joints in actuator order, followed by joints without actuators in tree order.
+
+    Raises:
+        ModelError: If there are no joints, or a ball joint.
+    """
+    all_joints: list[str] = []
     for joint in range(model.njnt):
         kind = JointKind(int(model.jnt_type[joint]))
         if kind == JointKind.BALL:
             name = model.joint(joint).name
             raise ModelError(source, diagnose("joint-is-ball", subject=("joint", name)))
         if kind != JointKind.FREE:
-            known.append(model.joint(joint).name)
+            all_joints.append(model.joint(joint).name)
     driven = [
         model.joint(int(model.actuator_trnid[actuator, 0])).name
         for actuator in range(model.nactuator)
         if is_at_one_joint(model, actuator)
     ]
-    if not known:
+    if not all_joints:
         raise ModelError(source, diagnose("no-joints"))
-    return tuple(dict.fromkeys([*driven, *known]))
+    return tuple(dict.fromkeys([*driven, *all_joints]))
 
 
-def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Returns the body with the free joint, or else the one that carries the first moving body."""
+def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
+    """Return the body of the free joint; with a fixed base, the static body below the joints."""
     if floating:
         return str(model.body(int(model.jnt_bodyid[free_joints(model)[0]])).name)
     base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
@@ -294,29 +309,32 @@ def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]
     return str(model.body(base).name)
 
 
-def _same_base(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Returns the static body that is named like the URDF's root link, if it carries the base.
+def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
+    """Return the static body with the name of the URDF's root link, if it carries the base.
 
-    Where one file puts something before or after all of its names (``right_``, ``robot/``), the one
-    whose name begins or ends with the root link's.
+    Otherwise, return the first whose name contains the root link's between separators, as files may
+    add a prefix or suffix to all names (``right_``, ``robot/``); otherwise the base.
     """
     root = UrdfTree.of(urdf).base.name
-    body, carrying = model.body(base).id, list[str]()
+    body, ancestors = model.body(base).id, list[str]()
     while body != 0:
-        carrying.append(str(model.body(body).name))
+        ancestors.append(str(model.body(body).name))
         body = int(model.body_parentid[body])
-    if root in carrying:
+    if root in ancestors:
         return root
     name = re.escape(root)
-    longer = re.compile(rf"(.*[^A-Za-z0-9])?{name}([^A-Za-z0-9].*)?")
-    return next((each for each in carrying if longer.fullmatch(each)), base)
+    extended_name = re.compile(rf"(.*[^A-Za-z0-9])?{name}([^A-Za-z0-9].*)?")
+    return next((ancestor for ancestor in ancestors if extended_name.fullmatch(ancestor)), base)
 
 
-def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
-    """Returns the site with a gyro and an accelerometer that is a frame of the URDF as well."""
+def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
+    """Return a site with gyro and accelerometer that is also a frame of the URDF; None if none."""
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [
-        {int(model.sensor_objid[i]) for i in np.flatnonzero(model.sensor_type == kind.value)}
+        {
+            int(model.sensor_objid[sensor])
+            for sensor in np.flatnonzero(model.sensor_type == kind.value)
+        }
         for kind in (gyro, accelerometer)
     ]
     names = [str(model.site(site).name) for site in sorted(sites[0] & sites[1])]
@@ -325,14 +343,18 @@ def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
     )
 
 
-def _pinocchio_model(
+def _build_pinocchio_model(
     description: Description,
     mj_model: mujoco.MjModel,
     mj_base: str,
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Builds the URDF's model, its base free or fixed where the MJCF has it."""
+    """Build the model of the URDF; a fixed base has its pose in the MJCF.
+
+    Raises:
+        ModelError: If the joints differ from those of the MJCF, or are not supported.
+    """
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)
     for joint in list(model.joints)[2 if floating else 1 :]:
@@ -343,13 +365,15 @@ def _pinocchio_model(
             subject = "joint", model.names[joint.id]
             raise ModelError(source, diagnose("axis-without-direction", subject=subject))
     joints = set(list(model.names)[2 if floating else 1 :])
-    for missing, where, there in (
+    for missing, lacking_file, other_file in (
         (joints - set(joint_names), description.mjcf_source, source),
         (set(joint_names) - joints, source, description.mjcf_source),
     ):
         if missing:
-            problem = diagnose("joints-of-other-file-missing", joints=sorted(missing), other=there)
-            raise ModelError(where, problem)
+            problem = diagnose(
+                "joints-of-other-file-missing", joints=sorted(missing), other=other_file
+            )
+            raise ModelError(lacking_file, problem)
     if not floating:
         data = mujoco.MjData(mj_model)
         mujoco.mj_kinematics(mj_model, data)
@@ -366,60 +390,59 @@ def _pinocchio_model(
     return model
 
 
-def _root_link(model: pin.Model) -> str:
-    """Returns the name of the URDF's root link."""
+def _find_root_link(model: pin.Model) -> str:
+    """Return the name of the URDF's root link."""
     return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))
 
 
-_GRAVITY_TOLERANCE = 0.05
-"""Gravity that differs from 9.81 m/s^2 downwards by more is not the Earth's, or not upright: from
-pole to equator it changes by 0.05."""
+_GRAVITY_ATOL = 0.05
+"""Tolerance [m/s^2] for Earth's gravity, downwards: between pole and equator it varies by 0.05."""
 
-_DISABLE = mujoco.mjtDisableBit
+_DISABLE_BIT = mujoco.mjtDisableBit
 
-_FLAGS = (
-    (_DISABLE.mjDSBL_CONTACT, "contact"),
-    (_DISABLE.mjDSBL_CONSTRAINT, "constraint"),
-    (_DISABLE.mjDSBL_ACTUATION, "actuation"),
+_REPORTED_FLAGS = (
+    (_DISABLE_BIT.mjDSBL_CONTACT, "contact"),
+    (_DISABLE_BIT.mjDSBL_CONSTRAINT, "constraint"),
+    (_DISABLE_BIT.mjDSBL_ACTUATION, "actuation"),
 )
-"""What holds a robot."""
+"""Flags that disable forces which support a robot."""
 
 
 def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
-    """Yields what a model's options make other than a robot on the Earth expects."""
-    acts = acting_gravity(model)
-    if float(np.linalg.norm(acts - DOWN)) > _GRAVITY_TOLERANCE:
-        yield diagnose("gravity-not-the-earths", gravity=acts)
-    for bit, word in _FLAGS:
+    """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth."""
+    gravity = acting_gravity(model)
+    if float(np.linalg.norm(gravity - DOWN)) > _GRAVITY_ATOL:
+        yield diagnose("gravity-not-the-earths", gravity=gravity)
+    for bit, word in _REPORTED_FLAGS:
         if model.opt.disableflags & bit.value:
             yield diagnose("flag-disables", flag=word, motors=word == "actuation")
     groups = model.actuator_group
-    off = [
+    disabled_actuators = [
         model.actuator(motor).name or f"#{motor}"
         for motor in range(model.nactuator)
         if 0 <= groups[motor] < 31 and int(model.opt.disableactuator) >> int(groups[motor]) & 1
     ]
-    if off:
-        yield diagnose("actuators-switched-off", actuators=off)
+    if disabled_actuators:
+        yield diagnose("actuators-switched-off", actuators=disabled_actuators)
 
 
 @check_arguments
 def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
-    """Returns the robot with other limits of its motors, said in its notes.
+    """Return a robot with other effort limits, reported in its notes.
 
-    For files with placeholders. They bound what is computed and what is simulated of the robot; its
-    file as it was published is simulated with its own.
+    For files with placeholder limits. The limits apply to computations and simulations of the
+    robot; the published file is simulated with its own limits.
 
     Args:
         robot: The robot.
-        efforts: {joint: what its motor can give either way, at the joint (N m; N of a slide)}.
+        efforts: {joint: limit in both directions at the joint [N m; N for a slide]}.
 
     Returns:
-        The robot; itself, if nothing is asked.
+        The robot with the limits; the robot itself if ``efforts`` is empty.
 
     Raises:
-        UnknownNameError: If it has no such joint.
-        ConfigurationError: If one is not positive and finite.
+        UnknownNameError: If there is no such joint.
+        ConfigurationError: If a limit is not positive and finite.
     """
     for name, effort in efforts.items():
         if name not in robot.joint_names:
@@ -430,56 +453,58 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     if not efforts:
         return robot
     urdf, mjcf = robot.description.trees()
-    stated, messages = dict(robot.description.efforts), []
-    before = {limit.joint: limit for limit in robot.efforts}
+    new_limits, messages = dict(robot.description.efforts), []
+    old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():
         urdf.joints[name].state(BY_KIND["effort"], effort)
         mjcf.limit_effort(name, effort)
         range_ = (-effort, effort)
         origin = EffortStatement.of("", "joint", name, "effort", range_)
-        stated[name] = EffortLimit(name, *range_, origin, (origin,))
-        own = before[name].least
+        new_limits[name] = EffortLimit(name, *range_, origin, (origin,))
+        old_limit = old_limits[name].least
         messages.append(
             diagnose(
                 "effort-in-place-of",
                 subject=("joint", name),
                 effort=Quantity(effort, "N m"),
-                own=Quantity(own, "N m") if own < math.inf else None,
+                own=Quantity(old_limit, "N m") if old_limit < math.inf else None,
             )
         )
-    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec, efforts=stated)
+    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec, efforts=new_limits)
     return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=messages)))
 
 
 def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells whether a verdict rests on efforts that look like placeholders; not on asked ones."""
-    stated = {
+    """Report effort limits that appear to be placeholders, except limits passed by the caller."""
+    efforts = {
         limit.joint: max(-limit.lower, limit.upper)
         for limit in robot.efforts
         if limit.origin is None or limit.origin.file
     }
-    joints = list(placeholders_among(robot, stated))
+    joints = list(placeholders_among(robot, efforts))
     if not joints:
         return ()
     return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
 
 
 def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
-    """Returns which efforts look like placeholders, and why; see ``placeholder_efforts``.
+    """Return {joint: reason} of efforts that appear to be placeholders.
+
+    See ``placeholder_efforts`` for the criteria.
 
     Args:
-        robot: The robot, whose masses and armatures they are held against.
-        efforts: {joint: effort (N m)}; those of slides are left out.
+        robot: Robot, whose masses and armatures are compared with the efforts.
+        efforts: {joint: effort [N m]}. Slides are skipped.
     """
     model = robot.mj_model
-    weights, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []
+    body_masses, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []
     for name, effort in efforts.items():
         joint = model.joint(name).id
         if model.jnt_type[joint] != JointKind.HINGE:
             continue
         link = int(model.body_weldid[model.jnt_bodyid[joint]])
-        carrier = int(model.body_weldid[model.body_parentid[link]])
-        mass = float(weights[link] + weights[carrier])
+        parent = int(model.body_weldid[model.body_parentid[link]])
+        mass = float(body_masses[link] + body_masses[parent])
         motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
-    found = placeholder_efforts(motors, robot.total_mass)
-    return {joint: why for joints, why in found for joint in joints}
+    findings = placeholder_efforts(motors, robot.total_mass)
+    return {joint: reason for joints, reason in findings for joint in joints}

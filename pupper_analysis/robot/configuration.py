@@ -1,4 +1,8 @@
-"""A robot at a state: what Pinocchio says of it, in the public convention."""
+"""``Configuration``: kinematics and dynamics of a robot at a state, in public coordinates.
+
+Computed by Pinocchio from the URDF. Forces of springs, gravity compensation and wind are MuJoCo's,
+because a URDF does not contain these.
+"""
 
 from __future__ import annotations
 
@@ -19,27 +23,28 @@ from pupper_analysis.robot.structure import Workspace
 Array = NDArray[np.float64]
 
 UP = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the world's z axis."""
 
 
 class Configuration:
-    """A robot at (qpos, qvel). That it exists means that forward kinematics has been run there.
+    """Robot at a state (qpos, qvel). Construction runs the forward kinematics.
 
-    Coordinates are those of ``pupper_analysis.robot.coordinates``: MuJoCo's, joints in actuator
-    order. A configuration does not change; its quaternion is normalised on entry.
+    Coordinates are those of ``pupper_analysis.robot.coordinates``: MuJoCo's, with the joints in
+    actuator order. A configuration is immutable; its quaternion is normalised.
 
     Attributes:
         robot: The robot.
-        qpos: (nq,) read-only.
-        qvel: (nv,) read-only.
+        qpos: Configuration (nq,), read-only.
+        qvel: Velocity (nv,), read-only.
     """
 
     def __init__(self, robot: Robot, qpos: ArrayLike, qvel: ArrayLike | None = None) -> None:
-        """Runs forward kinematics.
+        """Run the forward kinematics.
 
         Args:
             robot: The robot.
-            qpos: (nq,) generalised position.
-            qvel: (nv,) generalised velocity; zero if not given.
+            qpos: Configuration (nq,).
+            qvel: Velocity (nv,); zero by default.
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -57,7 +62,7 @@ class Configuration:
         own.flags.writeable = False
 
         self._model = structure.model
-        # Held for as long as this configuration, or a copy of it, exists.
+        # The workspace is owned by this configuration and its copies.
         self._workspace = structure.workspace()
         self._data = self._workspace.data
         self._q = structure.convention.unit_q(own)
@@ -65,133 +70,134 @@ class Configuration:
         pin.updateFramePlacements(self._model, self._data)
 
     def frame_position(self, name: str) -> Array:
-        """Returns a frame's position (3,) in the world (m).
+        """Return the position (3,) [m] of a frame in the world.
 
         Raises:
             UnknownNameError: If the URDF has no such frame.
         """
-        return np.array(self._data.oMf[self._frame(name)].translation)
+        return np.array(self._data.oMf[self._frame_index(name)].translation)
 
     def frame_rotation(self, name: str) -> Array:
-        """Returns the rotation (3, 3) from a frame's axes to the world's.
+        """Return the rotation (3, 3) from the axes of a frame to those of the world.
 
         Raises:
             UnknownNameError: If the URDF has no such frame.
         """
-        return np.array(self._data.oMf[self._frame(name)].rotation)
+        return np.array(self._data.oMf[self._frame_index(name)].rotation)
 
     def frame_jacobian(self, name: str, offset: ArrayLike | None = None) -> Array:
-        """Returns the Jacobian (6, nv) of a point that moves with a frame.
+        """Return the Jacobian (6, nv) of a point that moves with a frame.
 
         J qvel = (linear velocity of the point, angular velocity), in world axes.
 
         Args:
-            name: The frame.
-            offset: (3,) from the frame's origin to the point, in world axes (m); zero by default.
+            name: Name of the frame.
+            offset: Vector (3,) [m] from the origin of the frame to the point, in world axes; zero
+                by default.
 
         Raises:
             UnknownNameError: If the URDF has no such frame.
         """
-        jacobian = self._jacobian(self._frame(name))
+        jacobian = self._jacobian(self._frame_index(name))
         if offset is not None:
             jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
         return jacobian
 
     def point_jacobian(self, name: str, point: Array) -> Array:
-        """Returns the Jacobian (3, nv) of a point that moves with a frame, in world axes.
+        """Return the Jacobian (3, nv) of a point that moves with a frame, in world axes.
 
         Args:
-            name: The frame.
-            point: (3,) where the point is, in the world (m).
+            name: Name of the frame.
+            point: Position (3,) [m] of the point in the world.
 
         Raises:
             UnknownNameError: If the URDF has no such frame.
         """
-        frame = self._frame(name)
+        frame = self._frame_index(name)
         jacobian = self._jacobian(frame)
         offset = point - self._data.oMf[frame].translation
-        moved: Array = jacobian[:3] - pin.skew(offset) @ jacobian[3:]
-        return moved
+        result: Array = jacobian[:3] - pin.skew(offset) @ jacobian[3:]
+        return result
 
-    def _frame(self, name: str) -> int:
-        number = self._structure.links.get(name)
-        if number is None:
-            links = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+    def _frame_index(self, name: str) -> int:
+        index = self._structure.links.get(name)
+        if index is None:
+            links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]
             raise UnknownNameError(self.robot.name, "link", name, links)
-        return number
+        return index
 
     def _jacobian(self, frame: int) -> Array:
-        """Returns the Jacobian (6, nv) of a frame, which nobody else has."""
-        own = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return self._structure.columns(own)
+        """Return the Jacobian (6, nv) of a frame, as a new array."""
+        jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return self._structure.columns(jacobian)
 
     def _jacobians(self, feet: Iterable[str]) -> Array:
-        """Returns the Jacobians (n, 6, nv) of some feet's centres."""
-        numbers = self._structure.feet
-        all_of_them = np.array([self._jacobian(numbers[foot]) for foot in feet])
-        return all_of_them.reshape(-1, 6, self._structure.nv)
+        """Return the Jacobians (n, 6, nv) of the centres of feet."""
+        frames = self._structure.feet
+        jacobians = np.array([self._jacobian(frames[foot]) for foot in feet])
+        return jacobians.reshape(-1, 6, self._structure.nv)
 
     def joint_position(self, name: str) -> Array:
-        """Returns where a joint is (3,), in the world (m).
+        """Return the position (3,) [m] of a joint in the world.
 
         Raises:
-            UnknownNameError: If it is no joint of the robot.
+            UnknownNameError: If the robot has no such joint.
         """
-        return np.array(self._data.oMi[self._joint(name)].translation)
+        return np.array(self._data.oMi[self._joint_index(name)].translation)
 
     def joint_axis(self, name: str) -> Array:
-        """Returns a joint's axis (3,), a unit vector in the world: of rotation, or of sliding.
+        """Return the unit axis (3,) of a hinge or slide in the world.
 
         Raises:
-            UnknownNameError: If it is no joint of the robot.
+            UnknownNameError: If the robot has no such joint.
         """
-        joint = self._joint(name)
+        joint = self._joint_index(name)
         column = self._data.J.reshape(6, -1)[:, self._model.joints[joint].idx_v]
-        rotation, at_origin = column[3:], column[:3]
-        axis: Array = rotation if np.linalg.norm(rotation) > 0.5 else at_origin
+        rotation, translation = column[3:], column[:3]
+        axis: Array = rotation if np.linalg.norm(rotation) > 0.5 else translation
         return np.array(axis / np.linalg.norm(axis))
 
-    def _joint(self, name: str) -> int:
-        number = self._structure.joints.get(name)
-        if number is None:
+    def _joint_index(self, name: str) -> int:
+        index = self._structure.joints.get(name)
+        if index is None:
             raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
-        return number
+        return index
 
     def foot_positions(self) -> dict[str, Array]:
-        """Returns the centre of each foot's sphere, {foot: (3,)}, in the world (m)."""
-        placements, numbers = self._data.oMf, self._structure.feet
-        return {foot: np.array(placements[at].translation) for foot, at in numbers.items()}
+        """Return {contact point: centre (3,) [m] of its sphere} in the world."""
+        placements, frames = self._data.oMf, self._structure.feet
+        return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
     def foot_places(self, feet: Iterable[str]) -> Array:
-        """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
-        placements, numbers = self._data.oMf, self._structure.feet
-        places = [placements[numbers[foot]].translation for foot in feet]
-        return np.array(places, dtype=float).reshape(-1, 3)
+        """Return the centres (n, 3) [m] of the spheres of contact points in the world."""
+        placements, frames = self._data.oMf, self._structure.feet
+        positions = [placements[frames[foot]].translation for foot in feet]
+        return np.array(positions, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
-        """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
+        """Return {contact point: Jacobian (3, nv) of its centre} in world axes.
 
-        J qvel is the foot's velocity in the world (m/s).
+        J qvel is the velocity of the centre in the world [m/s].
         """
-        return {foot: self._jacobian(at)[:3] for foot, at in self._structure.feet.items()}
+        return {foot: self._jacobian(frame)[:3] for foot, frame in self._structure.feet.items()}
 
     def foot_rotations(self, feet: Iterable[str]) -> Array:
-        """Returns the rotations (n, 3, 3) of some feet's frames, to the world's axes."""
-        placements, numbers = self._data.oMf, self._structure.feet
-        return np.array([placements[numbers[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
+        """Return the rotations (n, 3, 3) from the frames of contact points to world axes."""
+        placements, frames = self._data.oMf, self._structure.feet
+        return np.array([placements[frames[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
 
     def foot_twists(self, feet: Sequence[str]) -> Array:
-        """Returns the Jacobians (n, 6, nv) of some feet, of centre and rotation, in world axes."""
+        """Return the Jacobians (n, 6, nv) of contact points; see ``frame_jacobian``."""
         return self._jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
-        """Returns where each foot's sphere touches level ground, {foot: (3,)}, in the world (m).
+        """Return {contact point: lowest point (3,) [m] of its sphere} in the world.
 
         Args:
-            feet: Names of feet; all by default.
+            feet: Contact points; all by default.
 
         Raises:
-            UnknownNameError: If a foot is unknown.
+            UnknownNameError: If there is no such contact point.
         """
         positions = self.foot_positions()
         return {
@@ -200,49 +206,53 @@ class Configuration:
         }
 
     def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
-        """Returns the Jacobians (n, 3, nv) of points that move with feet, in world axes.
+        """Return the Jacobians (n, 3, nv) of points that move with feet, in world axes.
 
         Args:
-            feet: n names of feet.
-            offsets: (n, 3) from each foot's centre to its point, in world axes (m).
+            feet: Names of n contact points.
+            offsets: Vectors (n, 3) [m] from each centre to the point, in world axes.
         """
-        both = self._jacobians(feet)
-        moved: Array = both[:, :3] - cross_matrices(offsets) @ both[:, 3:]
-        return moved
+        jacobians = self._jacobians(feet)
+        result: Array = jacobians[:, :3] - cross_matrices(offsets) @ jacobians[:, 3:]
+        return result
 
     def center_of_mass(self) -> Array:
-        """Returns the centre of mass (3,) in the world (m)."""
-        # Where the joints are has been computed: with q it would be so again.
+        """Return the CoM (3,) [m] in the world."""
+        # Without q, Pinocchio reuses the joint placements.
         moving = pin.centerOfMass(self._model, self._data, pin.KinematicLevel.POSITION, False)
         return np.array(self._structure.centre(moving))
 
     def com_jacobian(self) -> Array:
-        """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
+        """Return the Jacobian (3, nv) of the CoM; J qvel is the velocity of the CoM [m/s]."""
         moving = pin.jacobianCenterOfMass(self._model, self._data, self._q)
         jacobian: Array = (1 - self._structure.fixed) * self._structure.columns(moving)
         return jacobian
 
     def mass_matrix(self) -> Array:
-        """Returns the joint-space inertia matrix M (nv, nv), armature included."""
+        """Return the joint-space inertia matrix M (nv, nv), including armature."""
         return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
 
     def bias_forces(self) -> Array:
-        """Returns h (nv,): Coriolis, centrifugal and gravity forces.
+        """Return the bias h (nv,): Coriolis, centrifugal and gravity forces.
 
-        In M qacc + h = tau + J^T f, with no passive joint forces in h.
+        M qacc + h = tau + J^T f. Passive joint forces are not part of h.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.dual(forces)
 
     def gravity(self) -> Array:
-        """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
+        """Return the gravity vector g (nv,), the bias at rest.
+
+        With a free base, g[:3] = -m gravity [N].
+        """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.dual(forces)
 
     def passive(self) -> Array:
-        """Returns what the MJCF's springs, gravity compensation and wind do at rest (nv,).
+        """Return the generalised forces (nv,) of springs, gravity compensation and wind at rest.
 
-        MuJoCo's forces: a URDF cannot state them. Zero if there are none.
+        Computed by MuJoCo from the MJCF, because a URDF does not contain these. Zero if there are
+        none.
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -250,146 +260,149 @@ class Configuration:
             return springs.forces(self.qpos)
 
     def load(self) -> Array:
-        """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
+        """Return the static load (nv,) of motors and contacts: gravity minus ``passive``."""
         return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
     def by_motors(self, forces: Array) -> Array:
-        """Returns what motors have to hold of generalised forces (nv,) or (nv, n).
+        """Return the part of generalised forces, (nv,) or (nv, n), that motors must exert.
 
-        All of them, but where loops or couplings of joints carry them over to other joints
-        (``pupper_analysis.robot.closure``).
+        Loops and couplings transfer forces to other joints (``pupper_analysis.robot.closure``);
+        otherwise the result equals ``forces``.
         """
         closure = self.robot.closure
         if closure is None:
             return forces
-        held, first = forces.copy(), self.robot.nv - self.robot.nu
-        held[first:] -= closure.push(self.qpos) @ forces[first:]
-        return held
+        result, first = forces.copy(), self.robot.nv - self.robot.nu
+        result[first:] -= closure.push(self.qpos) @ forces[first:]
+        return result
 
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
-        """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.
+        """Return the derivative (nv, nv) of the static load minus wrenches on feet: l - sum J^T w.
 
-        By a step in the directions of qvel. J is the Jacobian (6, nv) of a foot's centre.
+        The derivative is with respect to steps in the directions of qvel. J is the Jacobian (6, nv)
+        of the centre of a foot.
 
         Args:
-            wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
-                axes, in which they do not change.
+            wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
+                constant in world axes.
         """
         pushes = np.array(list(wrenches.values())).reshape(-1, 6)
         return self.pushed_rates(self._jacobians(wrenches), pushes)
 
     def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
-        """Returns ``static_rates`` for feet's Jacobians (n, 6, nv) and wrenches (n, 6)."""
+        """Return ``static_rates`` for Jacobians (n, 6, nv) and wrenches (n, 6)."""
         structure, n = self._structure, self._structure.nv
-        held = structure.workspace()
-        rates = pin.computeGeneralizedGravityDerivatives(self._model, held.data, self._q)
+        workspace = structure.workspace()
+        rates = pin.computeGeneralizedGravityDerivatives(self._model, workspace.data, self._q)
         changed = structure.square(np.atleast_2d(rates))
         turned = cross_matrices(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
         pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
-        both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
-        # What carries a joint turns its column of J; what it carries moves its foot.
-        changed -= np.where(structure.carried, both, pushed.T)
+        combined = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
+        # Derivative of the columns of J: a joint nearer the base rotates the column, and a joint
+        # farther from the base moves the foot.
+        changed -= np.where(structure.carried, combined, pushed.T)
         if self.robot.acts_at_rest:
             with lend(self.robot, AtRest) as springs:
                 changed -= springs.rates(self.qpos)
         return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
-        """Returns the acceleration qacc (nv,) under a generalised force, without contacts.
+        """Return the acceleration qacc (nv,) under a generalised force.
 
         Args:
-            force: (nv,) all generalised forces but the bias: motors, damping, contacts.
+            force: All generalised forces (nv,) except the bias: motors, damping, contacts.
 
         Raises:
-            ConfigurationError: If the vector has a wrong length or a value is not finite.
+            ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
-        wanted = self._structure.velocity(check_vector("force", force, self.robot.nv))
-        acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, wanted)
+        model_force = self._structure.velocity(check_vector("force", force, self.robot.nv))
+        acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, model_force)
         return self._structure.dual(acceleration)
 
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
-        """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
+        """Return {contact point: acceleration (6,)} in world axes.
 
-        Linear (m/s^2), of the centre of its sphere, and angular (rad/s^2): the derivative of J qvel
-        with J of ``frame_jacobian``.
+        Linear acceleration of the centre [m/s^2], and angular acceleration [rad/s^2]: the
+        derivative of J qvel, with J of ``frame_jacobian``.
 
         Args:
-            qacc: (nv,) generalised acceleration.
+            qacc: Generalised acceleration (nv,).
         """
-        held, found = self._accelerated(qacc), {}
-        for foot, number in self._structure.feet.items():
+        workspace, accelerations = self._compute_accelerations(qacc), {}
+        for foot, frame in self._structure.feet.items():
             motion = pin.getFrameClassicalAcceleration(
-                self._model, held.data, number, pin.LOCAL_WORLD_ALIGNED
+                self._model, workspace.data, frame, pin.LOCAL_WORLD_ALIGNED
             )
-            found[foot] = np.concatenate([motion.linear, motion.angular])
-        return found
+            accelerations[foot] = np.concatenate([motion.linear, motion.angular])
+        return accelerations
 
     def com_acceleration(self, qacc: ArrayLike) -> Array:
-        """Returns the acceleration (3,) of the centre of mass in the world (m/s^2).
+        """Return the acceleration (3,) [m/s^2] of the CoM in the world.
 
         Args:
-            qacc: (nv,) generalised acceleration.
+            qacc: Generalised acceleration (nv,).
         """
-        held = self._accelerated(qacc)
-        pin.centerOfMass(self._model, held.data, pin.ACCELERATION, False)
-        moving: Array = np.array(held.data.acom[0])
+        workspace = self._compute_accelerations(qacc)
+        pin.centerOfMass(self._model, workspace.data, pin.ACCELERATION, False)
+        moving: Array = np.array(workspace.data.acom[0])
         return (1 - self._structure.fixed) * moving
 
-    def _accelerated(self, qacc: ArrayLike) -> Workspace:
-        a = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
-        held = self._structure.workspace()
-        pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
-        pin.updateFramePlacements(self._model, held.data)
-        return held
+    def _compute_accelerations(self, qacc: ArrayLike) -> Workspace:
+        """Return a workspace with the kinematics at an acceleration qacc (nv,)."""
+        acceleration = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
+        workspace = self._structure.workspace()
+        pin.forwardKinematics(self._model, workspace.data, self._q, self._v, acceleration)
+        pin.updateFramePlacements(self._model, workspace.data)
+        return workspace
 
     @property
     def _v(self) -> Array:
         return self._structure.velocity(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
-        """Returns what a gyro and an accelerometer at a frame read.
+        """Return the readings of gyro and accelerometer at a frame.
 
-        The accelerometer reads the proper acceleration: that of its point less gravity.
+        The accelerometer measures the proper acceleration: acceleration of its point minus gravity.
 
         Args:
-            qacc: (nv,) generalised acceleration.
-            name: The frame; the robot's ``imu`` by default.
+            qacc: Generalised acceleration (nv,).
+            name: Frame; by default the ``imu`` of the robot.
 
         Returns:
-            Angular velocity (3,) in rad/s and acceleration (3,) in m/s^2, both in the frame's axes.
+            Angular velocity (3,) [rad/s] and acceleration (3,) [m/s^2], both in the axes of the
+            frame.
 
         Raises:
-            ConfigurationError: If the robot has no IMU and no frame is named.
+            ConfigurationError: If no frame is given, and the robot has no IMU.
             UnknownNameError: If there is no such frame.
         """
         frame = name or self.robot.imu
         if frame is None:
             raise ConfigurationError("name", diagnose("no-imu", robot=self.robot.name))
-        index = self._frame(frame)
-        held = self._accelerated(qacc)
-        data = held.data
+        index = self._frame_index(frame)
+        workspace = self._compute_accelerations(qacc)
+        data = workspace.data
         gyro = pin.getFrameVelocity(self._model, data, index, pin.LOCAL).angular
         linear = pin.getFrameClassicalAcceleration(self._model, data, index, pin.LOCAL).linear
         gravity = data.oMf[index].rotation.T @ self.robot.gravity
         return np.array(gyro), np.array(linear - gravity)
 
     def base_rotation(self) -> Array:
-        """Returns the rotation (3, 3) from the base's axes to the world's."""
+        """Return the rotation (3, 3) from the axes of the base to those of the world."""
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of central differences (rad, m): springs are linear, and weights' levers are sines."""
+"""Step of central differences [rad, m]. Springs are linear, and lever arms of weights are sines."""
 
 
 class AtRest:
-    """The forces of a robot's springs, gravity compensation and wind, in public coordinates.
+    """Forces of springs, gravity compensation and wind at rest, from MuJoCo's ``qfrc_passive``.
 
-    A URDF states none of them. In MuJoCo they push at rest (``qfrc_passive``); what is left of the
-    weight is held by motors and contacts. It is to be lent: MuJoCo's data takes 50 times as long to
-    make.
+    Borrow an instance with ``lend``, because creating MuJoCo's data takes 50 times as long as an
+    evaluation.
 
     Args:
         robot: The robot.
@@ -400,27 +413,28 @@ class AtRest:
         self._data = mujoco.MjData(self._model)
 
     def forces(self, qpos: Array) -> Array:
-        """Returns the generalised forces (nv,) at a configuration (nq,), at rest (N, N m)."""
+        """Return the generalised forces (nv,) [N, N m] at a configuration (nq,)."""
         self._convention.set_state(self._data, qpos)
-        return self._now()
+        return self._passive_forces()
 
     def rates(self, qpos: Array) -> Array:
-        """Returns their derivative (nv, nv) by steps in the directions of qvel."""
+        """Return the derivative (nv, nv) of the forces by steps in the directions of qvel."""
         data, index = self._data, self._convention.qvel_index
         self._convention.set_state(data, qpos)
-        here = data.qpos.copy()
+        start_qpos = data.qpos.copy()
         columns = []
         for dof in index:
-            step, ends = np.zeros(self._model.nv), []
+            step, values = np.zeros(self._model.nv), []
             step[dof] = 1.0
-            for way in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
-                data.qpos[:] = here
-                mujoco.mj_integratePos(self._model, data.qpos, step, way)
-                ends.append(self._now())
-            columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
+            for signed_step in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
+                data.qpos[:] = start_qpos
+                mujoco.mj_integratePos(self._model, data.qpos, step, signed_step)
+                values.append(self._passive_forces())
+            columns.append((values[0] - values[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
-    def _now(self) -> Array:
+    def _passive_forces(self) -> Array:
+        """Return the passive forces (nv,) at the state of the data."""
         mujoco.mj_fwdPosition(self._model, self._data)
         mujoco.mj_fwdVelocity(self._model, self._data)
         forces: Array = self._data.qfrc_passive[self._convention.qvel_index]

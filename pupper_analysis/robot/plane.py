@@ -1,4 +1,8 @@
-"""What a robot touches besides the ground: planes and bars, and its contacts with them."""
+"""Planes, slopes and bars that a robot touches, and its contacts and welds.
+
+Each ``Contact`` is formatted in the syntax of the command line, in which the error messages print
+it.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +22,19 @@ from pupper_analysis.base.units import READ_IN, UNITS
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
-MOST_FRICTION = 1e6
-"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
+MAX_FRICTION = 1e6
+"""Maximum friction coefficient. Larger values cause overflow in the cone programs, and are
+physically equivalent."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane in the world: a wall, a table, a side of a roof.
+    """Plane in the world: a wall, a table, one side of a roof.
 
     Attributes:
-        point: (x, y, z) on it (m).
-        normal: (x, y, z) out of it, towards the robot; a unit vector, whatever length is given.
-        friction: Coefficient of what touches it; that of the ground by default.
+        point: Point (x, y, z) on the plane (m).
+        normal: Unit normal (x, y, z), towards the robot; normalised on construction.
+        friction: Friction coefficient; that of the ground by default.
     """
 
     point: Point = field(metadata={"unit": "m"})
@@ -37,44 +42,50 @@ class Plane:
     friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", _point("plane.point", self.point))
-        object.__setattr__(self, "normal", _direction("plane.normal", self.normal))
-        object.__setattr__(self, "friction", _friction("plane.friction", self.friction))
+        object.__setattr__(self, "point", _check_position("plane.point", self.point))
+        object.__setattr__(self, "normal", _check_direction("plane.normal", self.normal))
+        object.__setattr__(self, "friction", _check_friction("plane.friction", self.friction))
 
     @property
     def kind(self) -> str:
-        """Which of ``KINDS`` it is; empty if it is none."""
+        """Kind of plane in ``KINDS``, determined by the normal; "" for other planes."""
         return next((name for name, out in KINDS.items() if out == self.normal), "")
 
     @property
-    def _sign(self) -> float:
-        """Of its number: that of its kind's normal, so that a wall is at x, a table at a height."""
+    def _number_sign(self) -> float:
+        """Sign of ``number`` relative to the offset along the normal: that of the normal."""
         return sum(self.normal) if self.kind else 1.0
 
     @property
     def number(self) -> float:
-        """Where it is, as one types it: of a wall x, of a table z; else along its normal (m)."""
+        """Coordinate [m] in the syntax of the user: x of a wall, z of a table or ceiling.
+
+        For other planes, the offset along the normal.
+        """
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
-        return self._sign * offset
+        return self._number_sign * offset
 
     def height(self, place: Array) -> float:
-        """Returns how far a place (3,) is above it (m); negative behind it."""
+        """Return the distance [m] of a point (3,) above the plane; negative behind the plane."""
         return float((place - np.array(self.point)) @ np.array(self.normal))
 
     def nearest(self, place: Array) -> Array:
-        """Returns the point (3,) of it that is nearest to a place (3,) (m)."""
-        there: Array = place - self.height(place) * np.array(self.normal)
-        return there
+        """Return the point (3,) [m] of the plane nearest to a point (3,)."""
+        nearest: Array = place - self.height(place) * np.array(self.normal)
+        return nearest
 
-    def through(self, _point: Point) -> Plane:
-        """Returns itself, which is where it is; see ``Slope``."""
+    def through(self, _check_position: Point) -> Plane:
+        """Return the plane itself; same interface as ``Slope.through``."""
         return self
 
     def moved(self, number: float) -> Plane:
-        """Returns the parallel plane at another ``number`` (m)."""
-        offset, more = self._sign * number, self._sign * (number - self.number)
+        """Return the parallel plane with another ``number`` [m]."""
+        offset, displacement = (
+            self._number_sign * number,
+            self._number_sign * (number - self.number),
+        )
         x, y, z = (
-            offset * b if abs(b) == 1.0 else a + more * b  # exactly, along an axis
+            offset * b if abs(b) == 1.0 else a + displacement * b  # without rounding along an axis
             for a, b in zip(self.point, self.normal, strict=True)
         )
         return replace(self, point=(x, y, z))
@@ -82,12 +93,12 @@ class Plane:
 
 @dataclass(frozen=True)
 class Slope:
-    """A plane under what touches it: through its place, on the ground or the step that is there.
+    """Inclined plane under a contact, through the contact's place on the ground or on a step.
 
     Attributes:
-        angle: Against the horizontal (rad), from 0, a floor, to pi, a ceiling; its ``number``.
-        uphill: Direction in which it rises, about z from x (rad).
-        friction: Coefficient of what touches it; that of the ground by default.
+        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling); the ``number``.
+        uphill: Direction of steepest ascent, as an angle about z from x (rad).
+        friction: Friction coefficient; that of the ground by default.
     """
 
     angle: float = field(metadata={"unit": "rad"})
@@ -95,40 +106,40 @@ class Slope:
     friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi, "rad"))
+        object.__setattr__(self, "angle", _check_between("slope.angle", self.angle, math.pi, "rad"))
         object.__setattr__(self, "uphill", check_finite("slope.uphill", self.uphill))
-        object.__setattr__(self, "friction", _friction("slope.friction", self.friction))
+        object.__setattr__(self, "friction", _check_friction("slope.friction", self.friction))
 
     @property
     def normal(self) -> Point:
-        """(x, y, z) out of it; a unit vector."""
+        """Unit normal (x, y, z)."""
         return slope_normal(self.angle, self.uphill)
 
     @property
     def number(self) -> float:
-        """Its angle, as a plane's is where it is (rad)."""
+        """Angle [rad]."""
         return self.angle
 
     def moved(self, number: float) -> Slope:
-        """Returns the one of another angle (rad)."""
+        """Return the slope with another angle [rad]."""
         return replace(self, angle=number)
 
     def through(self, point: Point) -> Plane:
-        """Returns the plane through a point (x, y, z) (m)."""
+        """Return the plane with this slope through a point (x, y, z) [m]."""
         return Plane(point, self.normal, self.friction)
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A round bar in the world, such as a rung; of a millimetre's radius it is an edge.
+    """Round bar in the world, such as a rung; with a radius of a millimetre, an edge.
 
-    What touches it does so in the plane that is tangent to it there.
+    A contact touches the bar in its tangent plane.
 
     Attributes:
-        point: (x, y, z) in its middle (m); z is its ``number``.
-        direction: (x, y, z) along it; a unit vector, whatever length is given.
-        radius: m.
-        friction: Coefficient of what touches it; that of the ground by default.
+        point: Point (x, y, z) on the axis (m); z is the ``number``.
+        direction: Unit vector (x, y, z) along the axis; normalised on construction.
+        radius: Radius (m).
+        friction: Friction coefficient; that of the ground by default.
     """
 
     point: Point = field(metadata={"unit": "m"})
@@ -140,77 +151,85 @@ class Bar:
         radius = check_length("bar.radius", self.radius)
         if not radius > 0:
             raise ConfigurationError("bar.radius", diagnose("not-above", value=radius, bound=0))
-        object.__setattr__(self, "point", _point("bar.point", self.point))
-        object.__setattr__(self, "direction", _direction("bar.direction", self.direction))
+        object.__setattr__(self, "point", _check_position("bar.point", self.point))
+        object.__setattr__(self, "direction", _check_direction("bar.direction", self.direction))
         object.__setattr__(self, "radius", radius)
-        object.__setattr__(self, "friction", _friction("bar.friction", self.friction))
+        object.__setattr__(self, "friction", _check_friction("bar.friction", self.friction))
 
     @property
     def number(self) -> float:
-        """Its height (m)."""
+        """Height [m]."""
         return self.point[2]
 
     def moved(self, number: float) -> Bar:
-        """Returns the one at another height (m)."""
+        """Return the bar at another height [m]."""
         return replace(self, point=(*self.point[:2], number))
 
     def top(self, x: float, y: float) -> Point:
-        """Returns the point on its upper side next to a place, seen from above (m)."""
+        """Return a point (x, y, z) [m] above the bar, next to a horizontal position.
+
+        The point is above the point of the axis that is nearest to (x, y) in the horizontal plane;
+        the nearest point of the bar's surface is on its upper side.
+        """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]
-        way = (np.array((x, y)) - self.point[:2]) @ along[:2] / level if level else 0.0
-        out = np.array((0.0, 0.0, 1.0)) - along[2] * along
-        above: list[float] = (np.array(self.point) + way * along + out).tolist()
-        return _point("place", above)
+        distance = (np.array((x, y)) - self.point[:2]) @ along[:2] / level if level else 0.0
+        upward = np.array((0.0, 0.0, 1.0)) - along[2] * along
+        result: list[float] = (np.array(self.point) + distance * along + upward).tolist()
+        return _check_position("place", result)
 
     def through(self, point: Point) -> Tangent:
-        """Returns the plane that touches it where it is nearest to a point (x, y, z) (m).
+        """Return the tangent plane at the point of the bar nearest to a point (x, y, z) [m].
 
         Raises:
-            ConfigurationError: If the point is in its middle.
+            ConfigurationError: If the point is on the axis.
         """
-        along, away = np.array(self.direction), np.array(point) - self.point
-        out = away - (away @ along) * along
-        if not np.linalg.norm(out) > _MIDDLE:
+        axis, offset = np.array(self.direction), np.array(point) - self.point
+        normal = offset - (offset @ axis) * axis
+        if not np.linalg.norm(normal) > _AXIS_ATOL:
             raise ConfigurationError("contact.place", diagnose("place-in-a-bar"))
-        out = out / np.linalg.norm(out)
-        near = np.array(self.point) + (away @ along) * along + self.radius * out
-        x, y, z = near.tolist()
-        a, b, c = out.tolist()
+        normal = normal / np.linalg.norm(normal)
+        contact_point = np.array(self.point) + (offset @ axis) * axis + self.radius * normal
+        x, y, z = contact_point.tolist()
+        a, b, c = normal.tolist()
         return Tangent((x, y, z), (a, b, c), self.friction, bar=self)
 
 
 @dataclass(frozen=True)
 class Tangent(Plane):
-    """The plane in which something touches a bar."""
+    """Tangent plane of a bar.
+
+    Attributes:
+        bar: The bar.
+    """
 
     bar: Bar | None = None
 
 
-_MIDDLE = 1e-9
-"""A point that is no further from a bar's axis is on it (m)."""
+_AXIS_ATOL = 1e-9
+"""Maximum distance [m] of a point on the axis of a bar."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A foot, or another part of the robot, that touches a plane or a bar of its own.
+    """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
-    A foot touches with what it is. Another part, a hand, touches with a ball in a point of its
-    link, which weighs nothing and touches that plane alone. A foot of several points, a sole,
-    touches no bar.
+    A foot touches with its own geometry. A hand touches with a massless ball at a point of its
+    link, which collides with that plane only. A sole (foot with several contact points) cannot
+    touch a bar.
 
     Attributes:
-        plane: What it touches.
-        force: With which it presses (N), if that is stated; by default what balance makes it, and
-            beside a ``Weld``, which takes whatever is left, what costs the least motor torque.
-        place: (x, y, z) where, or next to it: the nearest point of the plane (m). By default where
-            the foot stands by default, or where a hand is with the joints at home.
-        offset: Of a hand, (x, y, z) of its ball's centre in the frame of its link (m).
-        radius: Of that ball (m); by default of the largest there that is within the hand's own
-            shapes, or 1 cm if it is in none.
-        grip: Up to which force (N) it is held there, any way, as by a hand that is closed around a
-            rung: its ball's centre stays where it is, and the hand may turn about it. By default
-            nothing holds it, and it can only press.
+        plane: Plane, slope or bar.
+        force: Prescribed normal force (N). By default, the force follows from balance; beside a
+            ``Weld``, which balances any force, from minimum motor torque.
+        place: Point (x, y, z) (m), projected to the plane. By default, the nominal position of the
+            foot, or the position of the hand with the joints at home.
+        offset: Centre (x, y, z) of the ball in the frame of the hand's link (m).
+        radius: Radius of the ball (m). By default, that of the largest ball inside the hand's
+            shapes, or 1 cm outside of all shapes.
+        grip: Maximum force (N) of a grip in any direction, such as of a hand around a rung: the
+            centre of the ball is fixed, and the hand may rotate about it. By default, there is no
+            grip, and the contact is unilateral.
     """
 
     plane: Plane | Slope | Bar
@@ -235,8 +254,8 @@ class Contact:
                 raise ConfigurationError("force", diagnose("below-the-least", value=force, bound=0))
             object.__setattr__(self, "force", force)
         if self.place is not None:
-            object.__setattr__(self, "place", _point("place", self.place))
-        object.__setattr__(self, "offset", _point("offset", self.offset))
+            object.__setattr__(self, "place", _check_position("place", self.place))
+        object.__setattr__(self, "offset", _check_position("offset", self.offset))
         if self.radius is not None:
             radius = check_length("radius", self.radius)
             if not radius > 0:
@@ -245,60 +264,63 @@ class Contact:
 
     @property
     def turns(self) -> bool:
-        """Whether its number is an angle, of a slope."""
+        """Whether the adjustable number is an angle: that of a slope."""
         return isinstance(self.plane, Slope)
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Those that can give where it is out of reach: its plane's, or a bar's point (m, rad)."""
+        """Numbers that a relaxation may change: that of the plane, or a bar's point [m, rad]."""
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.number,)
 
     def moved(self, numbers: Sequence[float]) -> Contact:
-        """Returns one with others (m, rad)."""
+        """Return a contact with other ``numbers`` [m, rad]."""
         if isinstance(self.plane, Bar):
-            return replace(self, plane=replace(self.plane, point=_point("point", numbers)))
+            return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
         return self.at(*numbers)
 
     def at(self, number: float) -> Contact:
-        """Returns a contact with the parallel plane at another ``number`` (m, rad)."""
+        """Return a contact with another ``number`` of the plane [m, rad]."""
         return replace(self, plane=self.plane.moved(number))
 
     def __str__(self) -> str:
-        """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
+        """Return the text on the command line, without loss: ``wall:0.4m,mu=0.6``."""
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Returns the same in mm and deg, in a format such as ``.4g``; exactly with none."""
-        say, plane = _writer(spec), self.plane
+        """Return the text on the command line, in mm and deg with a number format such as ``.4g``.
+
+        Without format, the numbers are exact, in SI units or degrees.
+        """
+        write, plane = _make_formatter(spec), self.plane
         if isinstance(plane, Slope):
-            parts = ["slope:" + say([plane.angle], "rad")]
-            parts += ["uphill=" + say([plane.uphill], "rad")] if plane.uphill else []
+            parts = ["slope:" + write([plane.angle], "rad")]
+            parts += ["uphill=" + write([plane.uphill], "rad")] if plane.uphill else []
         elif isinstance(plane, Bar):
-            place, way = say(plane.point, "m", ","), say(plane.direction, "", ",")
-            parts = [f"bar:{place},{way},{say([plane.radius], 'm')}"]
+            point, direction = write(plane.point, "m", ","), write(plane.direction, "", ",")
+            parts = [f"bar:{point},{direction},{write([plane.radius], 'm')}"]
         elif plane.kind:
-            parts = [f"{plane.kind}:{say([plane.number], 'm')}"]
+            parts = [f"{plane.kind}:{write([plane.number], 'm')}"]
         else:
-            parts = [f"plane:{say(plane.point, 'm', ',')},{say(plane.normal, '', ',')}"]
-        parts += [] if plane.friction is None else ["mu=" + say([plane.friction], "")]
-        parts += _placed(self, say)
-        parts += [] if self.radius is None else ["radius=" + say([self.radius], "m")]
-        parts += [] if self.force is None else ["force=" + say([self.force], "N")]
-        parts += [] if self.grip is None else ["grip=" + say([self.grip], "N")]
+            parts = [f"plane:{write(plane.point, 'm', ',')},{write(plane.normal, '', ',')}"]
+        parts += [] if plane.friction is None else ["mu=" + write([plane.friction], "")]
+        parts += _format_placement(self, write)
+        parts += [] if self.radius is None else ["radius=" + write([self.radius], "m")]
+        parts += [] if self.force is None else ["force=" + write([self.force], "N")]
+        parts += [] if self.grip is None else ["grip=" + write([self.grip], "N")]
         return ",".join(parts)
 
 
 @dataclass(frozen=True)
 class Weld:
-    """A part of the robot that is fixed in the world, as if bolted: held any way, by any force.
+    """Part of the robot that is fixed to the world, and can bear any wrench.
 
-    The base stands where the task has it, a foot where it stands, and another part with a point of
-    its link where it is said to be; each as it is turned there.
+    The base has the pose in the task, and a foot its position in the stand. Of another part, a
+    point is fixed at ``place``. The orientation is that in the stand.
 
     Attributes:
-        place: Of another part than base and feet, (x, y, z) where the point is (m); by default
-            where it is with the joints at home.
-        offset: Of such a part, (x, y, z) of that point in the frame of its link (m).
+        place: Position (x, y, z) of the point of another part (m); by default with the joints at
+            home.
+        offset: Point (x, y, z) of another part in the frame of its link (m).
     """
 
     plane: ClassVar[None] = None
@@ -308,77 +330,80 @@ class Weld:
 
     def __post_init__(self) -> None:
         if self.place is not None:
-            object.__setattr__(self, "place", _point("place", self.place))
-        object.__setattr__(self, "offset", _point("offset", self.offset))
+            object.__setattr__(self, "place", _check_position("place", self.place))
+        object.__setattr__(self, "offset", _check_position("offset", self.offset))
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Those that can give where it is out of reach: its place, if that is said (m)."""
+        """Numbers that a relaxation may change: the place, if specified [m]."""
         return self.place or ()
 
     def moved(self, numbers: Sequence[float]) -> Weld:
-        """Returns one at another place (m)."""
-        return replace(self, place=_point("place", numbers))
+        """Return a weld at another place [m]."""
+        return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:
-        """Returns it as it is typed: ``weld,offset=0.0m/0.0m/0.1m``."""
+        """Return the text on the command line, without loss: ``weld,offset=0.0m/0.0m/0.1m``."""
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
-        return ",".join(["weld", *_placed(self, _writer(spec))])
+        """Return the text on the command line, in mm with a format such as ``.4g``; or exact."""
+        return ",".join(["weld", *_format_placement(self, _make_formatter(spec))])
 
 
-def _writer(spec: str) -> Callable[..., str]:
-    """Returns what writes numbers of a unit: as they are read, in a format, or exactly."""
+def _make_formatter(spec: str) -> Callable[..., str]:
+    """Return a function that formats values with a unit: in mm and deg by a format, or exactly."""
 
-    def say(values: Sequence[float], unit: str, by: str = "/") -> str:
-        factor, read = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
+    def write(values: Sequence[float], unit: str, by: str = "/") -> str:
+        factor, shown_unit = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
         if unit == "rad" and not spec:
-            return by.join(map(_angle_exactly, values))
-        numbers = (format(factor * one, spec) if spec else repr(one) for one in values)
-        return by.join(number + read for number in numbers)
+            return by.join(map(_format_exact_angle, values))
+        numbers = (format(factor * value, spec) if spec else repr(value) for value in values)
+        return by.join(number + shown_unit for number in numbers)
 
-    return say
-
-
-def _angle_exactly(angle: float) -> str:
-    """Returns an angle in the fewest digits that are read back as it is: degrees, if any are."""
-    written = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
-    size = UNITS["angle"]["deg"]
-    return next((f"{one}deg" for one in written if float(one) * size == angle), f"{angle!r}rad")
+    return write
 
 
-def _placed(one: Contact | Weld, say: Callable[..., str]) -> Iterator[str]:
-    """Yields where it is, as it is typed, as far as it is said."""
-    if one.place is not None:
-        yield "place=" + say(one.place, "m")
-    if any(one.offset):
-        yield "offset=" + say(one.offset, "m")
+def _format_exact_angle(angle: float) -> str:
+    """Return the shortest text of an angle that is read without loss, in degrees if possible."""
+    candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
+    radians_per_degree = UNITS["angle"]["deg"]
+    return next(
+        (f"{text}deg" for text in candidates if float(text) * radians_per_degree == angle),
+        f"{angle!r}rad",
+    )
 
 
-def contact_of(given: Any) -> Contact | Weld:
-    """Returns a contact or a weld of plain data, as JSON has it, or the one given.
+def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Iterator[str]:
+    """Yield the texts of place and offset of a contact or weld, if specified."""
+    if contact.place is not None:
+        yield "place=" + write(contact.place, "m")
+    if any(contact.offset):
+        yield "offset=" + write(contact.offset, "m")
+
+
+def contact_of(data: Any) -> Contact | Weld:
+    """Return a contact or weld from plain data, such as JSON, or the object itself.
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If the data are not valid.
     """
-    if isinstance(given, Weld):
-        return given
-    if not isinstance(given, Mapping):
-        check_type("contact", given, Contact)
-        contact: Contact = given
+    if isinstance(data, Weld):
+        return data
+    if not isinstance(data, Mapping):
+        check_type("contact", data, Contact)
+        contact: Contact = data
         return contact
     try:
-        if "plane" not in given:
-            return Weld(**given)
-        plane = given["plane"]
+        if "plane" not in data:
+            return Weld(**data)
+        plane = data["plane"]
         if isinstance(plane, Mapping):
             kind = Bar if "direction" in plane else Slope if "angle" in plane else Plane
             plane = kind(**plane)
-        return Contact(**{**given, "plane": plane})
+        return Contact(**{**data, "plane": plane})
     except TypeError as error:
-        problem = diagnose("no-contact", given=repr(given))
+        problem = diagnose("no-contact", given=repr(data))
         raise ConfigurationError("contact", problem) from error
 
 
@@ -391,33 +416,34 @@ KINDS: dict[str, Point] = {
 
 
 def slope_normal(angle: float, uphill: float) -> Point:
-    """Returns the direction out of a plane at an angle, that rises in a direction (rad)."""
+    """Return the unit normal of a plane with a slope angle and an uphill direction [rad]."""
     rise = math.sin(angle)
     return -rise * math.cos(uphill), -rise * math.sin(uphill), math.cos(angle)
 
 
-def _between(name: str, value: float, high: float, unit: str = "") -> float:
-    """Returns a number, of a unit or none, from 0 to ``high``.
+def _check_between(name: str, value: float, high: float, unit: str = "") -> float:
+    """Return a number from 0 to ``high``, with a unit for the message.
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If the number is out of range.
     """
     number = check_finite(name, value)
     if not 0 <= number <= high:
-        given, most = (Quantity(one, unit) if unit else one for one in (number, high))
+        given, most = (Quantity(bound, unit) if unit else bound for bound in (number, high))
         raise ConfigurationError(name, diagnose("not-between", given=given, low=0, high=most))
     return number
 
 
-def _friction(name: str, value: float | None) -> float | None:
-    return None if value is None else _between(name, value, MOST_FRICTION)
+def _check_friction(name: str, value: float | None) -> float | None:
+    """Return a friction coefficient from 0 to ``MAX_FRICTION``, or None."""
+    return None if value is None else _check_between(name, value, MAX_FRICTION)
 
 
-def _direction(name: str, value: Any) -> Point:
-    """Returns a unit vector.
+def _check_direction(name: str, value: Any) -> Point:
+    """Return a normalised vector (x, y, z).
 
     Raises:
-        ConfigurationError: If it has no length.
+        ConfigurationError: If the vector is zero or not valid.
     """
     x, y, z = check_vector(name, value, 3).tolist()
     size = math.hypot(x, y, z)
@@ -426,6 +452,9 @@ def _direction(name: str, value: Any) -> Point:
     return x / size, y / size, z / size
 
 
-def _point(name: str, value: Any) -> Point:
-    x, y, z = (check_length(name, one) for one in check_vector(name, value, 3).tolist())
+def _check_position(name: str, value: Any) -> Point:
+    """Return a position (x, y, z) [m] with valid coordinates."""
+    x, y, z = (
+        check_length(name, coordinate) for coordinate in check_vector(name, value, 3).tolist()
+    )
     return x, y, z

@@ -1,6 +1,7 @@
-"""One robot, two models: Pinocchio's from the URDF, MuJoCo's from the MJCF.
+"""``Robot``: Pinocchio's model of the URDF, MuJoCo's of the MJCF, and the maps between both.
 
-What its motors can give is the least that both state.
+Also: effort limits from both files, and a pool of objects that are expensive to create for a robot.
+The effort limit of a joint is the smallest in both files.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
 
-_EFFORT_TOLERANCE = 1e-6
-"""Relative: limits that differ by less are one, rounded otherwise."""
+_EFFORT_RTOL = 1e-6
+"""Relative tolerance for equal limits, because files contain rounded values."""
 
 
 def efforts_of(
@@ -48,42 +49,51 @@ def efforts_of(
     pin_model: pin.Model,
     convention: PinocchioConvention,
     joint_names: Sequence[str],
-    before: Mapping[str, EffortLimit],
+    original_limits: Mapping[str, EffortLimit],
 ) -> tuple[EffortLimit, ...]:
-    """Returns what each joint's motor can give, in the order of the names.
+    """Return the effort limit of each joint, in the order of ``joint_names``.
 
     Args:
         mj_model: MuJoCo's model of the MJCF.
-        pin_model: Pinocchio's of the URDF.
-        convention: Where the joints are in it.
-        joint_names: Their names, in both.
-        before: {joint: the same}, of motors that a preparation replaced by servos. Where the servo
-            has that limit, it is reported with the statements of the file itself.
+        pin_model: Pinocchio's model of the URDF.
+        convention: Coordinate maps of Pinocchio's model.
+        joint_names: Names of the joints.
+        original_limits: {joint: original limit} of motors that were replaced by servos. If the
+            servo has an equal limit, the original one is returned, with its sources.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
-    drives = drives_by_joint(mj_model)
+    actuators_by_joint = drives_by_joint(mj_model)
     for name, effort in zip(joint_names, urdf, strict=True):
-        joint, first = int(mj_model.joint(name).id), before.get(name)
-        limit = effort_of(mj_model, joint, effort, drives=drives.get(joint, ()))
-        same = first is not None and _alike(first.lower, limit.lower)
-        same = same and first is not None and _alike(first.upper, limit.upper)
-        limits.append(first if same and first is not None else limit)
+        joint, original = int(mj_model.joint(name).id), original_limits.get(name)
+        limit = effort_of(mj_model, joint, effort, drives=actuators_by_joint.get(joint, ()))
+        is_equal = original is not None and _are_equal_efforts(original.lower, limit.lower)
+        is_equal = (
+            is_equal and original is not None and _are_equal_efforts(original.upper, limit.upper)
+        )
+        limits.append(original if is_equal and original is not None else limit)
     return tuple(limits)
 
 
 def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
-    """Tells of efforts: which file's count where they differ, and what was made of them."""
+    """Return diagnostics of missing, differing and asymmetric effort limits."""
     unstated = [
         limit.joint
         for limit in limits
         if all(statement.file != "URDF" for statement in limit.stated)
     ]
-    uneven = [one.joint for one in limits if not _alike(-one.lower, one.upper)]
+    uneven = [limit.joint for limit in limits if not _are_equal_efforts(-limit.lower, limit.upper)]
     differing = []
     for limit in limits:
-        joint, by_file = ("joint", limit.joint), sorted(limit.stated, key=lambda one: one.least)
-        unused = next((one for one in by_file[1:] if one.file != by_file[0].file), None)
-        if unused and limit.origin is not None and not _alike(by_file[0].least, unused.least):
+        joint, by_file = (
+            ("joint", limit.joint),
+            sorted(limit.stated, key=lambda statement: statement.least),
+        )
+        unused = next((other for other in by_file[1:] if other.file != by_file[0].file), None)
+        if (
+            unused
+            and limit.origin is not None
+            and not _are_equal_efforts(by_file[0].least, unused.least)
+        ):
             most = Quantity(unused.least, "N m")
             least = Quantity(by_file[0].least, "N m")
             message = diagnose(
@@ -98,34 +108,34 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     return [message for joints, message in found if joints]
 
 
-def _alike(one: float, other: float) -> bool:
-    return one == other or math.isclose(one, other, rel_tol=_EFFORT_TOLERANCE)
+def _are_equal_efforts(first: float, second: float) -> bool:
+    return first == second or math.isclose(first, second, rel_tol=_EFFORT_RTOL)
 
 
 _T = TypeVar("_T")
 
 
-_LIMITS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
-"""What may be infinite in Pinocchio's model: it writes infinity, and cannot read it again."""
+_LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
+"""Fields of Pinocchio's model that may be infinite. Pinocchio serialises infinity, but cannot read
+it."""
 
-_MADE = (
+_CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds",
-    "grips", "_kept",
+    "grips", "_cache",
 )  # fmt: skip
-"""What is worked out again, quicker than it travels."""
+"""Cached attributes that are not pickled, because computing them again is faster."""
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedFile:
-    """A robot's MJCF, or its URDF alone, as it was published: what verdicts simulate beside it.
+    """Published MJCF or URDF of a robot, which verdicts also simulate.
 
     Attributes:
-        file: The MJCF; None of a URDF alone, and where the robot is as its file has it, with
-            nothing made up.
-        keyframe: The one that was asked for.
-        imported: A URDF that is alone, for MuJoCo's own importer.
-        options: MuJoCo's that were asked for in place of the file's: their names and values.
-        loaded: The robot that was made of it, where this is of one that was changed since.
+        file: MJCF. None for a URDF without MJCF, and if the robot was loaded without changes.
+        keyframe: Requested keyframe.
+        imported: URDF without MJCF, for MuJoCo's importer.
+        options: (name, value) of the requested MuJoCo options, which replace those of the file.
+        loaded: Robot as loaded from the file, if this belongs to a robot that was changed later.
     """
 
     file: MjcfFile | None
@@ -136,26 +146,27 @@ class PublishedFile:
 
     @property
     def as_prepared(self) -> bool:
-        """Whether the robot is as its file has it."""
+        """Whether the robot was loaded without changes."""
         return self.file is None and self.imported is None
 
     def of_changed(self, robot: Robot) -> PublishedFile:
-        """Returns the file of what is made of a robot by changing it."""
+        """Return the published file for a modified copy of a robot."""
         return self if self.loaded is not None else replace(self, loaded=robot)
 
 
 @dataclass(frozen=True)
 class Touching:
-    """What a task's contact makes other in a robot.
+    """Changes of a robot for a contact of a task.
 
     Attributes:
-        friction: Coefficient; None: that of the ground.
-        offset: Of a part that is no foot, (x, y, z) of its ball's centre in its frame (m); None of
-            a foot.
-        radius: Of that ball (m); None: what its shapes hold.
-        force: With which it presses (N), if that is stated.
-        welded: Whether it touches nothing, and is fixed in the world.
-        grip: Up to which force it is so (N), and may turn about its point; None: any way.
+        friction: Friction coefficient; None for that of the ground.
+        offset: Centre (x, y, z) [m] of the contact ball of a hand, in the frame of the hand; None
+            for a foot.
+        radius: Radius [m] of the ball; None for the largest ball inside the shapes of the hand.
+        force: Prescribed normal force [N]; None if it follows from balance.
+        welded: Whether the part is fixed to the world, and does not collide.
+        grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
+            contact or weld.
     """
 
     friction: float | None = None
@@ -171,49 +182,52 @@ def with_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Returns contact parameters with the friction of planes that feet touch."""
-    own = {
+    """Return contact parameters in which feet on planes have the friction of the planes."""
+    changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
-        for name, one in touching.items()
-        if (mu := one.friction) is not None and contacts
+        for name, properties in touching.items()
+        if (mu := properties.friction) is not None and contacts
         for point in feet[name]
     }
-    return MappingProxyType({**contacts, **own}) if own else contacts
+    return MappingProxyType({**contacts, **changed}) if changed else contacts
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot given by a URDF and an MJCF, with the maps between the two models.
+    """Robot with a URDF and an MJCF, and the maps between the two models.
 
     Attributes:
-        name: The robot's name.
-        description: The files' contents.
-        pin_model: Pinocchio's model of the URDF. Its armature is the MJCF's.
+        name: Name of the robot.
+        description: Contents of the files.
+        pin_model: Pinocchio's model of the URDF, with the armature of the MJCF.
         mj_model: MuJoCo's model of the MJCF.
-        floating: Whether the base is free to move.
-        base: The name of the base's link (URDF).
-        mj_base: The name of the base's body (MJCF).
-        joint_names: In actuator order.
-        contact_points: The names of the feet's contact points: the keys of every dictionary of
-            contact forces. A foot that is a sphere has one, of its own name.
-        feet: {foot: its contact points}; a flat foot has several, on one body.
-        contact_frames: {contact point: its frame in the URDF}.
-        contact_places: {contact point: the body that carries it in ``mj_model`` (its id), and the
-            centre of its sphere in that body's frame, (3,) (m)}.
-        foot_geoms: Which foot a geom of ``mj_model`` belongs to, {geom id: key of ``feet``}.
-        contact_radius: {contact point: the radius of its sphere (m)}; 0 for the corner of a sole.
-        contacts: {contact point: the effective parameters of its contact with the ground}.
-        home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
-        nominal: (nu,) joint positions at which the feet are, seen from above, where they stand by
-            default (rad).
-        stand_height: Height of the base above the ground in the nominal stand (m).
-        imu: The frame that carries gyro and accelerometer, if there is one.
-        fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
-            feet. Robots with the same hash have the same stands.
-        notes: What was assumed or added on loading, or is wrong in the files.
-        published: The file as it was published, which verdicts look at; None where there is none.
-        touching: {foot or hand: what a task's contact makes other}; see ``robot.touching``.
-        bare: The robot without these; None if there are none, or it was changed since.
+        floating: Whether the base is free.
+        base: Name of the base link (URDF).
+        mj_base: Name of the base body (MJCF).
+        joint_names: Joints in actuator order.
+        contact_points: Contact points of the feet; the keys of all dictionaries of contact forces.
+            A spherical foot has a single contact point with the name of the foot.
+        feet: {foot: contact points}; a flat foot has several on one body.
+        contact_frames: {contact point: frame in the URDF}.
+        contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of its sphere in
+            the frame of the body)}.
+        foot_geoms: {geom id of ``mj_model``: foot}.
+        contact_radius: {contact point: radius [m] of its sphere}; 0 for the corner of a sole.
+        contacts: {contact point: effective parameters of its contact with the ground}.
+        home: Configuration (nq,) of the keyframe ``home``, of the first keyframe, or of qpos0.
+        nominal: Joint positions (nu,) [rad, m] at which the feet have their nominal horizontal
+            positions.
+        stand_height: Height [m] of the base above the ground in the nominal stand.
+        imu: Frame with gyro and accelerometer; None if there is none.
+        pin_convention: Coordinate maps of Pinocchio's model.
+        mj_convention: Coordinate maps of MuJoCo's model.
+        fingerprint: Name, and hash of all properties that a stand depends on: joints, limits,
+            masses and feet. Robots with equal hashes have equal stands.
+        notes: Diagnostics of assumptions, additions and errors in the files.
+        published: Published file, which verdicts simulate; None if there is none.
+        touching: {foot or hand: changes for a contact of a task}; see ``robot.touching``.
+        bare: Robot without the changes in ``touching``; None if there are none, or the robot was
+            changed later.
     """
 
     name: str
@@ -252,9 +266,9 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
-        for made in _MADE:
+        for made in _CACHED_ATTRIBUTES:
             state.pop(made, None)
-        limits = {name: np.array(getattr(self.pin_model, name)) for name in _LIMITS}
+        limits = {name: np.array(getattr(self.pin_model, name)) for name in _LIMIT_FIELDS}
         if not np.isfinite(np.concatenate([*limits.values()])).all():
             model = self.pin_model.copy()
             for name, values in limits.items():
@@ -269,49 +283,60 @@ class Robot:
 
     @property
     def hands(self) -> tuple[str, ...]:
-        """Those of ``feet`` that are none of its own: parts with which a task has it touch."""
+        """Entries of ``feet`` that are other parts of the robot with a contact of a task."""
         touching = self.touching.items()
-        return tuple(name for name, one in touching if one.offset is not None and name in self.feet)
+        return tuple(
+            name
+            for name, properties in touching
+            if properties.offset is not None and name in self.feet
+        )
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """{what a task fixes in the world: a contact point on it; None of the base}.
+        """{part that a task fixes to the world: contact point on it, or None for the base}.
 
-        Those that ``grips`` come last.
+        The entries of ``grips`` are last.
         """
-        fixed = (name for name, one in self.touching.items() if one.welded and one.grip is None)
-        names = (*fixed, *self.grips)
+        welded = (
+            name
+            for name, properties in self.touching.items()
+            if properties.welded and properties.grip is None
+        )
+        names = (*welded, *self.grips)
         return FrozenDict({name: next(iter(self.feet.get(name, ())), None) for name in names})
 
     @cached_property
     def grips(self) -> Mapping[str, float]:
-        """{what is held in the world by a point of it alone: up to which force (N)}."""
-        given = ((name, one.grip) for name, one in self.touching.items())
-        return FrozenDict({name: grip for name, grip in given if grip is not None})
+        """{part whose contact point is fixed to the world: maximum force [N]}."""
+        grips_by_name = ((name, properties.grip) for name, properties in self.touching.items())
+        return FrozenDict({name: grip for name, grip in grips_by_name if grip is not None})
 
     @property
     def welded(self) -> bool:
-        """Whether something is fixed in the world any way, so that any com is in balance."""
+        """Whether a part is fixed to the world, so that the robot is balanced for any CoM."""
         return len(self.welds) > len(self.grips)
 
     @property
     def bolted(self) -> bool:
-        """Whether its base is fixed in the world: by its file, or by a task's weld."""
+        """Whether the base is fixed to the world, by the file or by a weld of a task."""
         return not self.floating or None in self.welds.values()
 
     @property
     def bearing(self) -> tuple[str, ...]:
-        """The contact points by which something may touch: all but those of what is welded."""
+        """Contact points that can bear contact forces: all except those of welded parts.
+
+        Empty for a robot with a fixed base.
+        """
         if not self.floating:
             return ()
         if not self.touching:
             return self.contact_points
-        held = {point for name in self.welds for point in self.feet.get(name, ())}
-        return tuple(point for point in self.contact_points if point not in held)
+        welded_points = {point for name in self.welds for point in self.feet.get(name, ())}
+        return tuple(point for point in self.contact_points if point not in welded_points)
 
     @property
     def base_height(self) -> float:
-        """Of the base by default (m): in the nominal stand, or where the file of an arm has it."""
+        """Default height [m] of the base: in the nominal stand, or in ``home`` without feet."""
         return self.stand_height if len(self.feet) > len(self.hands) else float(self.home[2])
 
     @property
@@ -326,47 +351,47 @@ class Robot:
 
     @property
     def nu(self) -> int:
-        """Number of joints, each with one motor."""
+        """Number of joints."""
         return len(self.joint_names)
 
     @property
     def gravity(self) -> Array:
-        """(3,) acceleration of gravity in the world (m/s^2)."""
+        """Gravity (3,) [m/s^2] in the world frame."""
         return acting_gravity(self.mj_model)
 
     @property
     def total_mass(self) -> float:
-        """Mass of the URDF's model (kg)."""
+        """Mass [kg] of the URDF's model."""
         return self.structure.total_mass
 
     @property
     def weight(self) -> float:
-        """Of the URDF's model, in its gravity (N)."""
+        """Weight [N] of the URDF's model in the gravity of the MJCF."""
         return self.total_mass * float(np.linalg.norm(self.gravity))
 
     @property
     def usual_weight(self) -> float:
-        """The same; of what floats in space that on Earth: a scale for what is off (N)."""
+        """Weight [N], or the weight on Earth if gravity is zero; a scale for relative errors."""
         return self.weight or self.total_mass * EARTH
 
     @cached_property
     def structure(self) -> Structure:
-        """What configurations need to know of the robot; worked out once."""
+        """Model and indices for configurations, computed once."""
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
     @cached_property
     def acts_at_rest(self) -> bool:
-        """Whether the MJCF has springs, gravity compensation or wind, which act at rest."""
+        """Whether the MJCF has springs, gravity compensation, wind etc. that act at rest."""
         return acts_at_rest(self.mj_model)
 
     @cached_property
     def closure(self) -> Closure | None:
-        """The closed loops and couplings of the MJCF's joints; None if there are none."""
+        """Closed loops and couplings of the MJCF's joints; None if there are none."""
         return closure_of(self.mj_model, self.mj_convention, self.joint_names)
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """The shapes with which MuJoCo has it touch, feet included."""
+        """Collision shapes in MuJoCo, including feet."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,
@@ -377,44 +402,44 @@ class Robot:
         )
 
     @cached_property
-    def _kept(self) -> dict[tuple[Hashable, ...], Any]:
+    def _cache(self) -> dict[tuple[Hashable, ...], Any]:
         return {}
 
     def once(self, make: Callable[..., _T], *given: Hashable) -> _T:
-        """Returns what a function makes of the robot alone: made once, and the robot's own.
+        """Return the result of a function of the robot; cached for the lifetime of the robot.
 
-        It lasts as long as the robot, which does not change. What is made must not hold the robot:
-        it would only go when Python looks for circles.
+        The result must not reference the robot, because the reference cycle would delay the release
+        of memory.
 
         Args:
-            make: Called with the robot, and what is given.
-            given: Further arguments, which cannot be changed.
+            make: Function of the robot and ``given``.
+            given: Further arguments; hashable.
         """
         key = make, *given
-        if key not in self._kept:
-            self._kept[key] = make(self, *given)
-        made: _T = self._kept[key]
-        return made
+        if key not in self._cache:
+            self._cache[key] = make(self, *given)
+        result: _T = self._cache[key]
+        return result
 
     @property
     def lower_limits(self) -> Array:
-        """(nu,) lower joint limits of the URDF (rad); -inf for a continuous joint."""
-        return self._positional(self.pin_model.lowerPositionLimit, -np.inf)
+        """Lower joint limits (nu,) [rad, m] of the URDF; -inf for a continuous joint."""
+        return self._select_positions(self.pin_model.lowerPositionLimit, -np.inf)
 
     @property
     def upper_limits(self) -> Array:
-        """(nu,) upper joint limits of the URDF (rad); inf for a continuous joint."""
-        return self._positional(self.pin_model.upperPositionLimit, np.inf)
+        """Upper joint limits (nu,) [rad, m] of the URDF; inf for a continuous joint."""
+        return self._select_positions(self.pin_model.upperPositionLimit, np.inf)
 
     @property
     def joint_friction(self) -> Array:
-        """(nu,) What dry friction of each joint holds at most, its ``frictionloss`` (N m)."""
-        found: Array = self.mj_model.dof_frictionloss[self.mj_convention.qvel_index[-self.nu :]]
-        return found
+        """Dry friction (nu,) [N m, N] of each joint: MuJoCo's ``frictionloss``."""
+        friction: Array = self.mj_model.dof_frictionloss[self.mj_convention.qvel_index[-self.nu :]]
+        return friction
 
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
-        """What each joint's motor can give, in actuator order, by both files, with its origin."""
+        """Effort limit of each joint from both files, with its source, in actuator order."""
         return efforts_of(
             self.mj_model,
             self.pin_model,
@@ -425,16 +450,16 @@ class Robot:
 
     @cached_property
     def effort_ranges(self) -> Array:
-        """(nu, 2) least and greatest torque of each joint's motor (N m); infinite without limit."""
+        """Minimum and maximum effort (nu, 2) [N m, N] of each joint; infinite without a limit."""
         ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
         ranges.flags.writeable = False
         return ranges
 
     @cached_property
     def effort_limits(self) -> Array:
-        """(nu,) torque that each joint's motor can give either way (N m); inf without a limit.
+        """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The least of all that both files state; see ``efforts``.
+        The smallest limit in both files; see ``efforts``.
         """
         limits = np.array([limit.least for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -442,29 +467,37 @@ class Robot:
 
     @property
     def velocity_limits(self) -> Array:
-        """(nu,) velocity limits of the URDF (rad/s); inf where it says 0, as exporters do."""
+        """Velocity limits (nu,) [rad/s, m/s] of the URDF; inf if the file contains 0."""
         limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
         return np.where(limits == 0, np.inf, limits)
 
-    def _positional(self, values: Array, unbounded: float) -> Array:
+    def _select_positions(self, values: Array, unbounded: float) -> Array:
+        """Return the values (nu,) of the joints from a vector in Pinocchio's q order."""
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
         return limits
 
     def check_not_welded(self, what: str) -> None:
-        """Checks that nothing is fixed in the world; see ``check_tree``."""
+        """Raise an error if a part is fixed to the world.
+
+        Args:
+            what: Requested analysis, which does not support welds, for the message.
+
+        Raises:
+            ConfigurationError: If so.
+        """
         if self.welds:
             problem = diagnose("robot-is-welded", robot=self.name, what=Term(what))
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Checks that no loops or couplings bind the robot's joints, and no welds its parts.
+        """Raise an error if the robot has loops, couplings or welds.
 
         Args:
-            what: What is asked for, and is not computed for such a robot.
+            what: Requested analysis, which does not support these, for the message.
 
         Raises:
-            ConfigurationError: If there are.
+            ConfigurationError: If so.
         """
         self.check_not_welded(what)
         if self.closure is not None:
@@ -473,38 +506,36 @@ class Robot:
             raise ConfigurationError("robot", problem)
 
     def check_floating(self) -> None:
-        """Checks that the base is free, so that the robot can stand.
+        """Raise an error if the base is fixed, so that the robot cannot stand.
 
         Raises:
-            ConfigurationError: If it is fixed.
+            ConfigurationError: If so.
         """
         if not self.floating:
-            kept = (note for note in self.notes if note.code == "base-kept-in-the-world")
-            why = next((note.values["why"] for note in kept), None)
+            reasons = (note for note in self.notes if note.code == "base-kept-in-the-world")
+            why = next((note.values["why"] for note in reasons), None)
             raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
 
     def check_bodies(self) -> None:
-        """Checks that what moves with each joint has no negative mass or moment of inertia.
-
-        A robot that has passed is not looked at again: it does not change.
+        """Raise an error if a moving body has a negative mass or moment of inertia. Checked once.
 
         Raises:
-            ModelError: If one has; it names the joint.
+            ModelError: If so; the message contains the joint.
         """
         self.once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
-        """Returns the name of a foot, if it is one.
+        """Return the name of a contact point, if it exists.
 
         Raises:
-            UnknownNameError: If it is not; the message lists the feet.
+            UnknownNameError: If there is no such contact point; the message lists these.
         """
         if foot not in self.contact_frames:
             raise UnknownNameError(self.name, "foot", foot, self.contact_points)
         return foot
 
     def points_of(self, foot: str) -> tuple[str, ...]:
-        """Returns the contact points of a foot.
+        """Return the contact points of a foot.
 
         Raises:
             UnknownNameError: If there is no such foot; the message lists the feet.
@@ -514,29 +545,31 @@ class Robot:
         return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
-        """Returns the foot that a contact point belongs to."""
+        """Return the foot of a contact point."""
         return next(foot for foot, points in self.feet.items() if point in points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Returns the feet that have one of some contact points."""
-        wanted = set(points)
-        return tuple(foot for foot, own in self.feet.items() if not wanted.isdisjoint(own))
+        """Return the feet with at least one of some contact points."""
+        requested = set(points)
+        return tuple(
+            foot for foot, foot_points in self.feet.items() if not requested.isdisjoint(foot_points)
+        )
 
     def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:
-        """Adds up forces on contact points, {point: (3,)}, to those on the feet that have them."""
+        """Return the sum of the forces {contact point: (3,)} on each foot."""
         return {
             foot: np.sum([forces[point] for point in self.feet[foot] if point in forces], axis=0)
             for foot in self.feet_with(forces)
         }
 
     def posed(self, joints: Array) -> Array:
-        """Returns the qpos (nq,) with the base at the origin, and the joints (nu,) as given."""
+        """Return the qpos (nq,) with joint positions (nu,), and a free base at the origin."""
         qpos = self.neutral()
         qpos[self.nq - self.nu :] = joints
         return qpos
 
     def placed(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
-        """Returns MuJoCo's data with bodies and coms where they are at a qpos; by default zero."""
+        """Return MuJoCo data with kinematics and CoMs at a qpos (nq,), by default ``neutral``."""
         data = mujoco.MjData(self.mj_model)
         self.mj_convention.set_state(data, np.asarray(self.neutral() if qpos is None else qpos))
         mujoco.mj_kinematics(self.mj_model, data)
@@ -544,7 +577,7 @@ class Robot:
         return data
 
     def neutral(self) -> Array:
-        """Returns the qpos (nq,) with the base at the origin and every joint at zero."""
+        """Return the qpos (nq,) with all joints at zero, and a free base at the origin."""
         qpos = np.zeros(self.nq)
         if self.floating:
             qpos[3] = 1.0
@@ -552,7 +585,7 @@ class Robot:
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:
-    """Tells whether a model has anything that pushes at rest, and is no weight and no motor."""
+    """Return True if springs, gravity compensation, wind, flexes or plugins may act at rest."""
     arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
     return (
         any(getattr(model, name).any() for name in (*arrays, "body_gravcomp"))
@@ -562,15 +595,16 @@ def acts_at_rest(model: mujoco.MjModel) -> bool:
     )
 
 
-_ROUNDING = 1e-6
-"""Of a body's largest moment of inertia: so much less than nothing is rounding, also a file's."""
+_NEGATIVE_MOMENT_RTOL = 1e-6
+"""Largest negative moment of inertia that is attributed to rounding, relative to the largest moment
+of the body."""
 
 
 def _check_bodies(robot: Robot) -> None:
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)
-        if inertia.mass < 0 or moments[0] < -_ROUNDING * np.abs(moments).max():
+        if inertia.mass < 0 or moments[0] < -_NEGATIVE_MOMENT_RTOL * np.abs(moments).max():
             problem = diagnose(
                 "inertial-of-no-body",
                 subject=None if name == "root_joint" else ("joint", name),
@@ -581,38 +615,38 @@ def _check_bodies(robot: Robot) -> None:
             raise ModelError(robot.description.urdf_source, problem)
 
 
-_MOST_SPARE = 8
-"""Things made of robots that are kept for later, of those that were asked last."""
+_MAX_POOL_SIZE = 8
+"""Maximum number of unused objects in the pool. The least recently used are dropped."""
 
-_spare: list[tuple[Robot, object, Any]] = []
-"""(robot, what made it, the thing). No robot keeps its own: that would be a circle, in which
-memory stays for long."""
+_pool: list[tuple[Robot, object, Any]] = []
+"""(robot, constructor, object) of unused objects. The pool is global, because a reference from the
+robot to an object that references the robot would delay the release of memory."""
 
-_lock = Lock()
+_pool_lock = Lock()
 
 
 @contextmanager
 def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
-    """Lends something that is made of a robot to one user at a time, in whatever thread.
+    """Borrow an object that belongs to a robot, for a single user at a time. Thread-safe.
 
-    What was given back is lent again, as long as the robot is one of those that were asked last.
+    Returned objects are reused while they are in the pool of recently used objects.
 
     Args:
         robot: The robot.
-        make: Makes one more, where all are in use.
+        make: Function that creates an object if the pool has none.
     """
-    own = None
-    with _lock:
-        for number, (whose, maker, spare) in enumerate(_spare):
-            if whose is robot and maker == make:  # a bound method is another object each time
-                own = spare
-                del _spare[number]
+    borrowed = None
+    with _pool_lock:
+        for index, (owner, maker, candidate) in enumerate(_pool):
+            if owner is robot and maker == make:  # ==, because bound methods are new objects
+                borrowed = candidate
+                del _pool[index]
                 break
-    if own is None:
-        own = make(robot)
+    if borrowed is None:
+        borrowed = make(robot)
     try:
-        yield own
+        yield borrowed
     finally:
-        with _lock:
-            _spare.insert(0, (robot, make, own))
-            del _spare[_MOST_SPARE:]
+        with _pool_lock:
+            _pool.insert(0, (robot, make, borrowed))
+            del _pool[_MAX_POOL_SIZE:]

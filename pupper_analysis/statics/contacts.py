@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
-from pupper_analysis.robot.plane import MOST_FRICTION
+from pupper_analysis.robot.plane import MAX_FRICTION
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
@@ -187,7 +187,7 @@ def make_contacts(
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient is not in [0, `MOST_FRICTION`], a normal is
+        ConfigurationError: If a friction coefficient is not in [0, `MAX_FRICTION`], a normal is
             not a direction, a foot is named twice, the ground's friction is unknown, or a robot
             with a fixed base has contacts.
     """
@@ -299,12 +299,12 @@ def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] 
             raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))
         return robot.contacts[foot].sliding_friction
     value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
-    if not isinstance(value, Real) or not 0 <= float(value) <= MOST_FRICTION:
+    if not isinstance(value, Real) or not 0 <= float(value) <= MAX_FRICTION:
         problem = diagnose(
             "friction-not-a-coefficient",
             subject=("foot", foot),
             given=str(value),
-            most=MOST_FRICTION,
+            most=MAX_FRICTION,
         )
         raise ConfigurationError("friction", problem)
     return float(value)

@@ -130,4 +130,4 @@ def test_what_is_made_of_a_robot_is_made_once_and_its_own() -> None:
     other = replace(robot, name="other")
     assert other.once(mass_and, 1.0) == robot.total_mass + 1.0
     assert made == [robot, robot, other]
-    assert not vars(pickle.loads(pickle.dumps(robot))).keys() & {"_kept"}
+    assert not vars(pickle.loads(pickle.dumps(robot))).keys() & {"_cache"}

@@ -39,7 +39,7 @@ def stands(robot: pa.Robot) -> list[list[float]]:
 def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
     monkeypatch.setattr(solver, "_wrapper_pool", {})
-    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)
+    monkeypatch.setattr("pupper_analysis.robot.robot._MAX_POOL_SIZE", 0)
     expected = []
     for robot in designs():
         solver._wrapper_pool.clear()
@@ -59,7 +59,7 @@ def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(solver, "_wrapper_pool", {})
     monkeypatch.setattr(solver, "_load_wrapper", counted)
-    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)  # of each robot asked last
+    monkeypatch.setattr("pupper_analysis.robot.robot._MAX_POOL_SIZE", 0)  # of each robot asked last
     for scale in np.linspace(0.9, 1.1, 8):
         robot = pa.load_variant(pa.pupper.VariantSpec("v3", float(scale)))
         SearchContext(robot)

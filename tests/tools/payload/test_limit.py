@@ -237,7 +237,9 @@ def test_robots_that_were_loaded_are_let_go(monkeypatch: pytest.MonkeyPatch) -> 
         return loaded
 
     monkeypatch.setattr(soft_ground, "with_payload", seen)
-    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 1)  # lent to whoever asks next
+    monkeypatch.setattr(
+        "pupper_analysis.robot.robot._MAX_POOL_SIZE", 1
+    )  # lent to whoever asks next
     payload_limit(load("v3"), None, ON_TOP)
     assert len(made) > 20
     assert max(alive) <= 4  # not the thirty that were made
