@@ -6,7 +6,7 @@ For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
 
 - apart: what is held by both engines at 100 postures, in parts of gravity's largest torque, which
   gravity compensation may take away;
-- beyond: 10^5 postures' torques by MuJoCo (loops that bend stay), the most of any joint in parts
+- beyond: 10^5 postures' torques by MuJoCo (5,000 where loops bend), the most of any joint in parts
   of what the search for its worst posture found (1 or less, but for rounding);
 - motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
   such parts of the lesser, for as long as ``hold`` simulates; dry friction, where there is some,
@@ -43,7 +43,7 @@ from pupper_analysis.tools.hold.motions import JointMotions
 
 Array = NDArray[np.float64]
 
-POSTURES, SAMPLES, DIRECTIONS = 100, 100_000, 50
+POSTURES, SAMPLES, BOUND, DIRECTIONS = 100, 100_000, 5_000, 50
 
 
 class ByMujoco:
@@ -88,13 +88,18 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
     """Returns the most of random postures' torques in parts of what was found."""
     motions = JointMotions(robot, held.posture)
     rng = np.random.default_rng(1)
-    if robot.closure is None:
+    alone = robot.closure is None
+    if alone:
         postures = rng.uniform(*motions.ranges.T, size=(SAMPLES, robot.nu))
-    else:
-        postures = np.array(motions.random(SAMPLES))
+    else:  # each loop that bends is closed anew, by some 15 ms
+        bends = bool(motions.bent.any())
+        postures = np.array(motions.random(BOUND if bends else SAMPLES))
+    same = bool(motions.constant.all())  # couplings pass on the same parts everywhere
+    parts = np.eye(robot.nu) if alone else by_motors(robot, postures[0], np.eye(robot.nu))
     most = np.zeros(robot.nu)
     for qpos in postures:
-        most = np.maximum(most, np.abs(motions.shares @ own.load(qpos)))
+        load = own.load(qpos)
+        most = np.maximum(most, np.abs(parts @ load if same else by_motors(robot, qpos, load)))
     found, scale = np.abs(held.worst.joint_torques), 1e-9 * max(gravity, 1e-300)
     return float((most / np.maximum(found, scale)).max())
 

@@ -274,8 +274,6 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
         for name, used in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
         if used > 1
     ]
-    if hold.worst.still:
-        yield text("loops-stay", joints=", ".join(hold.worst.still))
     if weak:
         yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
     if not np.isfinite(hold.limits).any():

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, acts_at_rest
@@ -33,11 +34,11 @@ _SAME = 1e-9  # in parts of the torque
 _SWEEPS = 30
 _GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
 
-_LOOKS = 24
-"""Along a joint that others follow, or where torques are no single wave."""
-
 _PEAK = 1e-6
 """How closely a greatest torque is sought between looks (rad, m): it is 1e-12 of it off."""
+
+_OUT = 1e300
+"""Above any torque [N m]. Its negative is the value where a loop cannot be closed."""
 
 _NO_SHARE = 1e-12
 
@@ -76,9 +77,12 @@ class Search:
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
             if alike >= _AGREED:
                 break
-        return best
+        # Loops are closed between their places where it is worth it.
+        return self.climb(joint, sign, best[1], fine=True) if self._motions.bent.any() else best
 
-    def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
+    def climb(
+        self, joint: int, sign: float, qpos: Array, *, fine: bool = False
+    ) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
         best = self._torque(joint, sign, qpos)
         loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
@@ -87,28 +91,41 @@ class Search:
         for _ in range(_SWEEPS):
             before = best
             for way in chosen:
-                length = self._peak(joint, sign, qpos, way, best)
+                length = self._peak(joint, sign, qpos, way, best, fine=fine)
                 there = self._motions.along(qpos, way, length)
-                found = self._torque(joint, sign, there)
-                if found > best:
+                found = -math.inf if there is None else self._torque(joint, sign, there)
+                if there is not None and found > best:
                     best, qpos = found, there
             if best - before <= _GAIN * abs(best):
                 break
         return best, qpos
 
-    def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
+    def torques(self, qpos: Array) -> Array:
+        """Return the motor torques in a posture, shape (nu,) [N m or N]; zeros at a singularity."""
+        config = Configuration(self._robot, qpos)
+        try:
+            return config.by_motors(self._load(config))
+        except ConfigurationError:
+            return np.zeros(len(qpos))
+
+    def _peak(
+        self, joint: int, sign: float, qpos: Array, way: int, here: float, *, fine: bool
+    ) -> float:
         """Returns where along a way a torque is greatest (rad, m)."""
         motions = self._motions
         low, high = motions.span(qpos, way)
 
         def at(length: float) -> float:
-            return self._torque(joint, sign, motions.along(qpos, way, length))
+            there = motions.along(qpos, way, length)
+            return -_OUT if there is None else self._torque(joint, sign, there)
 
         moved = motions.moved[way]
-        if self._waves and motions.slides[moved].all():
+        if self._waves and not motions.bent[way] and motions.slides[moved].all():
             return max((low, high), key=at)  # a line
         if len(moved) > 1 or not self._waves:
-            return _sampled(at, np.linspace(low, high, _LOOKS))
+            looks = np.linspace(low, high, motions.places(way))
+            bent = bool(motions.bent[way])
+            return _sampled(at, looks, fine=fine or not bent, everywhere=bent)
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
         third = 2 * math.pi / 3
         ahead, behind = at(third) - spring * third, at(-third) + spring * third
@@ -116,12 +133,19 @@ class Search:
         sine, cosine = (ahead - behind) / math.sqrt(3), here - mean
         return _crest(cosine, sine, spring, low, high)
 
+    def _load(self, config: Configuration) -> Array:
+        load = config.load()
+        return load + self._payload * self._tool.load_per_mass(config) if self._payload else load
+
     def _torque(self, joint: int, sign: float, qpos: Array) -> float:
         config = Configuration(self._robot, qpos)
-        load = config.load()
-        if self._payload:
-            load = load + self._payload * self._tool.load_per_mass(config)
-        return sign * float(self._motions.shares[joint] @ load)
+        load = self._load(config)
+        if self._motions.constant[joint]:
+            return sign * float(self._motions.shares[joint] @ load)
+        try:
+            return sign * float(config.by_motors(load)[joint])
+        except ConfigurationError:  # at a dead point nothing holds the loop
+            return -_OUT
 
 
 def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
@@ -139,23 +163,55 @@ def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> 
     return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
 
 
-def _sampled(at: Callable[[float], float], looks: Array) -> float:
-    """Returns where a function is greatest: beside the greatest of some looks."""
+def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool, everywhere: bool) -> float:
+    """Return the argument of the maximum of a function on an interval.
+
+    The function is evaluated at `looks`. With `fine`, a bounded scalar minimisation (scipy) follows
+    around the largest value, or, with `everywhere`, around each local maximum: between samples of
+    a closed loop the global maximum need not be next to the largest sample.
+    """
     from scipy import optimize  # slow to import
 
     found = np.array([at(look) for look in looks])
     top = int(np.argmax(found))
-    low, high = looks[max(top - 1, 0)], looks[min(top + 1, len(looks) - 1)]
-    if np.ptp(found) <= _GAIN * abs(found[top]) or high - low <= _PEAK:
+    if not fine or np.ptp(found) <= _GAIN * abs(found[top]):
         return float(looks[top])
-    best = optimize.minimize_scalar(
-        lambda length: -at(length), bounds=(low, high), method="bounded", options={"xatol": _PEAK}
-    )
-    return float(max((looks[top], low, best.x, high), key=at))
+    beside = np.concatenate([[-math.inf], found, [-math.inf]])
+    peaks = (found > -_OUT) & (found >= np.maximum(beside[:-2], beside[2:]))
+    chosen = [float(looks[top])]
+    for number in np.flatnonzero(peaks).tolist() if everywhere else [top]:
+        ends = looks[max(number - 1, 0)], looks[min(number + 1, len(looks) - 1)]
+        low, high = (_nearest(at, float(looks[number]), float(end)) for end in ends)
+        if high - low > _PEAK:
+            best = optimize.minimize_scalar(
+                lambda length: -at(length),
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": _PEAK},
+            )
+            chosen += [low, best.x, high]
+    return float(max(chosen, key=at))
+
+
+def _nearest(at: Callable[[float], float], here: float, end: float) -> float:
+    """Return the last argument between `here` and `end` at which the function is defined."""
+    if at(end) > -_OUT:
+        return end
+    while abs(end - here) > _PEAK:
+        middle = (here + end) / 2
+        here, end = (middle, end) if at(middle) > -_OUT else (here, middle)
+    return here
 
 
 _STARTS = 12
 """Random postures that a search begins from, besides the one that is asked about."""
+
+_POOL = 500
+"""Number of random postures of a robot with loops whose joints do not move in proportion. Searches
+start from the worst of them, too: such loops have many local maxima. Chosen, not tuned."""
+
+_WORST = 3
+"""Number of those postures from which a search starts."""
 
 _NOTHING = 1e-14
 """N m per N of weight: what joints about vertical axes hold is rounding."""
@@ -172,7 +228,6 @@ class WorstPostures(Tabular):
         limits: (nu,) of the motors (N m, N).
         utilisation: (nu,) the greatest found / limit.
         endless: Why there may be no greatest torque; None if there is.
-        still: Joints of loops that do not move in proportion: they are where the posture has them.
     """
 
     joint_names: tuple[str, ...]
@@ -181,7 +236,6 @@ class WorstPostures(Tabular):
     limits: Array = field(metadata={"unit": "N m or N"})
     utilisation: Array = field(metadata={"unit": "1"})
     endless: Diagnostic | None
-    still: tuple[str, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
@@ -207,8 +261,7 @@ def worst_postures(
     (a + b q of a slide; a spring at the joint adds k q), so that three looks give its greatest
     along a joint in closed form. A search goes from joint to joint until that gains nothing, from
     random postures until several end alike. That is no proof: there may be a posture that asks for
-    more, though none of 20,000 random ones did of seven arms and hands. Loops whose joints do not
-    move in proportion, as a gripper's four bars, stay as the posture has them (``still``).
+    more, though none of 20,000 random ones did of seven arms and hands.
 
     Args:
         robot: A robot whose base is held.
@@ -225,12 +278,17 @@ def worst_postures(
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
+    pool = motions.random(_POOL) if motions.bent.any() and near is None else []
+    sampled = np.array([search.torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts]
         if near is not None:
             begin.insert(0, near.postures[joint])
         for sign in (1.0, -1.0):
-            found, at = search.highest(joint, sign, begin)
+            most = np.argsort(-sign * sampled[:, joint])[:_WORST] if pool else ()
+            found, at = search.highest(
+                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]]
+            )
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
     torques[np.abs(torques) <= _NOTHING * robot.weight] = 0.0
@@ -241,7 +299,6 @@ def worst_postures(
         limits=robot.effort_limits,
         utilisation=np.where(torques != 0, utilise(robot, torques), 0.0),
         endless=_endless(robot, motions, search.stiffness),
-        still=tuple(robot.joint_names[joint] for joint in motions.still),
     )
 
 
