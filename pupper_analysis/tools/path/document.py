@@ -1,4 +1,4 @@
-"""The document of a path: how a robot moves to a stance, and how well it is followed."""
+"""Document of a path to a stance: plan, simulation and verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 @build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
-    """Returns the path to a stance, which its view steps through; see ``build``."""
+    """Create the document of a path, with an animated 3-D view; see ``build_document``."""
     path, tracking = there.path, there.tracking
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
     answer = (
@@ -47,19 +47,24 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     return judged_document(
         text("path-to-a-stance"),
         there,
-        (view_block(robot, there.stand, None, [motion]), _planned(path), _tracked(tracking), loads),
+        (
+            view_block(robot, there.stand, None, [motion]),
+            _plan_table(path),
+            _tracking_table(tracking),
+            loads,
+        ),
         answer,
         notes=robot_notes(robot),
     )
 
 
-def _planned(path: StancePath) -> doc.Table:
+def _plan_table(path: StancePath) -> doc.Table:
     peak = text(
         "greatest-torque-of-motors",
         joint=doc.Name(path.peak_joint),
         time=f"{path.peak_time:.2f}",
     )
-    return _facts(
+    return _quantity_table(
         text("the-path-title"),
         (text("time"), "s", float(path.time[-1]), ".4g"),
         (peak, "%", 100 * path.peak_utilisation, ".1f"),
@@ -75,8 +80,8 @@ def _planned(path: StancePath) -> doc.Table:
     )
 
 
-def _tracked(tracking: PathTracking) -> doc.Table:
-    return _facts(
+def _tracking_table(tracking: PathTracking) -> doc.Table:
+    return _quantity_table(
         text("how-it-is-followed"),
         (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),
         (text("joint-error"), "°", math.degrees(tracking.joint_error), ".2f"),
@@ -86,16 +91,16 @@ def _tracked(tracking: PathTracking) -> doc.Table:
     )
 
 
-def _facts(
-    title: doc.Words, *facts: tuple[doc.Words, str, float, str], note: doc.Words | None = None
+def _quantity_table(
+    title: doc.Words, *quantities: tuple[doc.Words, str, float, str], note: doc.Words | None = None
 ) -> doc.Table:
-    """Returns a table of quantities: name, unit, value, and how that is written."""
+    """Create a table of quantities from tuples (name, unit, value, number format)."""
     return doc.Table(
         title,
         quantity_columns(),
         tuple(
-            (name, doc.number_cell(value, form), doc.Name("" if unit == "1" else unit))
-            for name, unit, value, form in facts
+            (name, doc.number_cell(value, number_format), doc.Name("" if unit == "1" else unit))
+            for name, unit, value, number_format in quantities
         ),
         () if note is None else (note,),
     )

@@ -1,4 +1,9 @@
-"""What motors and contacts must give in motion: inverse dynamics of a robot on its feet."""
+"""Inverse dynamics of a robot on its feet: motor torques and contact forces of a motion.
+
+`inverse_dynamics` adds inertia, joint friction and the ground's resistance to rolling feet to the
+load of static equilibrium, and solves for contact forces in friction cones as
+`statics.equilibrium.gravity_compensation` does.
+"""
 
 from __future__ import annotations
 
@@ -22,26 +27,28 @@ from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, 
 
 Array = NDArray[np.float64]
 
-FASTEST = 1e9
-"""m/s^2, rad/s^2: beyond, squares of forces overflow long before an answer would mean anything."""
+MAX_ACCELERATION = 1e9
+"""Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Beyond this bound squares of
+forces can overflow. Chosen, not tuned."""
 
-_FIXED_POINT_ITERATIONS = 2
-"""Of normal forces and the moments in proportion to them. Each makes the error smaller by about
-rolling friction / distance of the feet, a tenth; the balance is exact after any."""
+_MOMENT_ITERATIONS = 2
+"""Number of fixed-point iterations between normal forces and the moments proportional to them. Each
+iteration reduces the error by about (rolling friction / distance between feet), one tenth. Balance
+is exact after each iteration."""
 
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Equilibrium):
-    """What a motion of a robot on its feet takes, at one moment: an ``Equilibrium`` in motion.
+    """Torques and forces of a motion at one time: an `Equilibrium` with inertial forces.
 
     Attributes:
-        contact_moments: {foot: (3,)} moment of the ground on the foot about the contact point, in
-            world axes (N m): resistance to rolling and spinning.
-        zero_moment_point: (3,) on the ground, in the world (m): where the contact forces have no
-            tangential moment (``contact_moments`` apart). Not a number for a fixed base, or where
-            the ground would have to pull.
-        zmp_margin: Distance of its vertical projection from the edge of the support polygon (m),
-            positive inside; None without contacts, minus infinity where it is not a number.
+        contact_moments: Moment of the ground on each foot about its contact point, shape (3,), in
+            world axes: resistance to rolling and spinning.
+        zero_moment_point: Shape (3,), in the world frame: point on the ground about which the
+            contact forces, without ``contact_moments``, have no tangential moment. NaN for a fixed
+            base, or if the ground would have to pull.
+        zmp_margin: Distance from the projected zero-moment point to the edge of the support region,
+            positive inside. None without contacts; minus infinity if the point is NaN.
     """
 
     contact_moments: dict[str, Array] = field(metadata={"unit": "N m"})
@@ -62,38 +69,39 @@ def inverse_dynamics(
     resistance: bool = True,
     held: bool = False,
 ) -> InverseDynamics:
-    """Computes motor torques and contact forces of a motion.
+    """Compute motor torques and contact forces of a motion.
 
-    Balance means M qacc + h + r = J^T f + Jw^T m + S^T tau, with the armature in M, h the Coriolis,
-    centrifugal and gravity forces, r the joints' damping and dry friction (``joint_resistance``),
-    and m the moments with which the ground resists feet that roll (``rolling_levers``). It is the
-    second-order cone programme of ``gravity_compensation``, with M qacc + h + r for g, and at rest
-    it is the same. (Springs, tendons and fluid of the MJCF are left out, there as here.)
+    Solves M qacc + h + r = J^T f + Jw^T m + S^T tau. M includes the armature; h contains Coriolis,
+    centrifugal and gravity forces; r is damping and dry friction of the joints
+    (``joint_resistance``); m are the moments with which the ground resists rolling feet
+    (``rolling_levers``). The forces f solve the second-order cone program of
+    ``gravity_compensation``, with M qacc + h + r in place of g. At rest both results are equal.
+    Tendons and fluid forces of the MJCF are not included.
 
     Args:
-        config: Where the robot is, and its qvel.
-        qacc: (nv,) generalised acceleration, the derivative of qvel: m/s^2 in the world, rad/s^2 in
-            the base's frame and of the joints.
-        contacts: The feet that carry; all by default, none for a fixed base.
-        friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
-        normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
-        depths: Per foot, how deep it has sunk into the ground (m), 0 where not given.
-        distribution: Which of the feasible forces; by default those that last in a simulator.
-        resistance: Whether joints and rolling feet resist as the MJCF says; otherwise r, m are 0.
-        held: Let feet pull and slip, as if they were held to the ground: what the motion would
-            need, feasible or not.
+        config: State of the robot, with ``qvel``.
+        qacc: Shape (nv,); generalised acceleration, the time derivative of ``qvel`` [m/s^2 in the
+            world frame; rad/s^2 in the frame of the base, and of the joints].
+        contacts: Feet that carry load. Default: all feet; none for a fixed base.
+        friction: Friction coefficient, for all feet or per foot. Default: MuJoCo's contact.
+        normals: Per foot, a direction out of the ground, shape (3,), in the world frame. Default:
+            upward.
+        depths: Per foot, penetration into the ground [m]. Default: 0.
+        distribution: Selection among feasible forces. Default: minimum tangential forces.
+        resistance: Include r and m, as specified in the MJCF.
+        held: Remove friction cones and unilateral limits, as if feet were glued to the ground.
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If an argument is no such thing, or a robot with a fixed base is given
-            contacts.
-        StaticsInfeasibleError: If no forces do; it says why.
+        ConfigurationError: If an argument is invalid, the robot has closed loops, or a robot with a
+            fixed base has contacts.
+        StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     robot = config.robot
     robot.check_tree("inverse dynamics")
     acceleration = check_vector("qacc", qacc, robot.nv)
-    if (np.abs(acceleration) > FASTEST).any():
-        raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=FASTEST))
+    if (np.abs(acceleration) > MAX_ACCELERATION).any():
+        raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=MAX_ACCELERATION))
     carrying = make_contacts(robot, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()
@@ -101,19 +109,19 @@ def inverse_dynamics(
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)
         levers = rolling_levers(config, acceleration, ground)
-    left = dict.fromkeys(levers, 1.0)
-    origin, normal = _ground_under(config, ground)
+    remaining = dict.fromkeys(levers, 1.0)
+    origin, normal = _mean_ground_point(config, ground)
     pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
-    for _ in range(_FIXED_POINT_ITERATIONS if levers else 1):
+    for _ in range(_MOMENT_ITERATIONS if levers else 1):
         moments = {foot: np.zeros(3) for foot in feet}
-        moments |= {foot: pressed[foot] * left[foot] * lever for foot, lever in levers.items()}
-        rest = load.copy()
+        moments |= {foot: pressed[foot] * remaining[foot] * lever for foot, lever in levers.items()}
+        reduced_load = load.copy()
         for foot, moment in moments.items():
-            rest -= config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
-        point = zero_moment_point(config, rest, origin, normal)
+            reduced_load -= config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
+        point = zero_moment_point(config, reduced_load, origin, normal)
         found = balance_load(
             config,
-            rest,
+            reduced_load,
             carrying,
             point=point,
             distribution=distribution,
@@ -122,8 +130,10 @@ def inverse_dynamics(
         )
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
-        left = {
-            foot: share_left_to_turn(robot, foot, forces[foot], pressed[foot] * lever, ground[foot])
+        remaining = {
+            foot: remaining_moment_fraction(
+                robot, foot, forces[foot], pressed[foot] * lever, ground[foot]
+            )
             for foot, lever in levers.items()
         }
     return InverseDynamics(
@@ -134,8 +144,8 @@ def inverse_dynamics(
     )
 
 
-def _ground_under(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Returns the mean of the points that touch the ground (3,), and its normal there (3,)."""
+def _mean_ground_point(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Return the mean contact point, shape (3,) [m], and the mean unit normal, shape (3,)."""
     robot = config.robot
     points = [
         config.frame_position(robot.contact_frames[foot]) - robot.contact_radius[foot] * normal
@@ -148,22 +158,21 @@ def _ground_under(config: Configuration, normals: Mapping[str, Array]) -> tuple[
 
 
 def zero_moment_point(config: Configuration, load: Array, origin: Array, normal: Array) -> Array:
-    """Returns where on the ground the contact forces have no tangential moment, (3,) (m).
+    """Compute the zero-moment point: origin + normal x M / (F . normal).
 
-    A robot tips where it leaves the support polygon. With F the total contact force and M its
-    moment about ``origin``, both from the six base rows of the load, it is
-    origin + normal x M / (F . normal). At rest it is under the com.
-
-    Source: Vukobratovic and Borovac, "Zero-moment point - thirty five years of its life" (2004).
+    F is the total contact force and M its moment about ``origin``, both from the six base rows of
+    the load. The robot tips if the point leaves the support region. At rest the point is below the
+    centre of mass. (Vukobratovic and Borovac 2004, "Zero-moment point - thirty five years of its
+    life".)
 
     Args:
-        config: Where the robot is.
-        load: (nv,) what motors and contact forces must add up to.
-        origin: (3,) a point of the ground (m).
-        normal: (3,) out of the ground.
+        config: State of the robot.
+        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
+        origin: Shape (3,) [m]; a point on the ground in the world frame.
+        normal: Shape (3,); unit vector out of the ground.
 
     Returns:
-        The point; not a number where the ground would have to pull, or to give nothing.
+        Shape (3,) [m], in the world frame. NaN for a fixed base, or if F . normal is not positive.
     """
     if not config.robot.floating:
         return np.full(3, math.nan)
@@ -177,20 +186,21 @@ def zero_moment_point(config: Configuration, load: Array, origin: Array, normal:
 
 
 def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
-    """Returns what dampers and dry friction take (nv,), to be overcome by the motors (N m).
+    """Compute the torques of joint damping and dry friction that the motors must overcome.
 
-    Dampers are the linear ones of joints (``damping``). Dry friction is MuJoCo's constraint
-    (``frictionloss``): with
-    R = (1 - d)/d A, d the impedance of ``solimpfriction`` and b the damping of ``solreffriction``,
-    it takes (qacc + b qvel)/R, and at most the friction loss. So it is the Coulomb friction of the
-    direction of motion but for the first and last millimetres per second.
-
-    Source: MuJoCo documentation, "Computation: Friction loss"; engine_core_constraint.c.
+    Damping is the linear ``damping`` of joints. Dry friction is MuJoCo's ``frictionloss``
+    constraint: (qacc + b qvel) / R, limited to +-frictionloss, with R = (1 - d) / d A, d the
+    impedance of ``solimpfriction`` and b the damping of ``solreffriction``. Except for speeds of
+    millimetres per second, this is Coulomb friction. (MuJoCo documentation, "Computation: Friction
+    loss"; engine_core_constraint.c.)
 
     Args:
-        robot: The robot.
-        qvel: (nv,) generalised velocity.
-        qacc: (nv,) generalised acceleration.
+        robot: Robot.
+        qvel: Shape (nv,); generalised velocity.
+        qacc: Shape (nv,); generalised acceleration.
+
+    Returns:
+        Shape (nv,) [N, N m]; zero for degrees of freedom without damping and dry friction.
     """
     model, index = robot.mj_model, robot.mj_convention.qvel_index
     resistance = model.dof_damping[index] * qvel
@@ -202,73 +212,77 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
         first = np.where(first > 0, np.maximum(first, 2 * model.opt.timestep), first)
     damping = np.where(first > 0, 2 / (high * first), -second / high)
     softness = (1 - low) / low * model.dof_invweight0[index]
-    asked = (qacc + damping * qvel)[dry] / softness[dry]
-    resistance[dry] += np.clip(asked, -loss[dry], loss[dry])
+    unlimited = (qacc + damping * qvel)[dry] / softness[dry]
+    resistance[dry] += np.clip(unlimited, -loss[dry], loss[dry])
     return np.asarray(resistance, dtype=float)
 
 
 def rolling_levers(
     config: Configuration, qacc: Array, normals: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Returns the moment with which the ground resists each foot's turning, per normal force (m).
+    """Compute the resisting moment of the ground per normal force, for each rotating foot.
 
-    MuJoCo's contacts of ``condim`` 4 and 6 resist spinning about the normal, and rolling, by at
-    most mu_j f_n, with mu_j (m) the coefficients of the contact. Like all of its friction they are
-    regularised: below the limit the moment is mu_j^2/mu_1^2 (alpha + b omega)/R. The limit is
-    reached at about 0.1 rad/s; here it is the one of a foot that carries its even share.
+    MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, and rolling, by at
+    most mu_j f_n, with mu_j [m] the coefficients of the contact. As for sliding friction, the
+    moment is regularised: below the limit it is mu_j^2 / mu_1^2 (alpha + b omega) / R. The limit is
+    reached at about 0.1 rad/s. It is evaluated for a foot that carries an equal fraction of the
+    weight.
 
     Args:
-        config: Where the robot is, and its qvel.
-        qacc: (nv,) generalised acceleration.
-        normals: {foot that carries: (3,) direction out of the ground}.
+        config: State of the robot, with ``qvel``.
+        qacc: Shape (nv,); generalised acceleration.
+        normals: Unit normal, shape (3,), of each foot that carries load.
 
     Returns:
-        {foot: (3,) in world axes, against its turning}, of those that the ground resists.
+        For each foot with such a contact, moment / normal force, shape (3,) [m], in world axes.
     """
     robot, found = config.robot, {}
-    share = robot.weight / max(1, len(normals))
+    mean_load = robot.weight / max(1, len(normals))
     accelerations = config.foot_accelerations(qacc)
     for foot, normal in normals.items():
         parameters = robot.contacts.get(foot)
         if parameters is None or parameters.condim < 4 or not parameters.sliding_friction:
             continue
         law = GroundLaw.of(robot, foot)
-        impedance = law.impedance(law.depth(share))
+        impedance = law.impedance(law.depth(mean_load))
         softness = (1 - impedance) / impedance * law.tangential
         turning = config.frame_jacobian(robot.contact_frames[foot])[3:] @ config.qvel
-        asked = accelerations[foot][3:] + law.damping * turning
-        along = np.outer(normal, normal)
+        reference = accelerations[foot][3:] + law.damping * turning
+        projector = np.outer(normal, normal)
         slide, _, spin, roll, _ = parameters.friction
-        limits = spin * along  # (3, 3): the coefficient of each direction
+        limits = spin * projector  # (3, 3): the coefficient of each direction
         if parameters.condim == 6:
-            limits = limits + roll * (np.eye(3) - along)
-        # In units of the normal force, so that the friction cone is the unit ball.
-        pressed = limits @ asked / (softness * slide**2) / share
-        found[foot] = -limits @ pressed / max(1.0, float(np.linalg.norm(pressed)))
+            limits = limits + roll * (np.eye(3) - projector)
+        # In units of the normal force the friction cone is the unit ball.
+        scaled = limits @ reference / (softness * slide**2) / mean_load
+        found[foot] = -limits @ scaled / max(1.0, float(np.linalg.norm(scaled)))
     return found
 
 
-def share_left_to_turn(
+def remaining_moment_fraction(
     robot: Robot, foot: str, force: Array, moment: Array, normal: Array
 ) -> float:
-    """Returns what share of a moment against turning the tangential force of a foot leaves.
+    """Compute the fraction of a resisting moment that fits into the cone beside a contact force.
 
-    The two share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
+    Force and moment share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
 
     Args:
-        robot: The robot.
-        foot: A foot that the ground resists (``rolling_levers``).
-        force: (3,) of the ground on it (N).
-        moment: (3,) that it would be without tangential force (N m).
-        normal: (3,) direction out of the ground.
+        robot: Robot.
+        foot: Foot whose contact resists rotation (``rolling_levers``).
+        force: Shape (3,) [N]; force of the ground on the foot.
+        moment: Shape (3,) [N m]; moment without tangential force.
+        normal: Shape (3,); unit vector out of the ground.
+
+    Returns:
+        Fraction from 0 to 1.
     """
     slide, _, spin, roll, _ = robot.contacts[foot].friction
-    pressing, about = float(force @ normal), float(moment @ normal)
+    pressing, spinning = float(force @ normal), float(moment @ normal)
     if pressing <= 0.0:
         return 0.0
     tangential = float(np.linalg.norm(force - pressing * normal)) / (slide * pressing)
-    over = float(np.linalg.norm(moment - about * normal))
-    parts = [abs(size) / limit for size, limit in ((about, spin), (over, roll)) if limit > 0]
-    taken = math.hypot(*parts) / pressing
-    room = math.sqrt(max(0.0, 1.0 - tangential**2))
-    return min(1.0, room / taken) if taken > 0 else 1.0
+    rolling = float(np.linalg.norm(moment - spinning * normal))
+    ratios = [abs(size) / limit for size, limit in ((spinning, spin), (rolling, roll)) if limit > 0]
+    needed = math.hypot(*ratios) / pressing
+    available = math.sqrt(max(0.0, 1.0 - tangential**2))
+    return min(1.0, available / needed) if needed > 0 else 1.0

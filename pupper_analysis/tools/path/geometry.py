@@ -1,4 +1,9 @@
-"""Where a path goes: segments from stance to stance, configurations and their derivatives."""
+"""Geometry of a path through stances: configurations and their derivatives, without dynamics.
+
+`path_geometry` divides a list of stand tasks into segments. Each sample of a segment is a stand
+whose task is interpolated linearly in the path parameter s of the segment; s follows a minimum-jerk
+law in time. dq/ds and d2q/ds2 are computed from the constraints, not by differences.
+"""
 
 from __future__ import annotations
 
@@ -32,23 +37,25 @@ Array = NDArray[np.float64]
 
 _T = TypeVar("_T", float, NDArray[np.float64])
 
-_PLACES = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Constraints whose numbers a path works out itself; all others' are between its stances'."""
+_PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
+"""Constraints whose target values ``task_between`` computes. Values of all other constraints are
+interpolated between the two stances."""
 
-TOUCHING = 1e-12
-"""The height of a foot that does not carry, but is on the ground (m)."""
+UNLOADED_HEIGHT = 1e-12
+"""Height [m] that represents a foot that touches the ground without load. Chosen: positive, but
+smaller than any geometric tolerance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A stance in world coordinates.
+    """A solved stance, in world coordinates.
 
     Attributes:
-        task: The task, with its height filled in.
-        base: (3,) place of the base (m).
-        com: (3,) centre of mass (m).
-        feet: {foot: (3,) centre of its sphere (m)}.
-        joints: (nu,) joint positions (rad, m).
+        task: Stand task with the height of the solution.
+        base: Shape (3,) [m]; position of the base.
+        com: Shape (3,) [m]; centre of mass.
+        feet: Centre of the sphere of each contact point, shape (3,) [m].
+        joints: Shape (nu,) [rad, m]; joint positions.
     """
 
     task: StandTask
@@ -58,20 +65,20 @@ class Key:
     joints: Array
 
     def margin(self, feet: Sequence[str]) -> float:
-        """Returns how far inside these feet the com's projection is (m)."""
+        """Compute the distance from the projected CoM to the edge of a polygon of feet [m]."""
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """From one stance to the next.
+    """Part of a path between two successive stances.
 
     Attributes:
-        start: Where it begins.
-        end: Where it ends.
-        stance_feet: The feet that carry all along it.
-        before: Those that carry on the segment before.
-        after: Those that carry on the segment after.
+        start: First stance.
+        end: Last stance.
+        stance_feet: Contact points that carry load during the whole segment.
+        before: Contact points that carry load during the previous segment.
+        after: Contact points that carry load during the next segment.
     """
 
     start: Key
@@ -81,7 +88,7 @@ class Segment:
     after: tuple[str, ...]
 
     def placed(self, robot: Robot) -> list[int]:
-        """Returns the numbers of the joints that one of the stances puts in their places."""
+        """Return the indices of joints whose position one of the two stances specifies."""
         tasks = self.start.task, self.end.task
         names = {joint for task in tasks for joint in placed_joints(robot, task.posture)}
         return sorted(map(robot.joint_names.index, names))
@@ -90,11 +97,12 @@ class Segment:
 def segments_of(
     robot: Robot, stances: Sequence[StandTask]
 ) -> tuple[list[Segment], tuple[Stand, ...]]:
-    """Solves the stances, and checks that they can follow each other.
+    """Solve the stances, and check that each can follow the previous one.
 
     Raises:
-        ConfigurationError: If they cannot; says which.
-        StanceUnreachableError: If one is out of reach; says which.
+        ConfigurationError: If stances have different grounds, mix ``com`` types, move a foot that
+            carries load, have fewer than three feet in common, or a foot lands while another lifts.
+        StanceUnreachableError: If a stance is out of reach. The error names the stance.
         UnknownNameError: If a task names a foot that the robot does not have.
     """
     if any(task.ground != stances[0].ground for task in stances):
@@ -115,8 +123,8 @@ def segments_of(
         base, joints = solved[-1].qpos[:3], solved[-1].joint_positions(robot)
         keys.append(Key(solved[-1].task, base, com, solved[-1].foot_targets, joints))
     sets = []
-    for number, (one, two) in enumerate(pairwise(keys), 1):
-        swinging = one.task.swing.keys() | two.task.swing.keys()
+    for number, (start, end) in enumerate(pairwise(keys), 1):
+        swinging = start.task.swing.keys() | end.task.swing.keys()
         idle = {point for foot in swinging for point in robot.feet[foot]}
         sets.append(tuple(foot for foot in robot.contact_points if foot not in idle))
         where = diagnose("between-stances", one=number, two=number + 1)
@@ -124,7 +132,7 @@ def segments_of(
             problem = diagnose("too-few-feet-carry", count=len(sets[-1]), where=where)
             raise ConfigurationError("stances", problem)
         for foot in sets[-1]:
-            if np.abs(one.feet[foot] - two.feet[foot]).max() > 1e-9:
+            if np.abs(start.feet[foot] - end.feet[foot]).max() > 1e-9:
                 problem = diagnose("carrying-foot-moves", subject=("foot", foot), where=where)
                 raise ConfigurationError("stances", problem)
         if number > 1 and not (set(sets[-1]) <= set(sets[-2]) or set(sets[-1]) >= set(sets[-2])):
@@ -132,8 +140,8 @@ def segments_of(
             raise ConfigurationError("stances", problem)
     sets = [sets[0], *sets, sets[-1]]
     segments = [
-        Segment(one, two, sets[number], sets[number - 1], sets[number + 1])
-        for number, (one, two) in enumerate(pairwise(keys), 1)
+        Segment(start, end, sets[number], sets[number - 1], sets[number + 1])
+        for number, (start, end) in enumerate(pairwise(keys), 1)
     ]
     return segments, tuple(solved)
 
@@ -146,41 +154,42 @@ def task_between(
     ik_seed: Array,
     away: Mapping[str, Array],
 ) -> StandTask:
-    """Returns the task of a moment, in world coordinates.
+    """Interpolate the stand task of a sample, in world coordinates.
 
     Args:
-        robot: The robot.
-        segment: The segment of the path.
-        stance_feet: The feet that carry.
-        share: Of the segment's way, from 0 to 1.
-        ik_seed: (nu,) joint positions to start from (rad).
-        away: {foot: (3,) how far it has rolled from its place (m)}.
+        robot: Robot.
+        segment: Segment of the path.
+        stance_feet: Contact points that carry load.
+        share: Path parameter s of the segment, from 0 to 1.
+        ik_seed: Shape (nu,) [rad]; initial guess of the joint positions.
+        away: Displacement of each contact point by rolling, shape (3,) [m].
 
     Raises:
-        StaticsInfeasibleError: If the com is less inside the feet than the tasks demand.
+        StaticsInfeasibleError: If the margin of the CoM in the support polygon is smaller than the
+            tasks require.
     """
-    one, two = segment.start.task, segment.end.task
+    first, last = segment.start.task, segment.end.task
 
     def between(start: _T, end: _T) -> _T:
         return start + share * (end - start)
 
-    ground, out = one.ground, ground_normals(robot, one.ground)
+    ground, normals = first.ground, ground_normals(robot, first.ground)
     places = {foot: segment.start.feet[foot] for foot in robot.contact_points}
     places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
     points = {point: place + away[point] for point, place in places.items()}
     feet = {}
-    for foot, own in robot.feet.items():
-        x, y, _ = np.mean([points[point] for point in own], axis=0).tolist()
+    for foot, names in robot.feet.items():
+        x, y, _ = np.mean([points[point] for point in names], axis=0).tolist()
         feet[foot] = x, y
     contacts = {
         point: ground.centre(robot.foot_of(point), points[point], robot.contact_radius[point])
-        - robot.contact_radius[point] * out[point]
+        - robot.contact_radius[point] * normals[point]
         for point in stance_feet
     }
     centre = feet_centre(robot, ground, contacts, points)
     height = between(float(segment.start.base[2]), float(segment.end.base[2]))
     com = segment.start.com + share * (segment.end.com - segment.start.com)
-    needed = max(1e-6, between(one.com_margin, two.com_margin) - 1e-9)
+    needed = max(1e-6, between(first.com_margin, last.com_margin) - 1e-9)
     margin = com_margin(com, contacts)
     if margin < needed:
         raise StaticsInfeasibleError(
@@ -194,22 +203,22 @@ def task_between(
             margin=margin,
             feet=contacts,
         )
-    last = two.values()
+    final = last.values()
     others: dict[str, Any] = {
-        name: None if None in (first, last[name]) else between(first, last[name])
-        for name, first in one.values().items()
-        if FIELDS[name].constraint not in _PLACES and not FIELDS[name].per
+        name: None if None in (value, final[name]) else between(value, final[name])
+        for name, value in first.values().items()
+        if FIELDS[name].constraint not in _PATH_CONSTRAINTS and not FIELDS[name].per
     }
     joints = between(segment.start.joints, segment.end.joints).tolist()
     posture = {robot.joint_names[index]: joints[index] for index in segment.placed(robot)}
     heights = {
-        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.feet
+        foot: between(first.swing.get(foot, 0.0), last.swing.get(foot, 0.0)) for foot in robot.feet
     }
     carrying = robot.feet_with(stance_feet)
     return StandTask(
         height=height - float(centre[2]),
         feet=feet,
-        swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
+        swing={f: max(UNLOADED_HEIGHT, h) for f, h in heights.items() if f not in carrying},
         ground=replace(ground, heights={f: h for f, h in ground.heights.items() if f in feet}),
         com=(float(com[0]), float(com[1])),
         posture=posture,
@@ -219,24 +228,29 @@ def task_between(
 
 
 MAX_JUMP = 0.5
-"""A joint that moves by more than this from one sample to the next has jumped (rad)."""
+"""Upper bound of the joint motion between two samples [rad]. A larger motion means that the IK
+branch has changed, and the path is refused. Chosen, not tuned."""
 
-_ROLLED = 1e-8  # m: two iterations of how far a foot rolls that agree
-_MAX_ITERATIONS = 50
+_ROLL_TOLERANCE = 1e-8
+"""Difference [m] between the foot displacements of two iterations at which rolling has converged.
+Chosen: far below the error of a foot in MuJoCo."""
+
+_MAX_ROLL_ITERATIONS = 50
+"""Upper bound of the iterations between rolling displacement and leg angles. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathPlace:
-    """A sample of a path's geometry.
+    """A sample of the geometry of a path.
 
     Attributes:
-        segment: The segment of the path.
-        number: Which one, from 0.
-        progress: Of the segment's time by the minimum-jerk law, from 0 to 1.
-        share: Of the way, from 0 to 1: the minimum-jerk law of ``progress``.
-        stand: The configuration, and which feet carry.
-        tangent: (nv,) dq/ds, with s the share: qvel = tangent ds/dt.
-        curvature: (nv,) its derivative: qacc = curvature (ds/dt)^2 + tangent d2s/dt2.
+        segment: Segment of the path.
+        number: Index of the segment, from 0.
+        progress: Time since the start of the segment / duration of the segment.
+        share: Path parameter s from 0 to 1: the minimum-jerk law of ``progress``.
+        stand: Stand with the configuration and the feet that carry load.
+        tangent: Shape (nv,); dq/ds in the coordinates of ``qvel``: qvel = tangent ds/dt.
+        curvature: Shape (nv,); d2q/ds2: qacc = curvature (ds/dt)^2 + tangent d2s/dt2.
     """
 
     segment: Segment
@@ -249,25 +263,25 @@ class PathPlace:
 
     @property
     def qpos(self) -> Array:
-        """(nq,) the configuration."""
+        """Configuration, shape (nq,)."""
         return self.stand.qpos
 
     def motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
-        """Returns qvel and qacc (nv,) where the share has this rate and acceleration (1/s^2)."""
+        """Compute ``qvel`` and ``qacc``, shape (nv,), from ds/dt [1/s] and d2s/dt2 [1/s^2]."""
         tangent = self.tangent
         return rate * tangent, rate**2 * self.curvature + acceleration * tangent
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Where a path through stances goes.
+    """Geometry of a path through stances.
 
     Attributes:
-        stances: The stances, solved.
-        segments: From each to the next.
-        places: Samples, evenly spaced in each segment's ``progress``; each stance is one.
-        per_segment: Samples from a stance to the next.
-        seconds: Time for all (s).
+        stances: Solved stances.
+        segments: Segments between successive stances.
+        places: Samples, evenly spaced in time in each segment; each stance is a sample.
+        per_segment: Number of samples per segment.
+        seconds: Duration of the path [s].
     """
 
     stances: tuple[Stand, ...]
@@ -277,15 +291,15 @@ class Geometry:
     seconds: float
 
     def where(self, index: int) -> Diagnostic:
-        """Says where a sample is, and when."""
-        return _where(index, self.per_segment, self.seconds / len(self.segments))
+        """Describe the time and segment of a sample, for error messages."""
+        return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
 
 def minimum_jerk(progress: float) -> tuple[float, float, float]:
-    """Returns the minimum-jerk law from 0 to 1, and its first two derivatives.
+    """Evaluate the minimum-jerk law s = x^3 (10 - 15 x + 6 x^2), ds/dx and d2s/dx2.
 
-    x^3 (10 - 15 x + 6 x^2): neither velocity nor acceleration at the ends. Source: Flash and Hogan,
-    "The coordination of arm movements" (1985).
+    Both derivatives are zero at x = 0 and x = 1. (Flash and Hogan 1985, "The coordination of arm
+    movements".)
     """
     x = progress
     return (
@@ -303,34 +317,34 @@ def path_geometry(
     *,
     rolling: bool = True,
 ) -> Geometry:
-    """Solves a path's samples on the whole body; ``stance_path`` tells what a path is.
+    """Solve the stands of all samples of a path.
 
     Args:
-        robot: A robot with a floating base.
-        stances: The tasks.
-        per_segment: Samples from a stance to the next, at least 2.
-        seconds: Time for all (s), so that errors say when.
-        rolling: Whether the feet roll; otherwise their centres stay.
+        robot: Robot with a floating base.
+        stances: Stand tasks.
+        per_segment: Number of samples per segment, at least 2.
+        seconds: Duration of the path [s], for the times in error messages.
+        rolling: Feet roll without slipping. If False, the centres of their spheres stay.
 
     Raises:
-        ConfigurationError: If the stances cannot follow each other, or a joint jumps.
-        NoEquilibriumError: If feet roll away.
+        ConfigurationError: If a stance cannot follow the previous one, or a joint jumps.
+        NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot that the robot does not have.
-        StanceUnreachableError: If a sample is out of reach; says when.
-        StaticsInfeasibleError: If the com leaves the feet; says when.
+        StanceUnreachableError: If a sample is out of reach. The error states the time.
+        StaticsInfeasibleError: If the CoM leaves the support polygon. The error states the time.
     """
     segments, solved = segments_of(robot, stances)
     places: list[PathPlace] = []
     ik_seed = np.array(solved[0].joint_positions(robot))
-    roll = _Roll(robot, solved[0])
+    roll = _RollingFeet(robot, solved[0])
     for index in range(per_segment * len(segments) + 1):
         number = max(0, (index - 1) // per_segment)
         segment, progress = segments[number], index / per_segment - number
         share = minimum_jerk(progress)[0]
         feet = segment.stance_feet
-        if index == per_segment * (number + 1):  # in a stance only what carries on both sides
+        if index == per_segment * (number + 1):  # at a stance: feet that carry in both segments
             feet = tuple(foot for foot in feet if foot in segment.after)
-        where = _where(index, per_segment, seconds / len(segments))
+        where = _describe_sample(index, per_segment, seconds / len(segments))
         try:
             stand = roll.solve(segment, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
@@ -347,27 +361,33 @@ def path_geometry(
             )
             raise ConfigurationError("stances", message)
         ik_seed = stand.joint_positions(robot)
-        tangent, curvature = _derivatives(robot, segment, share, stand.qpos, rolling=rolling)
+        tangent, curvature = _differentiate(robot, segment, share, stand.qpos, rolling=rolling)
         places.append(PathPlace(segment, number, progress, share, stand, tangent, curvature))
     return Geometry(solved, segments, places, per_segment, seconds)
 
 
-def _where(index: int, per_segment: int, duration: float) -> Diagnostic:
+def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment
     return diagnose("at-the-time", time=moment, one=number + 1, two=number + 2)
 
 
-class _Roll:
-    """Feet that roll without slipping, from sample to sample."""
+class _RollingFeet:
+    """Displacements of spherical feet that roll without slipping, from sample to sample.
+
+    Attributes:
+        away: Displacement of each contact point from its position in the stance, shape (3,) [m].
+        step: Change of ``away`` at the last sample, used as initial guess.
+        turned: Orientation of each contact point at the last sample, shape (3, 3).
+    """
 
     def __init__(self, robot: Robot, start: Stand) -> None:
         self.robot = robot
-        self.away = {foot: np.zeros(3) for foot in robot.contact_points}  # from their places (m)
-        self.step = dict(self.away)  # of the last sample
-        self.turned = self._rotations(start)
+        self.away = {foot: np.zeros(3) for foot in robot.contact_points}
+        self.step = dict(self.away)
+        self.turned = self._compute_rotations(start)
 
-    def _rotations(self, stand: Stand) -> dict[str, Array]:
+    def _compute_rotations(self, stand: Stand) -> dict[str, Array]:
         config = Configuration(self.robot, stand.qpos)
         return {foot: config.frame_rotation(self.robot.contact_frames[foot]) for foot in self.away}
 
@@ -380,21 +400,21 @@ class _Roll:
         *,
         rolling: bool,
     ) -> Stand:
-        """Solves a sample; how far the feet roll and the legs' angles determine each other."""
-        robot, out = self.robot, ground_normals(self.robot, segment.start.task.ground)
+        """Solve a sample by fixed-point iteration between leg angles and rolling displacement."""
+        robot, normals = self.robot, ground_normals(self.robot, segment.start.task.ground)
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(_MAX_ROLL_ITERATIONS):
             task = task_between(robot, segment, stance_feet, share, ik_seed, away)
             stand = solve_stand(robot, task, explain=False)
             if not rolling:
                 return stand
-            rotations = self._rotations(stand)
+            rotations = self._compute_rotations(stand)
             last, away = away, dict(self.away)
             for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
-                rolled = pin.skew(turn) @ (robot.contact_radius[foot] * out[foot])
+                rolled = pin.skew(turn) @ (robot.contact_radius[foot] * normals[foot])
                 away[foot] = away[foot] + rolled
-            if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
+            if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLL_TOLERANCE:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
                 self.away, self.turned = away, rotations
                 return stand
@@ -405,32 +425,33 @@ class _Roll:
         )
 
 
-def _derivatives(
+def _differentiate(
     robot: Robot, segment: Segment, share: float, qpos: Array, *, rolling: bool
 ) -> tuple[Array, Array]:
-    """Returns dq/ds and its derivative (nv,), in coordinates of qvel, of what the legs hold.
+    """Compute dq/ds and d2q/ds2, shape (nv,), in the coordinates of ``qvel``.
 
-    A path is where constraints hold: c(q) = w(s), with J = dc/dq square. So J dq/ds = dw/ds, and
-    J d2q/ds2 = d2w/ds2 - dJ/ds dq/ds; the last is the constraints' acceleration at dq/ds without
-    d2q/ds2. (With more joints than constraints, the least motion.)
+    On a path the constraints c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and
+    J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints for
+    the velocity dq/ds and zero acceleration. If there are more joints than constraints, the
+    minimum-norm solution is returned.
 
-    The constraints: points of carrying feet that touch the ground stay (rolling), or their centres;
-    swing feet, the base's height, and the com move evenly; the base turns as roll, pitch and yaw
-    change evenly, and so do joints in a posture.
+    Constraints: contact points of loaded feet (``rolling``) or the centres of their spheres do not
+    move. Swing feet, the height of the base, the CoM, roll, pitch, yaw, and joints of a posture are
+    linear in s.
     """
     one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
     rpy, change = angles[0] + share * (angles[1] - angles[0]), angles[1] - angles[0]
     turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
     turn_rate = pin.rpy.computeRpyJacobianTimeDerivative(rpy, change, pin.LOCAL)
-    out = ground_normals(robot, one.task.ground)
+    normals = ground_normals(robot, one.task.ground)
 
     still = Configuration(robot, qpos)
-    rows, wanted = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
+    rows, rates = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
     rows.append(still.com_jacobian()[:2])
-    wanted.append((two.com - one.com)[:2])
+    rates.append((two.com - one.com)[:2])
     offsets = {
-        foot: -robot.contact_radius[foot] * out[foot]
+        foot: -robot.contact_radius[foot] * normals[foot]
         if rolling and foot in segment.stance_feet
         else np.zeros(3)
         for foot in robot.contact_points
@@ -438,21 +459,21 @@ def _derivatives(
     for foot, offset in offsets.items():
         rows.append(still.frame_jacobian(robot.contact_frames[foot], offset)[:3])
         moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
-        wanted.append(moves)
+        rates.append(moves)
     placed = segment.placed(robot)
     rows.append(np.eye(robot.nv)[robot.nv - robot.nu :][placed])
-    wanted.append((two.joints - one.joints)[placed])
+    rates.append((two.joints - one.joints)[placed])
     jacobian = np.concatenate(rows)
-    tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(wanted))[0]
+    tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(rates))[0]
 
     moving = Configuration(robot, qpos, tangent)
-    nothing = np.zeros(robot.nv)
+    no_acceleration = np.zeros(robot.nv)
     drift = [np.zeros(1), -turn_rate @ change]
-    drift.append(moving.com_acceleration(nothing)[:2])
-    accelerations = moving.foot_accelerations(nothing)
+    drift.append(moving.com_acceleration(no_acceleration)[:2])
+    accelerations = moving.foot_accelerations(no_acceleration)
     for foot, offset in offsets.items():
         point = accelerations[foot]
-        # The offset is the ground's and does not turn with the foot.
+        # The offset is fixed to the ground and does not rotate with the foot.
         drift.append(point[:3] + np.cross(point[3:], offset))
     drift.append(np.zeros(len(placed)))
     curvature: Array = np.linalg.lstsq(jacobian, -np.concatenate(drift))[0]
@@ -460,6 +481,6 @@ def _derivatives(
 
 
 def clearance(place: PathPlace, foot: str) -> float:
-    """Returns a foot's height above the ground (m); zero where it is on it."""
-    low = place.stand.task.swing.get(foot, 0.0)
-    return 0.0 if low <= TOUCHING else low
+    """Return the height of a foot above the ground [m]; zero if the foot touches the ground."""
+    height = place.stand.task.swing.get(foot, 0.0)
+    return 0.0 if height <= UNLOADED_HEIGHT else height

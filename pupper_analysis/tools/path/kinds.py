@@ -1,4 +1,4 @@
-"""What files of a path are: how an older one is known."""
+"""File type of a path table, and its recognition by the header line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def _is_path_table(file: BinaryIO) -> bool:
     head, _, _ = file.read(NUM_HEAD_BYTES).partition(b"\n")
     columns = head.decode(errors="replace").split(",")
     return columns[0] == "time (s)" and all(
-        one.startswith(("q ", "tau ")) for one in columns[1:]
+        column.startswith(("q ", "tau ")) for column in columns[1:]
     )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
-"""From stance to stance: a smooth path through them, with what it takes at its speed.
+"""Paths through stances: configurations, motor torques and contact forces over time.
 
-Of each sample: torques, contact forces, the zero-moment point.
+`stance_path` computes the geometry of a path (`geometry`) and, for each sample, the inverse
+dynamics at the given speed (`dynamics`). If a foot is about to lift, its load is faded out
+smoothly.
 """
 
 from __future__ import annotations
@@ -32,9 +34,10 @@ from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 Array = NDArray[np.float64]
 
-FAINT = 1e-3
-"""Share of the load that is too small to pass on: where it begins, the zero-moment point is so near
-the edge that moments of resistance decide whether fewer feet can carry."""
+MIN_FADED_LOAD = 1e-3
+"""Smallest fraction of the load that is passed to fewer feet. For smaller fractions the zero-moment
+point is so close to the edge of the polygon that rolling friction decides whether fewer feet can
+carry the load. Chosen, not tuned."""
 
 
 def path_effort(
@@ -43,19 +46,24 @@ def path_effort(
     rate: float,
     acceleration: float,
 ) -> dict[str, Array]:
-    """Returns a row of each table of a ``StancePath``, with minimum tangential forces.
+    """Compute one sample of each array of a `StancePath`, with minimum tangential forces.
 
-    Towards a segment of the path on which fewer feet carry, the load passes to those: a mean of two
-    sets of forces that balance the robot does so too.
+    Towards a segment on which fewer feet carry load, the forces are a weighted mean of two
+    solutions, with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
+    satisfies it.
 
     Args:
-        robot: The robot.
-        place: The sample.
-        rate: Of the segment's share (1/s).
-        acceleration: Of it (1/s^2).
+        robot: Robot.
+        place: Geometry of the sample.
+        rate: ds/dt of the path parameter [1/s].
+        acceleration: d2s/dt2 of the path parameter [1/s^2].
+
+    Returns:
+        For each array attribute of `StancePath` except ``time`` and ``qpos``, the value at this
+        sample.
 
     Raises:
-        StaticsInfeasibleError: If no contact forces do.
+        StaticsInfeasibleError: If no contact forces exist.
     """
     qvel, qacc = place.motion(rate, acceleration)
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
@@ -65,27 +73,27 @@ def path_effort(
 
     whole = balance(stand.stance_feet)
     parts = [(1.0, whole)]
-    for feet, near, full in _fading(place):
-        # Fewer feet can carry only where the zero-moment point is between them; so their share
-        # grows with its distance from the edge, and with the way.
+    for feet, near, full in _find_fading_sets(place):
+        # Fewer feet can carry the load only if the zero-moment point is inside their polygon. Their
+        # fraction grows with the distance to its edge, and along the segment.
         inside = max(0.0, balance(feet, held=True).zmp_margin or 0.0)
         share = near * minimum_jerk(min(1.0, inside / full))[0] if full > 0 else 0.0
-        if share > FAINT:
+        if share > MIN_FADED_LOAD:
             parts.append((share, balance(feet)))
     parts[0] = (1.0 - sum(share for share, _ in parts[1:]), whole)
-    feet, none = robot.contact_points, np.zeros(3)
+    feet, zero_force = robot.contact_points, np.zeros(3)
 
     def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
-        rows = [[share * table.get(foot, none) for foot in feet] for share, table in weighted]
+        rows = [[share * table.get(foot, zero_force) for foot in feet] for share, table in weighted]
         mixed: Array = np.sum(rows, axis=0)
         return mixed
 
     forces, points = mean([part.contact_forces for _, part in parts]), whole.contact_points
-    nothing = BALANCE_TOLERANCE * float(np.linalg.norm(forces, axis=1).sum())
-    using = [
+    rounding = BALANCE_TOLERANCE * float(np.linalg.norm(forces, axis=1).sum())
+    utilisations = [
         friction_utilisation_of(
-            force, stand.normals[foot].tolist(), robot.contacts[foot].sliding_friction, nothing
+            force, stand.normals[foot].tolist(), robot.contacts[foot].sliding_friction, rounding
         )
         if foot in points
         else 0.0
@@ -99,7 +107,7 @@ def path_effort(
         "forces": forces,
         "moments": mean([part.contact_moments for _, part in parts]),
         "loads": forces[:, 2],
-        "friction_utilisation": np.array(using),
+        "friction_utilisation": np.array(utilisations),
         "zero_moment_point": whole.zero_moment_point,
         "zmp_margin": np.array(com_margin(whole.zero_moment_point, points)),
         "clearance": np.array([clearance(place, foot) for foot in feet]),
@@ -107,10 +115,12 @@ def path_effort(
     }
 
 
-def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Returns feet that are left carrying beside the segment, how near that is, and its margin.
+def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
+    """Find adjacent segments on which fewer feet carry load.
 
-    Near is from 0 to 1; the margin is that of the com in the stance between the segments (m).
+    Returns:
+        For each: the feet; the position in the segment, from 0 (far) to 1 (at the stance between
+        the segments); the margin of the CoM in this stance [m].
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [
@@ -124,44 +134,47 @@ def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
 
 
 MAX_SAMPLES = 20_000
-"""The most samples that a path may have."""
+"""Upper bound of the number of samples of a path, which bounds time and memory. Chosen."""
 
-LEAST_PER_SEGMENT = 16
-"""Samples that a segment has at least: its peaks of acceleration are then met to 1 %."""
+MIN_SAMPLES_PER_SEGMENT = 16
+"""Lower bound of the number of samples per segment. The sampled peaks of acceleration are then
+within 1 % of the true peaks."""
 
 
 @dataclass(frozen=True, eq=False)
 class StancePath(Tabular):
-    """A path through stances, and what it takes at its speed, inertia included.
+    """Path through stances with n samples, and the dynamics at its speed.
 
-    qvel and qacc are the derivatives of qpos in the public convention: linear velocity of the base
-    in the world, its angular velocity in the base's frame.
+    ``qvel`` and ``qacc`` are derivatives of ``qpos`` in the public convention: linear velocity of
+    the base in the world frame, angular velocity in the frame of the base.
 
     Attributes:
-        stances: The stances, solved.
-        joint_names: In actuator order.
-        feet: The robot's feet.
-        time: (n,) from 0 (s), evenly spaced; every stance is at a sample.
-        qpos: (n, nq) the configurations.
-        qvel: (n, nv) generalised velocities.
-        qacc: (n, nv) generalised accelerations.
-        torques: (n, nu) of the motors, in motion (N m).
-        stance_feet: (n, feet) which feet carry.
-        forces: (n, feet, 3) of the ground on each foot, in motion, in world axes (N).
-        moments: (n, feet, 3) with which the ground resists feet that roll and spin (N m).
-        loads: (n, feet) the forces' vertical parts (N).
-        friction_utilisation: (n, feet) tangential force / (friction coefficient x normal force);
-            zero where a foot does not carry.
-        zero_moment_point: (n, 3) on the ground (m); not a number where the ground would have to
-            pull.
-        zmp_margin: (n,) distance of its projection from the edge of the support polygon (m).
-        clearance: (n, feet) height of each foot above the ground (m); zero where it carries.
-        com_margin: (n,) distance of the com's projection from that edge (m).
-        peak_utilisation: The largest torque / effort limit; above 1 the motors are too weak.
-        peak_joint: The joint with that.
-        peak_time: When (s).
-        peak_speed_utilisation: The largest joint speed / velocity limit of the URDF.
-        fastest_joint: The joint with that.
+        stances: Solved stances.
+        joint_names: Names of the joints, in actuator order.
+        feet: Names of the contact points.
+        time: Shape (n,); from 0, evenly spaced. Each stance is a sample.
+        qpos: Shape (n, nq); configurations.
+        qvel: Shape (n, nv); generalised velocities.
+        qacc: Shape (n, nv); generalised accelerations.
+        torques: Shape (n, nu); motor torques of the motion.
+        stance_feet: Shape (n, feet); True if a foot carries load.
+        forces: Shape (n, feet, 3); force of the ground on each foot, in world axes.
+        moments: Shape (n, feet, 3); moment with which the ground resists rolling and spinning, in
+            world axes.
+        loads: Shape (n, feet); vertical component of ``forces``.
+        friction_utilisation: Shape (n, feet); tangential force / (friction coefficient x normal
+            force). Zero if a foot carries no load.
+        zero_moment_point: Shape (n, 3), in the world frame. NaN if the ground would have to pull.
+        zmp_margin: Shape (n,); distance from the projected zero-moment point to the edge of the
+            support polygon, positive inside.
+        clearance: Shape (n, feet); height of each foot above the ground. Zero if the foot touches
+            the ground.
+        com_margin: Shape (n,); distance from the projected CoM to the edge of the support polygon.
+        peak_utilisation: Largest torque / effort limit. Above 1 the motors are too weak.
+        peak_joint: Joint with the largest utilisation.
+        peak_time: Time of the largest utilisation.
+        peak_speed_utilisation: Largest joint speed / velocity limit of the URDF.
+        fastest_joint: Joint with the largest speed utilisation.
     """
 
     stances: tuple[Stand, ...]
@@ -199,18 +212,19 @@ class StancePath(Tabular):
         }
 
     def joint_positions(self) -> Array:
-        """Returns the joints' part (n, nu) of ``qpos`` (rad)."""
+        """Return the joint positions, shape (n, nu) [rad]."""
         return self.qpos[:, self.qpos.shape[1] - len(self.joint_names) :]
 
     def to_csv(self, path: str | Path, *, force: bool = False) -> None:
-        """Writes time, joint positions and torques, with a header line that names the units.
+        """Write time, joint positions and torques as CSV, with units in the header.
 
         Args:
-            path: The file.
-            force: Replace what is no such table, too.
+            path: Output file.
+            force: Replace an existing file of any content. Without, only an earlier table of a path
+                is replaced.
 
         Raises:
-            OutputError: If the file cannot be written, or is no such table.
+            OutputError: If the file cannot be written, or would replace other content.
         """
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
@@ -228,43 +242,44 @@ def stance_path(
     rate: float = 50.0,
     rolling: bool = True,
 ) -> StancePath:
-    """Finds a smooth path through stances, solved on the whole body at every sample.
+    """Compute a smooth path through stances, with torques and contact forces.
 
-    All numbers of the tasks move along a minimum-jerk law, which is at rest, without velocity or
-    acceleration, in every stance; each segment of the path takes the same time. The place that
-    moves evenly is the com's.
+    All values of the tasks follow a minimum-jerk law with zero velocity and acceleration at each
+    stance. All segments have the same duration. The horizontal position of the CoM, not of the
+    base, is linear in the path parameter.
 
-    Torques and contact forces are those of the motion (``inverse_dynamics``): inertia, damping and
-    dry friction of the joints, and the ground's resistance to feet that roll are in them. Of the
-    forces that balance it, they are the minimum-tangential ones.
+    Torques and contact forces are those of the motion (``inverse_dynamics``), including damping and
+    dry friction of the joints and the ground's resistance to rolling feet, with minimum tangential
+    forces.
 
-    A foot that is lifted in a stance carries nothing from the stance before to the one after: the
-    com must be over the other feet there already. On a segment before or after, its load fades out
-    or in, so that the torques are continuous.
+    A foot that is lifted in a stance carries no load from the previous to the next stance, so the
+    CoM must already be above the other feet in these stances. On the segments before and after, its
+    load fades out or in, so that torques are continuous.
 
-    A foot that carries stays where it is, but a sphere that friction holds rolls as its leg turns:
-    its centre moves with omega x r n, by 2 mm as v3 squats by a fifth of its height. So after the
-    first one the feet are beside their places in the stances by what they have rolled, while base
-    and com are where the stances have them.
+    A loaded foot does not slip, but its sphere rolls as the leg rotates: its centre moves with
+    omega x r n, by 2 mm if v3 squats by a fifth of its height. After the first stance, feet
+    therefore deviate from their positions in the stances by the rolled distance, while base and CoM
+    are as specified.
 
     Args:
-        robot: A robot with a floating base.
-        stances: The tasks, at least two, of feet on one ground, without an offset of the base; to
-            stay in one, give it twice. The ik_seed of the first counts, the others follow from it.
-        seconds: Time for all (s).
-        rate: Least number of samples per second (Hz); a segment has ``LEAST_PER_SEGMENT`` or more.
-        rolling: Whether the feet roll; otherwise their centres stay, and they must slip.
+        robot: Robot with a floating base.
+        stances: Two or more stand tasks on one ground, without an offset of the base. To wait in a
+            stance, pass it twice. ``ik_seed`` of the first task is used; later tasks start from the
+            previous solution.
+        seconds: Duration of the path [s].
+        rate: Minimum sampling rate [Hz]. A segment has at least `MIN_SAMPLES_PER_SEGMENT` samples.
+        rolling: Feet roll without slipping. If False, the centres of their spheres do not move.
 
     Raises:
-        ConfigurationError: If an argument is out of its range; or the stances cannot follow each
-            other: a foot that carries moves, fewer than three carry, a joint jumps.
-        NoEquilibriumError: If feet roll away.
+        ConfigurationError: If an argument is out of range, or the stances cannot follow each other:
+            a loaded foot moves, fewer than three feet carry load, a joint jumps.
+        NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot that the robot does not have.
-        StanceUnreachableError: If a sample is out of reach; says when.
-        StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
+        StanceUnreachableError: If a sample is out of reach. The error states the time.
+        StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
     """
     robot.check_tree("a path")
-    per_segment = _samples(seconds, rate, stances)
+    per_segment = _count_samples(seconds, rate, stances)
     if robot.welds or any(task.contacts for task in stances):
         raise ConfigurationError("contacts", diagnose("no-path-with-contacts"))
     if any(task.offset is not None for task in stances):
@@ -281,9 +296,9 @@ def stance_path(
             raise error.at(geometry.where(index)) from None
     time = np.linspace(0.0, float(seconds), len(efforts))
     tables = {name: np.array([effort[name] for effort in efforts]) for name in efforts[0]}
-    used = shares_of(tables["torques"], robot.effort_limits)
+    used = divide_by_limits(tables["torques"], robot.effort_limits)
     joints = slice(robot.nv - robot.nu, None)
-    speeds = shares_of(tables["qvel"][:, joints], robot.velocity_limits)
+    speeds = divide_by_limits(tables["qvel"][:, joints], robot.velocity_limits)
     peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
     return StancePath(
         stances=geometry.stances,
@@ -300,28 +315,29 @@ def stance_path(
     )
 
 
-def shares_of(values: Array, limits: Array) -> Array:
-    """Returns |values| / limits: 0 for 0 of nothing, and inf for more than nothing."""
+def divide_by_limits(values: Array, limits: Array) -> Array:
+    """Compute |values| / limits. For a limit of zero: 0 if the value is zero, else infinity."""
     with np.errstate(divide="ignore", invalid="ignore"):
         shares: Array = np.nan_to_num(np.abs(values) / limits, nan=0.0, posinf=np.inf)
     return shares
 
 
-SHORTEST = 1e-3
-"""s: no robot is so fast; of much less, accelerations overflow."""
+MIN_DURATION = 1e-3
+"""Lower bound of the duration of a path [s]. No robot is that fast, and accelerations of much
+shorter paths overflow. Chosen, not tuned."""
 
 
-def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Checks the arguments; returns how many samples a segment has."""
+def _count_samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
+    """Validate duration and rate, and return the number of samples per segment."""
     if len(stances) < 2:
         raise ConfigurationError("stances", diagnose("path-of-one-stance"))
     for name, value in (("seconds", seconds), ("rate", rate)):
         if not 0 < value < math.inf:
             raise ConfigurationError(name, diagnose("not-finite-above-0", value=repr(value)))
-    if seconds < SHORTEST:
-        message = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)
+    if seconds < MIN_DURATION:
+        message = diagnose("shorter-than-least", seconds=seconds, least=MIN_DURATION)
         raise ConfigurationError("seconds", message)
-    if max(seconds * rate, LEAST_PER_SEGMENT * len(stances)) > MAX_SAMPLES:
+    if max(seconds * rate, MIN_SAMPLES_PER_SEGMENT * len(stances)) > MAX_SAMPLES:
         message = diagnose("too-many-samples", most=MAX_SAMPLES)
         raise ConfigurationError("seconds, rate", message)
-    return max(LEAST_PER_SEGMENT, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))
+    return max(MIN_SAMPLES_PER_SEGMENT, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

@@ -1,4 +1,9 @@
-"""How MuJoCo tracks a path: through stances, or to one."""
+"""Simulation of a path in MuJoCo, with servo commands that include feed-forward.
+
+`path_commands` adapts a path to MuJoCo's soft ground and computes servo commands for each time
+step. `track_path` simulates the commands and compares the motion with the path. `study_path` plans
+and simulates the path from the nominal stand to a requested stance.
+"""
 
 from __future__ import annotations
 
@@ -34,44 +39,47 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 
-TIMESTEP = 2.5e-4
-"""The longest time step of a simulation of a path (s). An implicit integrator moves joints as if
-they had kd x the time step more inertia, and its contacts do not know: with 4 ms the skeleton's
-torques are off by up to 15 % from that alone, with 1 ms by 4 %, with this by 1 %."""
+MAX_TIMESTEP = 2.5e-4
+"""Upper bound of the default time step [s]. An implicit integrator adds kd x time step to the
+inertia of a joint, which its contacts ignore. Measured torque errors of `original` by this effect:
+15 % at 4 ms, 4 % at 1 ms, 1 % at this bound."""
 
-_AT_REST = ("clamped", "not-a-knot")
-"""Ends of splines of joints: a path begins at rest, and its last step may end short of its end."""
+_SPLINE_ENDS = ("clamped", "not-a-knot")
+"""Boundary conditions of joint splines: the path starts at rest; the last time step may end before
+the end of the path, so its velocity is not prescribed."""
 
-_STEPS = 2  # of Newton's iteration, for legs that get longer by millimetres
+_NEWTON_STEPS = 2
+"""Newton iterations of the leg extension, which is a few millimetres. Chosen, not tuned."""
 
-_ADDED = 0.075
-"""Share of a joint's inertia that its servo's damping may seem to add within a time step: what it
-is for the skeleton in ``TIMESTEP``. In that, it is half of the knee's inertia for A1 (kd 13 N m
-s/rad, no rotors), whose fastest squat is then off by 17 %, and loses the ground; with 40 us by 3 %.
-"""
+_MAX_ADDED_INERTIA = 0.075
+"""Upper bound of kd x time step / joint inertia: the value of `original` at `MAX_TIMESTEP`. At this
+time step the ratio is 0.5 for the knee of A1 (kd 13 N m s/rad, no armature), whose fastest squat
+then has a torque error of 17 % and loses ground contact; at 40 us the error is 3 %."""
 
-FINEST = 1e-5
-"""The shortest time step that is chosen (s): a path of a second then takes a second or two."""
+MIN_TIMESTEP = 1e-5
+"""Lower bound of the default time step [s]. A path of one second then takes one or two seconds to
+simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
-"""Of a time step: what a path's time may be short of a number of them, by rounding."""
+"""Fraction of a time step by which the duration of a path may be shorter than a whole number of
+time steps (rounding)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathCommands:
-    """A path at the time steps of a simulation, and what the servos are commanded.
+    """Path and servo commands at the n time steps of a simulation.
 
     Attributes:
-        path: The path.
-        robot: The robot on the path's ground.
-        drive: Its MuJoCo model, with servos.
-        start: The full physics state at rest in the first stance.
-        time: (n,) after each step (s).
-        qpos: (n, nq) of the path after each step, the legs longer by what their feet sink into the
-            ground.
-        torques: (n, nu) of the motors at the start of each step: the path's, for legs that are
-            longer (N m).
-        ctrl: (n, nu) during each step: q* + (tau + kd dq*/dt) / kp, in the actuators' units.
+        path: Path for rigid ground.
+        robot: Robot on the ground of the path.
+        drive: MuJoCo model of the robot, with servos.
+        start: Full physics state of MuJoCo, at rest in the first stance.
+        time: Shape (n,) [s]; time at the end of each step.
+        qpos: Shape (n, nq); configuration of the path at the end of each step, with legs extended
+            by the penetration of the feet.
+        torques: Shape (n, nu) [N m]; motor torques at the start of each step, for extended legs.
+        ctrl: Shape (n, nu); command during each step: q* + (tau + kd dq*/dt) / kp, in the units of
+            the actuators.
     """
 
     path: StancePath
@@ -90,16 +98,16 @@ def path_commands(
     drive_of: Callable[[Robot], Servos] = model_with_servos,
     timestep: float | None = None,
 ) -> PathCommands:
-    """Returns what the servos are commanded, step by step.
+    """Compute servo commands for each time step of a path.
 
     Args:
-        robot: The robot.
-        path: A path of this robot's.
-        drive_of: Returns the servos of the robot on the path's ground; the model's own by default.
-        timestep: As in ``track_path``.
+        robot: Robot.
+        path: Path of this robot.
+        drive_of: Function that returns the servos of a robot. Default: the servos of its model.
+        timestep: Time step of the simulation [s], as in ``track_path``.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the path is another robot's.
+        ConfigurationError: If an argument is out of range, or the path belongs to another robot.
         ModelError: If the model has no servos and no gains are given.
     """
     from scipy.interpolate import CubicSpline
@@ -110,20 +118,20 @@ def path_commands(
     robot = on_ground(first.check(robot), first.task.ground, first.rigid_targets)
     drive = drive_of(robot)
     if timestep is None:
-        timestep = _fine_timestep(robot, first, drive)
+        timestep = _select_timestep(robot, first, drive)
     elif not 1e-6 <= timestep <= 1.0:
         raise ConfigurationError("timestep", diagnose("timestep-not-valid", given=timestep))
     drive.model.opt.timestep = timestep
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     steps = max(1, math.floor(float(path.time[-1]) / timestep + _STEP_ROUNDING))
     times: Array = np.linspace(timestep, steps * timestep, steps)
-    sunk, motors = _on_soft_ground(robot, path)
+    sunk, motors = _extend_legs(robot, path)
     first = replace(first, qpos=sunk[0])
-    spline, starts = CubicSpline(path.time, sunk, bc_type=_AT_REST), times - timestep
+    spline, starts = CubicSpline(path.time, sunk, bc_type=_SPLINE_ENDS), times - timestep
     joints, end = slice(robot.nq - robot.nu, None), path.time[-1]
     torques = CubicSpline(path.time, motors)(np.minimum(starts, end))
-    # MuJoCo's velocity is the difference of positions over a step. The servo's damping acts on the
-    # one that leads to the step's start or, implicit, to its end.
+    # MuJoCo's velocity is the difference of positions over a step. Servo damping acts on the
+    # velocity at the start of the step or, with an implicit integrator, at its end.
     damped = times if drive.implicit else starts
     places = [np.clip(moments, 0.0, end) for moments in (damped - timestep, damped)]
     rates = (spline(places[1]) - spline(places[0]))[:, joints] / timestep
@@ -140,46 +148,54 @@ def path_commands(
     )
 
 
-def _on_soft_ground(robot: Robot, path: StancePath) -> tuple[Array, Array]:
-    """Returns a path whose feet are sunk: configurations (n, nq), and torques (n, nu) (N m).
+def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
+    """Adapt a path for rigid ground to MuJoCo's soft ground.
 
-    The base stays, and each leg is longer by what its foot sinks under the force that it has in
-    motion, a moment ago (``_depths``); joints resist as they then turn. With the rigid path's
-    commands the robot would sink by those depths, and tilt where they are unequal: the lifts of the
-    variants would be off by 13 % of torque, and so they are by 2 to 4 % (v3-long-leg's: 7). That
-    feet creep as they roll, and the inertia of legs that sink, is left out.
+    The base keeps its path. Each leg is extended by the penetration of its foot under the delayed
+    contact force (``_compute_depths``), and joint resistance follows the resulting motion. With
+    commands for rigid ground the robot would sink and tilt: torques of the variants' lifts would
+    deviate by 13 %; with extended legs they deviate by 2 to 4 % (v3-long-leg: 7 %). Creep of
+    rolling feet and the inertia of sinking legs are not modelled.
 
     Args:
-        robot: The robot on the path's ground.
-        path: Its path, which is for rigid ground.
+        robot: Robot on the ground of the path.
+        path: Path for rigid ground.
+
+    Returns:
+        Configurations, shape (n, nq), and motor torques, shape (n, nu) [N m].
     """
     from scipy.interpolate import CubicSpline
 
-    out = ground_normals(robot, path.stances[0].task.ground)
-    normals = np.array([out[foot] for foot in path.feet])
+    normal_of = ground_normals(robot, path.stances[0].task.ground)
+    normals = np.array([normal_of[foot] for foot in path.feet])
     laws = [GroundLaw.of(robot, foot) for foot in path.feet]
     radius = np.array([robot.contact_radius[foot] for foot in path.feet])
     pressing = np.maximum((path.forces * normals).sum(axis=-1), 0.0)
-    depths = np.array([_depths(*one, path.time) for one in zip(laws, pressing.T, strict=True)]).T
+    depths = np.array(
+        [
+            _compute_depths(law, loads, path.time)
+            for law, loads in zip(laws, pressing.T, strict=True)
+        ]
+    ).T
     rows = []
-    for qpos, deep in zip(path.qpos, depths, strict=True):
+    for qpos, depth in zip(path.qpos, depths, strict=True):
         config = Configuration(robot, qpos)
-        places = config.foot_places(path.feet) - deep[:, None] * normals
-        for _ in range(_STEPS):
-            missing = (places - config.foot_places(path.feet)).ravel()
+        targets = config.foot_places(path.feet) - depth[:, None] * normals
+        for _ in range(_NEWTON_STEPS):
+            error = (targets - config.foot_places(path.feet)).ravel()
             jacobians = config.foot_jacobians()
             legs = np.concatenate([jacobians[foot][:, 6:] for foot in path.feet])
-            step = np.concatenate([np.zeros(7), np.linalg.lstsq(legs, missing, rcond=1e-6)[0]])
+            step = np.concatenate([np.zeros(7), np.linalg.lstsq(legs, error, rcond=1e-6)[0]])
             config = Configuration(robot, config.qpos + step)
         rows.append(config.qpos)
-    longer = CubicSpline(path.time, (np.array(rows) - path.qpos)[:, 7:], bc_type=_AT_REST)
+    extension = CubicSpline(path.time, (np.array(rows) - path.qpos)[:, 7:], bc_type=_SPLINE_ENDS)
     base = np.zeros((len(rows), 6))
-    qvel = path.qvel + np.hstack([base, longer(path.time, 1)])
-    qacc = path.qacc + np.hstack([base, longer(path.time, 2)])
+    qvel = path.qvel + np.hstack([base, extension(path.time, 1)])
+    qacc = path.qacc + np.hstack([base, extension(path.time, 2)])
     torques = []
     for index, qpos in enumerate(rows):
         config = Configuration(robot, qpos, qvel[index])
-        # MuJoCo's contact is half way down.
+        # MuJoCo's contact point is at half the penetration.
         touching = -(radius - depths[index] / 2)[:, None] * normals
         contacts = config.point_jacobians(path.feet, touching)
         left = config.mass_matrix() @ path.qacc[index] + config.bias_forces() - config.passive()
@@ -187,32 +203,38 @@ def _on_soft_ground(robot: Robot, path: StancePath) -> tuple[Array, Array]:
         left -= np.einsum("nij,ni->j", contacts, path.forces[index])
         for foot, moment in zip(path.feet, path.moments[index], strict=True):
             left -= config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
-        # The com has moved with the legs; each foot takes of that in proportion to its load.
+        # The extended legs shift the CoM. Distribute the change of the total wrench over the feet
+        # in proportion to their loads.
         jacobian = (pressing[index][:, None, None] * contacts).reshape(-1, robot.nv)
         more = np.linalg.lstsq(jacobian[:, :6].T, left[:6], rcond=1e-9)[0]
         torques.append((left - more @ jacobian)[robot.nv - robot.nu :])
     return np.array(rows), np.array(torques)
 
 
-def _depths(law: GroundLaw, loads: Array, time: Array) -> Array:
-    """Returns how deep a foot is under loads (n,) that change with time (m).
+def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
+    """Compute the penetration of a foot, shape (n,) [m], under time-varying loads, shape (n,) [N].
 
-    MuJoCo's contact gives R f = k d r + b dr/dt + d2r/dt2: under a load that grows evenly the depth
-    is that of the load b / (k d) earlier (40 ms for v3), with d the impedance.
+    MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with d the impedance. For a load
+    that is linear in time, the depth at time t is the static depth of the load at t - b / (k d)
+    (40 ms for v3).
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))
-    late: Array = np.interp(time - lag, time, depths)
-    return late
+    delayed: Array = np.interp(time - lag, time, depths)
+    return delayed
 
 
-def _fine_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
-    """Returns a time step in which the servos' damping adds next to nothing to inertias (s)."""
+def _select_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
+    """Select a time step [s] for which implicit servo damping adds little to joint inertias.
+
+    The smallest of: the time step of the model, `MAX_TIMESTEP`, and `_MAX_ADDED_INERTIA` times the
+    smallest inertia / kd, the latter at least `MIN_TIMESTEP`.
+    """
     inertia = np.diag(Configuration(robot, first.qpos).mass_matrix())[robot.nv - robot.nu :]
     damped = drive.kd > 0
-    slowest = float(np.min(inertia[damped] / drive.kd[damped], initial=math.inf))
-    own = min(float(drive.model.opt.timestep), TIMESTEP)
-    return min(own, max(FINEST, _ADDED * slowest))
+    shortest_decay = float(np.min(inertia[damped] / drive.kd[damped], initial=math.inf))
+    upper = min(float(drive.model.opt.timestep), MAX_TIMESTEP)
+    return min(upper, max(MIN_TIMESTEP, _MAX_ADDED_INERTIA * shortest_decay))
 
 
 Array = NDArray[np.float64]
@@ -220,14 +242,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PathThere(Result):
-    """The path from the nominal stand to a stance, and how MuJoCo follows it.
+    """Path from the nominal stand to a stance, with its simulation.
 
     Attributes:
-        name: The robot's name.
-        stand: Where it leads.
-        path: The path.
-        tracking: The simulation of it.
-        verdict: Whether it is followed, and what that rests on.
+        name: Name of the robot.
+        stand: Stand at the end of the path.
+        path: Path.
+        tracking: Result of the simulation.
+        verdict: Verdict on tracking, and its conditions.
     """
 
     name: str
@@ -238,7 +260,7 @@ class PathThere(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it is followed, by its verdict."""
+        """Whether the verdict is positive."""
         return self.verdict.passed
 
 
@@ -250,25 +272,25 @@ def study_path(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> PathThere:
-    """Moves from the nominal stand to a stance, and simulates that.
+    """Plan the path from the nominal stand to a stance, and simulate it.
 
     Args:
-        robot: The robot.
-        task: The stance.
-        seconds: How long it takes (s).
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        robot: Robot.
+        task: Requested stance.
+        seconds: Duration of the path [s].
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the gains of the model.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the gains of the model.
 
     Raises:
-        StanceUnreachableError: If a sample is out of reach; says where.
-        StaticsInfeasibleError: If a sample cannot be held; says where.
-        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        StanceUnreachableError: If a sample is out of reach. The error states the time.
+        StaticsInfeasibleError: If a sample cannot be held. The error states the time.
+        ConfigurationError: If the task or another argument is invalid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = solve_stand(robot, task)
-    path = stance_path(robot, way_to(robot, stand), seconds)
+    path = stance_path(robot, plan_stances(robot, stand), seconds)
     tracking = track_path(robot, path, kp=kp, kd=kd)
-    # Where it leads it shall stay: what shakes there may take longer than the path to show.
+    # An instability of the final stand can need more time to develop than the path takes.
     held = solve_stand_as_simulated(robot, stand)
     stability = stand_stability(robot, held, kp=kp, kd=kd)
     leaving = tuple(map(describe_growth, stability.leaving()[:1]))
@@ -290,58 +312,61 @@ def study_path(
     )
 
 
-def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
-    """Returns the stances that lead to a stand: the nominal one, with its feet where they are.
+def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
+    """Return the stances of a path to a stand, starting from the nominal stand.
 
-    Where a foot is lifted, the weight is first shifted on to the others.
+    All stances have the foot positions of the stand. If the stand lifts a foot, an intermediate
+    stance first moves the CoM above the other feet.
     """
     task = stand.task
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
-    over = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
+    final = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
     nominal = StandTask(
         feet=task.feet,
         foot_offsets=task.foot_offsets,
         ground=task.ground,
         ik_seed=task.ik_seed,
     )
-    return [nominal, *([replace(over, swing={})] if task.swing else []), over]
+    return [nominal, *([replace(final, swing={})] if task.swing else []), final]
 
 
-TRACKING_TOLERANCE = 0.1
-"""Joint error up to which a path counts as tracked (rad)."""
+JOINT_TOLERANCE = 0.1
+"""Upper bound of the joint error of a tracked path [rad]. Chosen, not tuned."""
 
 TORQUE_TOLERANCE = 0.05
-"""Deviation of a motor's torque up to which a path counts as tracked, relative to the largest."""
+"""Upper bound of the torque error of a tracked path, relative to the largest torque of the path.
+Chosen, not tuned."""
 
-LIFT_CLEARANCE = 2e-3
-"""A foot must not touch if it shall be higher than this (m)."""
+MIN_LIFTED_HEIGHT = 2e-3
+"""Planned height [m] above which a foot that touches the ground is a failure. Chosen."""
 
-LOADED = 0.05
-"""A foot that shall carry more than this share of the weight must not lose the ground."""
+MIN_LOADED_FRACTION = 0.05
+"""Planned load, as a fraction of the weight, above which a foot that loses ground contact is a
+failure. Chosen."""
 
-_LOOKS = 400
-"""Of a simulation: states that are looked at closely, evenly spaced by 1 to 20 ms. A foot that an
-impossible path loses is off the ground for some hundredths of the path's time."""
+_NUM_CHECKED_STATES = 400
+"""Number of simulated states whose contacts are checked, at intervals of 1 to 20 ms. On an
+infeasible path, a foot loses contact for a few percent of the duration, which is several states."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathTracking(Result):
-    """What a simulation made of a path.
+    """Simulated motion of a path, compared with the plan.
 
     Attributes:
-        passed: Whether it was tracked.
-        failures: If not, why.
-        integrator: MuJoCo's integrator.
-        timestep: s.
-        kp: (nu,) N m/rad.
-        kd: (nu,) N m s/rad.
-        joint_error: The largest deviation of a joint from the path (rad).
-        height_error: The largest deviation of the base's height (m).
-        orientation_error: The largest angle between the base's orientation and the path's (rad).
-        torque_error: The largest deviation of a motor's torque from the commanded feed-forward, in
-            any step of time / the largest torque of the path.
-        foot_slip: {foot: the largest horizontal distance of its centre from the path's, while it
-            carries (m)}. A foot is a sphere and rolls, so this is not zero without sliding.
+        passed: True if the path was tracked.
+        failures: Reasons why the path was not tracked.
+        integrator: Integrator of MuJoCo.
+        timestep: Time step of the simulation.
+        kp: Shape (nu,); servo stiffness.
+        kd: Shape (nu,); servo damping.
+        joint_error: Largest deviation of a joint position from the path.
+        height_error: Largest deviation of the height of the base.
+        orientation_error: Largest angle between the orientation of the base and of the path.
+        torque_error: Largest deviation of a motor torque from the commanded feed-forward, in any
+            time step, divided by the largest torque of the path.
+        foot_slip: Largest distance, along the ground, between the centre of each loaded foot and
+            the path. The feet are spheres that roll, so the distance is not zero without sliding.
     """
 
     passed: bool
@@ -367,29 +392,28 @@ def track_path(
     integrator: str | None = None,
     timestep: float | None = None,
 ) -> PathTracking:
-    """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
+    """Simulate a path on the free base, with servo commands q* + (tau + kd dq*/dt) / kp.
 
-    The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
-    they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
-    ground under their loads in motion, and the torques are those of the path with legs so long.
-    That feet creep as they roll, and what else shows where a path takes less than a second, is not
-    fed forward.
+    The velocity term compensates the servo damping, which acts on the absolute joint velocity;
+    without this term the joints lag by kd / kp (20 ms for v3). Legs are extended by the penetration
+    of the feet into MuJoCo's soft ground under the loads of the motion, and torques belong to the
+    extended legs. Creep of rolling feet is not compensated; it matters for paths of less than a
+    second.
 
-    A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
-    ``TORQUE_TOLERANCE``, no motor is at its limit, stance feet stay on the ground, swing feet
-    off it, and nothing else touches it.
+    A path is tracked if joint and torque errors are within `JOINT_TOLERANCE` and
+    `TORQUE_TOLERANCE`, no motor or joint exceeds its torque or velocity limit, the robot does not
+    fall, loaded feet stay on the ground, lifted feet do not touch it, and no other part touches it.
 
     Args:
-        robot: The robot.
-        path: A path of this robot's.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
-        integrator: MuJoCo's integrator; the model's own by default.
-        timestep: Of the simulation (s); by default the model's own, or ``TIMESTEP`` if that is
-            shorter, or what servos with so much damping need, down to ``FINEST``.
+        robot: Robot without closed loops.
+        path: Path of this robot.
+        kp: Servo stiffness [N m/rad]. Default: the gains of the model.
+        kd: Servo damping [N m s/rad]. Default: the gains of the model.
+        integrator: Integrator of MuJoCo. Default: the integrator of the model.
+        timestep: Time step of the simulation [s]. Default: see ``_select_timestep``.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the path is another robot's.
+        ConfigurationError: If an argument is out of range, or the path belongs to another robot.
         ModelError: If the model has no servos and no gains are given.
     """
     robot.check_tree("how a path is tracked")
@@ -403,15 +427,15 @@ def track_path(
     joint_error = float(np.abs(deviation).max())
 
     timestep = float(model.opt.timestep)
-    apart = min(max(float(path.time[-1]) / _LOOKS, 1e-3), 0.02)
-    step = max(1, round(apart / timestep))
+    interval = min(max(float(path.time[-1]) / _NUM_CHECKED_STATES, 1e-3), 0.02)
+    step = max(1, round(interval / timestep))
     evaluations = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
     if monitor.has_diverged(states, timestep):
         failures = [monitor.tell_divergence(plan.drive.integrator, timestep)]
     else:
-        failures, tilt, slip = _watch(plan, states, evaluations)
-        saturated, torque_error = _torques(plan, states)
+        failures, tilt, slip = _check_states(plan, states, evaluations)
+        saturated, torque_error = _compare_torques(plan, states)
         failures += saturated
     if path.peak_utilisation > 1:
         failures.append(diagnose("motor-overloaded-on-path", share=path.peak_utilisation))
@@ -420,7 +444,7 @@ def track_path(
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
     if not torque_error <= TORQUE_TOLERANCE:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
-    if not joint_error < TRACKING_TOLERANCE:
+    if not joint_error < JOINT_TOLERANCE:
         failures.append(diagnose("joint-off-path", error=Quantity(joint_error, "rad")))
     return PathTracking(
         passed=not failures,
@@ -437,11 +461,11 @@ def track_path(
     )
 
 
-def _torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
-    """Returns which motors are at their limits, and the largest relative error of a torque.
+def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
+    """Find saturated motors, and compute the largest torque error relative to the largest torque.
 
-    By the servos' law, with the velocity that the integrator has it act on: an implicit one's at a
-    step's end, of which ``qfrc_actuator`` does not know.
+    Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
+    velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at its start.
     """
     drive, robot, model = plan.drive, plan.robot, plan.drive.model
     public = robot.mj_convention
@@ -451,35 +475,45 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float
     target = plan.ctrl[:, model.actuator_ctrladr[public.actuator_index]] / drive.gear
     position = before[:, 1 + public.qpos_index[joints]]
     velocity = (states if drive.implicit else before)[:, dofs]
-    asked = drive.kp * (target - position) - drive.kd * velocity
+    unlimited = drive.kp * (target - position) - drive.kd * velocity
     limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
     ranges = model.actuator_forcerange[public.actuator_index] * drive.gear[:, None]
     ranges = np.where(limited[:, None], ranges, [-np.inf, np.inf])
-    given = np.clip(asked, ranges.min(axis=1), ranges.max(axis=1))
+    torques = np.clip(unlimited, ranges.min(axis=1), ranges.max(axis=1))
     events = []
-    over = given != asked
-    for column in np.flatnonzero(over.any(axis=0)):
-        moment = Quantity(plan.time[int(np.argmax(over[:, column]))], "s")
+    is_saturated = torques != unlimited
+    for column in np.flatnonzero(is_saturated.any(axis=0)):
+        moment = Quantity(plan.time[int(np.argmax(is_saturated[:, column]))], "s")
         motor = "joint", robot.joint_names[int(column)]
         events.append(diagnose("motor-at-limit", subject=motor, time=moment))
     largest = float(np.abs(plan.path.torques).max())
-    return events, float(np.abs(given - plan.torques).max()) / largest
+    return events, float(np.abs(torques - plan.torques).max()) / largest
 
 
-def _watch(
+def _check_states(
     plan: PathCommands, states: Array, evaluations: NDArray[np.int64]
 ) -> tuple[list[Diagnostic], float, dict[str, float]]:
-    """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
+    """Check contacts, orientation and falls of selected states.
+
+    Args:
+        plan: Path and commands.
+        states: Full physics states of MuJoCo at the end of each step.
+        evaluations: Indices of the states that are checked.
+
+    Returns:
+        Failures with the time of their first occurrence; largest orientation error [rad]; largest
+        slip of each foot along the ground [m].
+    """
     path, robot = plan.path, plan.robot
     watcher = monitor.Watcher(robot, plan.drive.model)
     events: dict[Diagnostic, float] = {}
-    out = ground_normals(robot, path.stances[0].task.ground)
+    normals = ground_normals(robot, path.stances[0].task.ground)
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.weight
     tilt = 0.0
     for index in evaluations:
         sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
-        seen = [
+        found = [
             diagnose("body-touches-ground", subject=("body", body), time=None)
             for body in sorted(sight.bodies)
         ]
@@ -489,22 +523,22 @@ def _watch(
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
         if monitor.Upright.of(robot, goal, rotation).has_fallen(states[index]):
-            seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
+            found.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres = monitor.foot_centres(robot, watcher.data)
         targets = Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.feet)
         sample = int(np.abs(path.time - sight.time).argmin())
         for column, foot in enumerate(path.feet):
-            load, own = path.loads[sample, column] / weight, robot.foot_of(foot)
-            # A load below zero is that of a foot which would have to be held to the ground.
-            if (load > LOADED or load < 0) and own in idle:
-                seen.append(diagnose("foot-idle", subject=("foot", foot), time=None))
-            if path.clearance[sample, column] > LIFT_CLEARANCE and own in sight.forces:
-                seen.append(diagnose("lifted-foot-touches", subject=("foot", foot), time=None))
+            load, parent = path.loads[sample, column] / weight, robot.foot_of(foot)
+            # A negative load belongs to a foot that would have to be glued to the ground.
+            if (load > MIN_LOADED_FRACTION or load < 0) and parent in idle:
+                found.append(diagnose("foot-idle", subject=("foot", foot), time=None))
+            if path.clearance[sample, column] > MIN_LIFTED_HEIGHT and parent in sight.forces:
+                found.append(diagnose("lifted-foot-touches", subject=("foot", foot), time=None))
             if path.stance_feet[sample, column]:
-                away = np.cross(out[foot], centres[foot] - targets[foot])  # along its ground
-                slip[foot] = max(slip[foot], float(np.linalg.norm(away)))
-        for event in seen:
+                along_ground = np.cross(normals[foot], centres[foot] - targets[foot])
+                slip[foot] = max(slip[foot], float(np.linalg.norm(along_ground)))
+        for event in found:
             events.setdefault(event, sight.time)
     failures = [
         replace(event, values=FrozenDict({**event.values, "time": Quantity(moment, "s")}))

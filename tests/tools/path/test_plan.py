@@ -262,7 +262,7 @@ def test_a_path_refuses_bad_arguments(
 ) -> None:
     if named == "jumps":
         tasks = [Task(height=0.15), Task(height=0.08)]
-        monkeypatch.setattr("pupper_analysis.tools.path.plan.LEAST_PER_SEGMENT", 2)
+        monkeypatch.setattr("pupper_analysis.tools.path.plan.MIN_SAMPLES_PER_SEGMENT", 2)
     with pytest.raises(pa.ConfigurationError, match=named) as caught:
         stance_path(load("v3"), tasks, seconds, rate=rate)
     assert "\n" not in str(caught.value)

@@ -212,7 +212,7 @@ def test_the_way_keeps_moved_feet_and_ground() -> None:
     task = pa.StandTask(
         0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=pa.Ground(0.05), com=(0.005, 0.0)
     )
-    way = tracking.way_to(robot, pa.solve_stand(robot, task))
+    way = tracking.plan_stances(robot, pa.solve_stand(robot, task))
     assert len(way) == 2
     for stance in way:
         assert stance.ground == task.ground
