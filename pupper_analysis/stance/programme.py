@@ -248,7 +248,8 @@ class Programme:
                 progress.look(x, self._missed(x))
             return self._jacobian(x)[rows]
 
-        kinds = ("eq", slice(0, equal)), ("ineq", slice(equal, None))
+        total = len(self._rows[0])
+        kinds = ("eq", slice(0, equal)), ("ineq", slice(equal, total))
         try:
             x = optimize.minimize(
                 function,
@@ -263,6 +264,7 @@ class Programme:
                         "jac": partial(rates, rows=rows),
                     }
                     for kind, rows in kinds
+                    if rows.start < rows.stop
                 ],
                 options={"ftol": tolerance, "maxiter": iterations},
             ).x
@@ -319,7 +321,7 @@ class Programme:
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
-        joined: Array = np.concatenate(self._point(x).residuals)[self._rows[0]]
+        joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
         return joined
 
     def _jacobian(self, x: Array) -> Array:
@@ -337,7 +339,7 @@ class Programme:
         config = self._configuration(x)
         rates = [one.rates(there.goal, config) for one in self._constraints]
         at = self._shapes.at(there.qpos)
-        moved = np.concatenate(rates)
+        moved = _stack(rates, self._robot.nv)
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
         towards = np.copysign(_DIFFERENCE_STEP * numbers.units, numbers.values - values)
@@ -353,7 +355,7 @@ class Programme:
                 change = one.residual(goal, at) - before
                 column[end - len(before) : end] += change / step
             columns.append(unit * column)
-        by_numbers = np.array(columns).reshape(-1, len(moved)).T
+        by_numbers = np.array(columns).reshape(len(columns), len(moved)).T
         by_motion = moved[:, self._moving]
         by_motion[:, :2] *= self._unit
         return np.hstack([by_motion, -by_numbers, by_numbers])
@@ -372,6 +374,11 @@ class Programme:
         size = np.abs(np.diag(triangle))
         kept = np.sort(order[: int((size > _DEPENDENT * size.max(initial=0.0)).sum())])
         return np.concatenate([kept, np.arange(equal, len(whole))]), len(kept)
+
+
+def _stack(blocks: Sequence[Array], columns: int) -> Array:
+    """Stack residuals (n,), or rows (n, columns) if ``columns`` > 0; there may be no block."""
+    return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 
 
 def _twist(goal: Goal, other: Goal) -> Array:

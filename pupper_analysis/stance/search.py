@@ -440,8 +440,13 @@ def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch
 
 
 def support_radius(goal: Goal) -> float:
-    """Returns how far from the centre a com inside may be (m)."""
-    return float(np.linalg.norm(np.array(goal.corners) - goal.centre[:2], axis=1).max())
+    """Return the largest horizontal distance [m] between the feet's centre and the support polygon.
+
+    If all feet are welded there is no support polygon: then the distance to the welded feet.
+    """
+    corners = goal.corners or [target[:2] for target in goal.targets.values()]
+    distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]
+    return float(max(distances, default=0.0))
 
 
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:

@@ -502,3 +502,45 @@ def test_a_file_without_a_body_for_its_base_is_refused(tmp_path: Path) -> None:
     robot = pa.load_robot(file)
     with pytest.raises(pa.ConfigurationError, match="no body of its own"):
         pa.solve_stand(robot, pa.StandTask(contacts=BOLTED))
+
+
+@pytest.mark.parametrize(
+    ("welded", "asked"),
+    [
+        (("FR",), {"height": 0.3}),
+        (("base",), {"height": 0.3}),
+        (("FR",), {"roll": 1.0}),
+        (("FR", "FL", "RR", "RL"), {"height": 0.3}),
+    ],
+)
+def test_a_welded_stance_out_of_reach_is_refused_with_a_reachable_one(
+    welded: tuple[str, ...], asked: dict[str, float]
+) -> None:
+    """With a weld and the CoM inside, no constraint was left, and the search raised ValueError.
+
+    Reference: the stance that the refusal proposes is solved.
+    """
+    robot = load("v3")
+    task = pa.StandTask(com="inside", contacts=dict.fromkeys(welded, pa.Weld()), **asked)
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.solve_stand(robot, task)
+    limits = refused.value.limits
+    assert limits
+    for possible in limits.values():
+        pa.solve_stand(robot, replace(task, **possible))
+
+
+def test_four_welded_feet_hold_the_robot_in_equilibrium() -> None:
+    """24 rows of four welds act on 18 coordinates: at most 18 are independent.
+
+    References: Newton's law (the wrenches of the welds carry the weight), and MuJoCo's simulation
+    without feed-forward. The four legs are a parallelogram linkage, so the base can still sink.
+    """
+    robot = load("v3")
+    task = pa.StandTask(contacts=dict.fromkeys(("FR", "FL", "RR", "RL"), pa.Weld()))
+    stance = study_stance(robot, task)
+    assert stance.passed
+    carried = sum(wrench[2] for wrench in stance.statics.weld_wrenches.values())
+    assert carried == pytest.approx(9.81 * robot.total_mass, rel=1e-9)
+    assert stance.settled is not None
+    assert stance.settled.servo_sag == pytest.approx(stance.sagging.servo_sag, abs=1e-5)

@@ -550,7 +550,7 @@ class SagEquilibrium:
     def held(self, qpos: Array, equations: Array) -> Array:
         """Returns equations (nv + 3 n,), or their derivative, with those of welds among balance."""
         if self._welds is not None:
-            return self._welds.among(self.touch(qpos).config, equations, self.units.weight)
+            return self._welds.insert(self.touch(qpos).config, equations, self.units.weight)
         if self._still:
             equations = equations.copy()
             equations[: self._still] = 0.0
@@ -616,65 +616,98 @@ class SagEquilibrium:
 
 
 class Welds:
-    """What is fixed in the world, where a stand has it.
+    """Weld constraints of a stand: welded bodies keep their pose, gripped points their position.
+
+    Several welds may be redundant: of the 24 rows of four welded feet at most ``robot.nv`` are
+    independent. The equilibrium uses a set of independent rows, which is selected at the stand.
 
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand that defines the poses of the welds.
     """
 
     def __init__(self, robot: Robot, stand: Stand) -> None:
-        self._contacts, at = stand_contacts(robot, stand), Configuration(robot, stand.qpos)
+        self._contacts, config = stand_contacts(robot, stand), Configuration(robot, stand.qpos)
         frames = (
             robot.contact_frames.get(str(point), robot.base) for point in robot.welds.values()
         )
-        self._there = [(one, at.frame_position(one), at.frame_rotation(one)) for one in frames]
+        self._poses = [
+            (frame, config.frame_position(frame), config.frame_rotation(frame)) for frame in frames
+        ]
+        self._independent = independent_rows(self.jacobian(config))
 
     def jacobian(self, config: Configuration) -> Array:
-        """Returns the Jacobian (6 w + 3 g, nv), of places and turns, in world axes; see grips."""
+        """Return the Jacobian of all welds, shape (6 w + 3 g, nv), in the world frame.
+
+        Rows of a weld: linear and angular velocity. Rows of a grip: linear velocity.
+        """
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
-        """Returns Jacobians (w, 6, nv), and the wrenches (w, 6) that hold a balance (nv,)."""
-        columns = self._contacts.weld_columns(config).values()
-        found = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
-        rows, wrenches = np.zeros((len(columns), 6, len(balance))), np.zeros((len(columns), 6))
-        ends = np.cumsum([column.shape[1] for column in columns])
-        for number, (column, end) in enumerate(zip(columns, ends, strict=True)):
-            size = column.shape[1]
-            rows[number, :size], wrenches[number, :size] = column.T, found[end - size : end]
-        return rows, wrenches
+        """Return the wrenches of the welds that balance a generalised force.
 
-    def among(self, config: Configuration, equations: Array, scale: float) -> Array:
-        """Returns equations, or their derivative, with those of welds in the place of some.
-
-        Of the balance (nv,) with which they begin the part along motions that leave welds where
-        they are is kept.
+        Of redundant welds, the wrenches with the least norm (N and N m mixed).
 
         Args:
-            config: Where the robot is.
-            equations: (m,), or (m, m).
-            scale: What they are multiplied by (N/m).
+            config: Configuration of the robot.
+            balance: Generalised force, shape (nv,) [N, N m].
+
+        Returns:
+            Jacobian of each weld, shape (w, 6, nv), and wrench of each weld, shape (w, 6) [N, N m].
         """
-        rows, changed = self.jacobian(config), equations.copy()
+        columns = self._contacts.weld_columns(config).values()
+        solution = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
+        rows, wrenches = np.zeros((len(columns), 6, len(balance))), np.zeros((len(columns), 6))
+        ends = np.cumsum([column.shape[1] for column in columns])
+        for weld, (column, end) in enumerate(zip(columns, ends, strict=True)):
+            size = column.shape[1]
+            rows[weld, :size], wrenches[weld, :size] = column.T, solution[end - size : end]
+        return rows, wrenches
+
+    def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
+        """Return the equilibrium equations, or their derivative, with the weld constraints.
+
+        The first ``nv`` equations are the balance of generalised forces. Weld constraints, and the
+        balance along the motions that the welds permit, replace the balance.
+
+        Args:
+            config: Configuration of the robot.
+            equations: Residual, shape (m,), or derivative, shape (m, m).
+            scale: Factor of the weld constraints [N/m].
+        """
+        rows, changed = self.jacobian(config)[self._independent], equations.copy()
         count, n = rows.shape
         if equations.ndim == 1:
-            off = [
-                (
-                    config.frame_position(one) - place,
-                    pin.log3(config.frame_rotation(one) @ turned.T),
-                )
-                for one, place, turned in self._there
-            ]
-            left = np.ravel(off)  # what is gripped may turn
-            turns = np.repeat([1, 1] * len(off), 3).astype(bool)
-            for number in range(len(off) - len(self._contacts.grips), len(off)):
-                turns[6 * number + 3 : 6 * number + 6] = False
-            changed[:count] = scale * left[turns]
+            changed[:count] = scale * self._pose_errors(config)[self._independent]
         else:
             changed[:count], changed[:count, :n] = 0.0, scale * rows
         changed[count:n] = linalg.null_space(rows).T @ equations[:n]
         return changed
+
+    def _pose_errors(self, config: Configuration) -> Array:
+        """Return the deviation of all welds from their poses, shape (6 w + 3 g,) [m, rad]."""
+        errors = np.ravel(
+            [
+                (
+                    config.frame_position(frame) - position,
+                    pin.log3(config.frame_rotation(frame) @ rotation.T),
+                )
+                for frame, position, rotation in self._poses
+            ]
+        )
+        grips = len(self._contacts.grips)
+        fixed = np.ones((len(self._poses), 6), dtype=bool)
+        fixed[len(fixed) - grips :, 3:] = False  # a gripped point may rotate
+        selected: Array = errors[fixed.ravel()]
+        return selected
+
+
+def independent_rows(rows: Array) -> NDArray[np.intp]:
+    """Return the indices, in ascending order, of a largest set of linearly independent rows."""
+    _, triangle, order = linalg.qr(rows.T, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
+    return np.sort(order[: np.count_nonzero(sizes > tolerance)])
 
 
 _PLIANT = 2.5e-6
