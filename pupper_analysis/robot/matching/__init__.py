@@ -1,4 +1,4 @@
-"""Two files, one robot: whose joint, body and frame is whose, in which conventions."""
+"""Matching of a URDF and an MJCF of one robot: joints, bodies, frames and conventions."""
 
 from pupper_analysis.base.exports import exports_of
 

@@ -1,9 +1,10 @@
-"""Brings the link frames of one tree of joints to those of another: they are a matter of choice.
+"""Transformation of the link frames of one multibody tree to those of another.
 
-A joint is a line (of a slide, a direction), and a body is a mass, a com and an inertia. Where the
-file puts the axes of a link, and where on its own line a joint's origin is, has no effect on the
-robot. So before two trees are compared, the frames of the second are put to those of the first,
-joint by joint from the base outwards, in the way in which the fewest digits say how they differ.
+Link frames are a convention. A hinge is a line and a slide a direction; a body is a mass, a CoM and
+an inertia. The axes of a link frame, and the position of the origin on the line of the joint, do
+not affect the robot. Before two trees are compared, the frames of the second are transformed to
+those of the first, joint by joint from the base outwards. Of several candidate frames, that with
+the smallest total deviation is selected, measured as the sum of log2(1 + deviation / tolerance).
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
-_GAIN = 0.5  # bits that another frame must save, lest rounding decides
+_MIN_SAVED_BITS = 0.5
+"""Minimum decrease of the deviation [bits] for a change of a frame, to exclude rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A tree in another's link frames.
+    """Tree in the link frames of another.
 
     Attributes:
-        values: The same robot, in those frames.
-        moved: {joint: (3,) how far its origin was moved (m), in the axes of the body's own frame};
-            without those that stayed.
+        values: The same robot, in these frames.
+        moved: {joint: displacement (3,) [m] of its origin, in the original axes of its body};
+            without unchanged origins.
     """
 
     values: MultibodyTree
@@ -45,29 +47,29 @@ def align_frames(
     fixed: Collection[str] = (),
     only: Iterable[str] | None = None,
 ) -> Alignment:
-    """Puts the link frames of a tree to those of another.
+    """Transform the link frames of a tree to those of another.
 
     Args:
-        second: The tree whose frames are moved.
-        first: Whose frames are kept; it has joints of the same names.
-        tolerances: What counts as a difference.
-        fixed: Slides whose origin is not to be moved.
-        only: The joints whose frames are moved; by default all.
+        second: Tree whose frames are transformed.
+        first: Tree with the target frames, and with the same names of joints.
+        tolerances: Tolerances of the comparison.
+        fixed: Slides whose origin must not be moved.
+        only: Joints whose frames are transformed; all by default.
     """
-    # Finer than what is tolerated, lest a difference is shared out until no part of it counts.
+    # Smaller tolerances, because a difference could be distributed to parts below the tolerance.
     tolerances = tighten_tolerances(tolerances)
     names = list(first.joints if only is None else only)
-    nearest = _aligned(second, first, tolerances, fixed, names, as_the_first=False)
+    nearest = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=False)
     if only is not None or not digits_in_all(first, nearest.values, tolerances):
         return nearest
-    # Where a file turns the frames of several links in a row, and back after the last, none of them
-    # is nearer to the other's by itself, but all together are (the thumb of a Shadow Hand).
-    whole = _aligned(second, first, tolerances, fixed, names, as_the_first=True)
-    costs = [digits_in_all(first, one.values, tolerances) for one in (nearest, whole)]
-    return whole if costs[1] < costs[0] - _GAIN else nearest
+    # If a file rotates several successive frames, and rotates back after the last, no single
+    # transformation decreases the deviation, but all together do (thumb of a Shadow Hand).
+    rotated = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=True)
+    costs = [digits_in_all(first, alignment.values, tolerances) for alignment in (nearest, rotated)]
+    return rotated if costs[1] < costs[0] - _MIN_SAVED_BITS else nearest
 
 
-def _aligned(
+def _align_by_cost(
     second: MultibodyTree,
     first: MultibodyTree,
     tolerances: Tolerances,
@@ -76,35 +78,35 @@ def _aligned(
     *,
     as_the_first: bool,
 ) -> Alignment:
-    """Puts link frames to those of another tree, each in the way that tells least about its joint.
+    """Transform link frames to those of another tree, minimising the deviation of each joint.
 
     Args:
-        second: The tree whose frames are moved.
-        first: Whose frames are kept.
-        tolerances: What counts as a difference.
-        fixed: Slides whose origin is not to be moved.
-        names: The joints whose frames are moved.
-        as_the_first: Turn each frame as the first's is at zero angles, whatever that tells.
+        second: Tree whose frames are transformed.
+        first: Tree with the target frames.
+        tolerances: Tolerances of the comparison.
+        fixed: Slides whose origin must not be moved.
+        names: Joints whose frames are transformed.
+        as_the_first: Whether to rotate each frame to the first's at zero angles, at any cost.
     """
     result, moved = second, {}
     for name in names:
-        mine, other = first.joints[name], result.joints[name]
-        if mine.parent != other.parent or mine.slides != other.slides:
+        joint, other_joint = first.joints[name], result.joints[name]
+        if joint.parent != other_joint.parent or joint.slides != other_joint.slides:
             continue
-        best, least = result, digits_of(first, result, name, tolerances)
-        if least == 0:
+        best, least_cost = result, digits_of(first, result, name, tolerances)
+        if least_cost == 0:
             continue
-        turns = list(_turns(first, result, name))
+        rotations = list(_candidate_rotations(first, result, name))
         if as_the_first:
-            turns, least = turns[1:2], math.inf
+            rotations, least_cost = rotations[1:2], math.inf
         shift = np.zeros(3)
-        for turn in turns:
-            turned = in_axes(result, name, turn)
-            for step in _steps(first, turned, name, still=name in fixed):
-                candidate = with_origin(turned, name, step)
+        for rotation in rotations:
+            rotated = in_axes(result, name, rotation)
+            for step in _candidate_steps(first, rotated, name, still=name in fixed):
+                candidate = with_origin(rotated, name, step)
                 cost = digits_of(first, candidate, name, tolerances)
-                if cost < least - _GAIN:
-                    best, least, shift = candidate, cost, turn.T @ step
+                if cost < least_cost - _MIN_SAVED_BITS:
+                    best, least_cost, shift = candidate, cost, rotation.T @ step
         result = best
         if shift.any():
             moved[name] = shift
@@ -112,85 +114,93 @@ def _aligned(
 
 
 def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
-    """Returns tolerances of a hundredth."""
+    """Return a hundredth of the tolerances."""
     return Tolerances(
         **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
     )
 
 
 def count_digits(size: float, tolerance: float) -> float:
-    """Says how many binary digits a deviation has, above what is tolerated."""
+    """Return log2(1 + size / tolerance) of a deviation; 0 within the tolerance."""
     return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
 
 
-def digits_of(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:
-    """Says how many digits tell the differences of a joint, its body, and what that carries."""
-    total = _of_joint(one, two, name, tolerances)
-    for child in one.children(name):
-        if two.joints[child].parent == name:
-            total += _of_place(one.joints[child], two.joints[child], tolerances)
+def digits_of(
+    first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
+) -> float:
+    """Return the deviation [bits] of a joint, its body, and the placements of its children."""
+    total = _joint_bits(first, second, name, tolerances)
+    for child in first.children(name):
+        if second.joints[child].parent == name:
+            total += _placement_bits(first.joints[child], second.joints[child], tolerances)
     return total
 
 
-def digits_in_all(one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances) -> float:
-    """Says how many digits tell the differences of all joints and their bodies."""
-    return sum(_of_joint(one, two, name, tolerances) for name in one.joints)
+def digits_in_all(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> float:
+    """Return the deviation [bits] of all joints and their bodies."""
+    return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
 
-def _of_joint(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:
-    """Says how many digits tell the differences of a joint, its body and its frames."""
-    total = _of_place(one.joints[name], two.joints[name], tolerances)
-    total += count_digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
-    total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
-    for frame in one.carried_by(name):
-        owner, other = two.frames[frame]
+def _joint_bits(
+    first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
+) -> float:
+    """Return the deviation [bits] of a joint, its body and its frames."""
+    total = _placement_bits(first.joints[name], second.joints[name], tolerances)
+    total += count_digits(
+        _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
+    )
+    total += digits_of_body(first.bodies[name], second.bodies[name], tolerances)
+    for frame in first.carried_by(name):
+        owner, position = second.frames[frame]
         if owner == name:
-            apart = float(np.linalg.norm(other - one.frames[frame][1]))
-            total += count_digits(apart, tolerances.position)
+            distance = float(np.linalg.norm(position - first.frames[frame][1]))
+            total += count_digits(distance, tolerances.position)
     return total
 
 
-def digits_of_body(one: TreeBody, two: TreeBody, tolerances: Tolerances) -> float:
-    """Says how many digits tell the differences of two coms and inertias; none without mass."""
-    if not (one.mass and two.mass):
+def digits_of_body(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
+    """Return the deviation [bits] of the CoM and inertia of two bodies; 0 if a body has no mass."""
+    if not (first.mass and second.mass):
         return 0.0
-    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
-    apart = float(np.abs(two.inertia - one.inertia).max()) / size
-    total = count_digits(float(np.linalg.norm(two.com - one.com)), tolerances.com)
-    return total + count_digits(apart, tolerances.inertia)
+    scale = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)
+    relative_deviation = float(np.abs(second.inertia - first.inertia).max()) / scale
+    total = count_digits(float(np.linalg.norm(second.com - first.com)), tolerances.com)
+    return total + count_digits(relative_deviation, tolerances.inertia)
 
 
-def _of_place(one: TreeJoint, two: TreeJoint, tolerances: Tolerances) -> float:
-    apart = float(np.linalg.norm(two.position - one.position))
-    angle = float(np.linalg.norm(pin.log3(one.rotation.T @ two.rotation)))
-    return count_digits(apart, tolerances.position) + count_digits(angle, tolerances.rotation)
+def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
+    """Return the deviation [bits] of position and rotation of two joints."""
+    distance = float(np.linalg.norm(second.position - first.position))
+    angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
+    return count_digits(distance, tolerances.position) + count_digits(angle, tolerances.rotation)
 
 
-def _angle(one: Array, two: Array) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(one, two))), float(one @ two))
+def _angle_between(first: Array, second: Array) -> float:
+    """Return the angle [rad] between two vectors (3,)."""
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
-def _turns(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
-    """Yields the turns of a body's frame that come into question.
+def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
+    """Yield candidate rotations (3, 3) of a body frame.
 
-    None; that to the other's frame; and, where the limits say that the zero angles differ, that to
-    a frame which differs from the other's by the joint's angle alone.
+    The identity; the rotation to the other frame; and, if the limits show that the zero angles
+    differ, the rotation to a frame that differs from the other by the joint angle only.
     """
-    one, two = first.joints[name], second.joints[name]
+    first_joint, second_joint = first.joints[name], second.joints[name]
     yield np.eye(3)
-    full = one.rotation.T @ two.rotation
+    full = first_joint.rotation.T @ second_joint.rotation
     yield full
-    if one.slides or float(one.axis @ (full @ two.axis)) < 0.99:
+    if first_joint.slides or float(first_joint.axis @ (full @ second_joint.axis)) < 0.99:
         return
-    offset = offset_of_limits(one, two)
+    offset = offset_of_limits(first_joint, second_joint)
     if offset:
-        yield pin.exp3(-offset * one.axis) @ full
+        yield pin.exp3(-offset * first_joint.axis) @ full
 
 
-def _places(
+def _matching_points(
     first: MultibodyTree, second: MultibodyTree, name: str
 ) -> Iterator[tuple[Array, Array]]:
-    """Yields places on a body, in both: coms, children's places, frames."""
+    """Yield pairs of points (3,) on a body in both trees: CoM, origins of children, frames."""
     yield first.bodies[name].com, second.bodies[name].com
     for child in first.children(name):
         if second.joints[child].parent == name:
@@ -201,45 +211,51 @@ def _places(
             yield first.frames[frame][1], position
 
 
-def offset_of_limits(one: TreeJoint, two: TreeJoint) -> float:
-    """Returns by how much the first's limits are above the second's; 0 if not both by the same."""
-    lower, upper = one.lower - two.lower, one.upper - two.upper
+def offset_of_limits(first: TreeJoint, second: TreeJoint) -> float:
+    """Return the offset between the limits of two joints [rad, m]; 0 if lower and upper differ."""
+    lower, upper = first.lower - second.lower, first.upper - second.upper
     if not (math.isfinite(lower) and math.isfinite(upper)):
         return 0.0
     return lower if math.isclose(lower, upper, rel_tol=1e-3, abs_tol=1e-4) else 0.0
 
 
-def _steps(
+def _candidate_steps(
     first: MultibodyTree, second: MultibodyTree, name: str, *, still: bool
 ) -> Iterator[Array]:
-    """Yields how far the origin of a joint may be moved, in the axes of its body.
+    """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of its body.
 
-    That of a hinge along its own axis, of a slide anywhere: to where the other's is, or so that
-    most of what is on the body is where it is on the other.
+    The origin of a hinge may move along the axis, that of a slide in any direction: to the other's
+    origin, or so that the median of the points on the body agrees.
     """
     yield np.zeros(3)
-    one, two = first.joints[name], second.joints[name]
-    apart = two.rotation.T @ (one.position - two.position)
-    inside = np.median([there - here for here, there in _places(first, second, name)], axis=0)
-    if not two.slides:
-        for step in (apart, inside):
-            yield float(two.axis @ step) * two.axis
+    first_joint, second_joint = first.joints[name], second.joints[name]
+    to_other_origin = second_joint.rotation.T @ (first_joint.position - second_joint.position)
+    median_offset = np.median(
+        [
+            other_position - position
+            for position, other_position in _matching_points(first, second, name)
+        ],
+        axis=0,
+    )
+    if not second_joint.slides:
+        for step in (to_other_origin, median_offset):
+            yield float(second_joint.axis @ step) * second_joint.axis
     elif not still:
-        yield apart
-        yield inside
-        yield apart - float(two.axis @ apart) * two.axis
+        yield to_other_origin
+        yield median_offset
+        yield to_other_origin - float(second_joint.axis @ to_other_origin) * second_joint.axis
 
 
-def in_axes(values: MultibodyTree, name: str, turn: Array) -> MultibodyTree:
-    """Describes the body that a joint moves in other axes: x' = turn x."""
+def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
+    """Express the body of a joint in rotated axes: x' = rotation x."""
     joint, joints = values.joints[name], dict(values.joints)
-    joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
+    joints[name] = replace(joint, rotation=joint.rotation @ rotation.T, axis=rotation @ joint.axis)
     changed = replace(values, joints=joints)
-    return in_body_frame(changed, name, turn, np.zeros(3))
+    return in_body_frame(changed, name, rotation, np.zeros(3))
 
 
 def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
-    """Describes the body that a joint moves from another origin, by a step in its own axes."""
+    """Express the body of a joint relative to an origin that is displaced by a step in its axes."""
     if not step.any():
         return values
     joint, joints = values.joints[name], dict(values.joints)
@@ -248,23 +264,28 @@ def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
     return in_body_frame(moved, name, np.eye(3), -step)
 
 
-def in_body_frame(values: MultibodyTree, name: str, turn: Array, shift: Array) -> MultibodyTree:
-    """Describes a body and what it carries in a new frame of it: x' = turn x + shift."""
+def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Array) -> MultibodyTree:
+    """Express a body and its children in a new frame of the body: x' = rotation x + shift."""
     joints, body = dict(values.joints), values.bodies[name]
     for child in values.children(name):
-        carried = joints[child]
+        child_joint = joints[child]
         joints[child] = replace(
-            carried, position=turn @ carried.position + shift, rotation=turn @ carried.rotation
+            child_joint,
+            position=rotation @ child_joint.position + shift,
+            rotation=rotation @ child_joint.rotation,
         )
-    inertia = turn @ body.inertia @ turn.T
-    bodies = {**values.bodies, name: replace(body, com=turn @ body.com + shift, inertia=inertia)}
+    inertia = rotation @ body.inertia @ rotation.T
+    bodies = {
+        **values.bodies,
+        name: replace(body, com=rotation @ body.com + shift, inertia=inertia),
+    }
     frames = {
-        frame: (owner, turn @ position + shift if owner == name else position)
+        frame: (owner, rotation @ position + shift if owner == name else position)
         for frame, (owner, position) in values.frames.items()
     }
     return replace(values, joints=joints, bodies=bodies, frames=frames)
 
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
-    """Describes a robot from another frame of its base: x' = pose x."""
+    """Express a robot in another frame of the base: x' = pose x."""
     return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

@@ -1,8 +1,8 @@
-"""What two files may mean by the same coordinate: where the base's frame is, where angles are zero.
+"""Detection of different conventions in two files: frame of the base, and zero angles of joints.
 
-Both are conventions: a robot is the same however they are chosen. But its qpos is not. So a frame
-of the base that is placed elsewhere, and a joint whose zero is elsewhere (with its limits moved
-along), is found here, taken out of the comparison, and told as the one difference that it is.
+Both conventions do not affect the robot, but its qpos. A displaced frame of the base, and a joint
+with a displaced zero (and displaced limits), are detected, removed from the comparison, and
+reported as a single difference.
 """
 
 from __future__ import annotations
@@ -38,20 +38,23 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
-_GAIN = 3.0  # bits that another frame of the base must save
+_MIN_SAVED_BITS = 3.0
+"""Minimum decrease of the deviation [bits] for another frame of the base."""
 
-_TRIED = 6  # joints on the base whose frames are tried as a hint to where its own is
+_MAX_JOINTS_TRIED = 6
+"""Maximum number of joints on the base from whose frames a pose of the base frame is derived."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conventions:
-    """How the MJCF's coordinates differ from the URDF's, for one and the same robot.
+    """Differences between the coordinates of a URDF and an MJCF of the same robot.
 
     Attributes:
-        base: Pose of the URDF's base frame in the MJCF's; None if they are the same.
-        shown: Whether the base's body, several joints on it, or the same limits of the one joint
-            show that its frame is elsewhere; else it might as well be that joint's zero.
-        zeros: {joint: q in the URDF less q in the MJCF (rad or m)} where that is not 0.
+        base: Pose of the URDF's base frame in the MJCF's; None if equal.
+        shown: Whether the displaced base frame is confirmed by the body of the base, by several
+            joints on it, or by equal limits of the single joint. Otherwise, the zero of that joint
+            may be displaced.
+        zeros: {joint: q in the URDF minus q in the MJCF [rad, m]}, if not 0.
     """
 
     base: pin.SE3 | None = None
@@ -59,7 +62,7 @@ class Conventions:
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def done(self, values: MultibodyTree) -> MultibodyTree:
-        """Returns a robot, given in the URDF's conventions, in the MJCF's."""
+        """Convert a robot from the conventions of the URDF to those of the MJCF."""
         if self.base is not None:
             values = with_base(values, self.base)
         for name, offset in self.zeros.items():
@@ -70,71 +73,86 @@ class Conventions:
 def find_conventions(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> Conventions:
-    """Finds how the conventions of two trees differ.
+    """Return the differences between the conventions of two trees.
 
     Args:
-        first: The URDF's joints and bodies, in its base's frame.
-        second: The MJCF's, in that of its base.
-        tolerances: What counts as a difference.
-        fixed: Whether the base is fixed: then where it stands is no property of the robot, and a
-            quarter turn of its frame is taken for one even if the base has no mass to show it.
+        first: Tree of the URDF, in the frame of its base.
+        second: Tree of the MJCF, in the frame of its base.
+        tolerances: Tolerances of the comparison.
+        fixed: Whether the base is fixed. Its world pose is then no property of the robot, and a
+            rotation by quarter turns is accepted even without mass of the base.
     """
-    base = _base(first, second, tolerances, fixed=fixed)
+    base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
     in_place = align_frames(second, placed, tolerances).values
     if base is not None:
-        # What is on the base must not have to pay for it further out.
-        as_it_is = align_frames(second, first, tolerances).values
-        message = digits_in_all(first, as_it_is, tolerances)
-        if message < digits_in_all(placed, in_place, tolerances):
-            base, placed, in_place = None, first, as_it_is
+        # A new base frame must not increase the deviation of the whole tree.
+        unchanged = align_frames(second, first, tolerances).values
+        bits_as_is = digits_in_all(first, unchanged, tolerances)
+        if bits_as_is < digits_in_all(placed, in_place, tolerances):
+            base, placed, in_place = None, first, unchanged
     first, second = placed, in_place
     zeros = {}
     for name, joint in first.joints.items():
-        offset = _zero(first, second, name, tolerances)
+        offset = _find_zero_offset(first, second, name, tolerances)
         if offset and joint.parent == second.joints[name].parent:
             zeros[name] = offset
-    return Conventions(base, _shown(first, second, tolerances), zeros)
+    return Conventions(base, _is_base_displaced(first, second, tolerances), zeros)
 
 
-def _shown(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
-    """Tells whether it is the base's frame that is elsewhere, and not the zero of a joint on it."""
+def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
+    """Return True if the base frame is displaced, and not the zero of a single joint on it."""
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
     if len(names) > 1 or all(body.mass for body in bodies):
         return True
-    one, two = (tree.joints[name] for tree in (first, second) for name in names)
-    # The limits would have moved with the zero; of a whole turn and more they say nothing.
-    apart = max(abs(one.lower - two.lower), abs(one.upper - two.upper))
-    return bool(one.upper - one.lower < 2 * math.pi and apart <= tolerances.limit)
+    first_joint, second_joint = (tree.joints[name] for tree in (first, second) for name in names)
+    # Limits move with the zero. A range of a full turn or more gives no information.
+    limit_difference = max(
+        abs(first_joint.lower - second_joint.lower), abs(first_joint.upper - second_joint.upper)
+    )
+    return bool(
+        first_joint.upper - first_joint.lower < 2 * math.pi and limit_difference <= tolerances.limit
+    )
 
 
-def _zero(first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances) -> float:
-    """Returns how far a joint's zero is off if its limits are off by as much; else 0."""
-    one, two = first.joints[name], second.joints[name]
-    if one.slides != two.slides or float(one.axis @ two.axis) < 1 - tolerances.axis:
+def _find_zero_offset(
+    first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
+) -> float:
+    """Return the offset of a joint's zero [rad, m] if its limits have the same, otherwise 0."""
+    first_joint, second_joint = first.joints[name], second.joints[name]
+    if (
+        first_joint.slides != second_joint.slides
+        or float(first_joint.axis @ second_joint.axis) < 1 - tolerances.axis
+    ):
         return 0.0
-    if one.slides:
-        step = one.rotation.T @ (two.position - one.position)
-        offset, tolerance = float(one.axis @ step), tolerances.position
-        off = float(np.linalg.norm(step - offset * one.axis))
+    if first_joint.slides:
+        step = first_joint.rotation.T @ (second_joint.position - first_joint.position)
+        offset, tolerance = float(first_joint.axis @ step), tolerances.position
+        residual = float(np.linalg.norm(step - offset * first_joint.axis))
     else:
-        turn = pin.log3(one.rotation.T @ two.rotation)
-        offset, tolerance = float(one.axis @ turn), tolerances.rotation
-        off = float(np.linalg.norm(turn - offset * one.axis))
-    if abs(offset) <= tolerance or off > max(tolerance, 1e-3 * abs(offset)):
+        rotation_vector = pin.log3(first_joint.rotation.T @ second_joint.rotation)
+        offset, tolerance = float(first_joint.axis @ rotation_vector), tolerances.rotation
+        residual = float(np.linalg.norm(rotation_vector - offset * first_joint.axis))
+    if abs(offset) <= tolerance or residual > max(tolerance, 1e-3 * abs(offset)):
         return 0.0
-    said = [one.lower, one.upper, two.lower, two.upper]
-    if not any(math.isfinite(limit) for limit in said):
+    limits = [first_joint.lower, first_joint.upper, second_joint.lower, second_joint.upper]
+    if not any(math.isfinite(limit) for limit in limits):
         return offset
-    shift = offset_of_limits(one, two)
-    # An angle is known but for full turns.
-    turns = 0.0 if one.slides else 2 * math.pi * round((shift - offset) / (2 * math.pi))
-    return offset + turns if shift and abs(shift - offset - turns) <= tolerances.limit else 0.0
+    shift = offset_of_limits(first_joint, second_joint)
+    # The rotation determines the angle up to full turns.
+    full_turns = (
+        0.0 if first_joint.slides else 2 * math.pi * round((shift - offset) / (2 * math.pi))
+    )
+    return (
+        offset + full_turns
+        if shift and abs(shift - offset - full_turns) <= tolerances.limit
+        else 0.0
+    )
 
 
 def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
-    """Describes a robot with a coordinate that is smaller by an offset, in the same pose."""
+    """Express a robot with q' = q - offset of a joint, without changing the pose."""
     joint = values.joints[name]
     position, rotation = joint.position, joint.rotation
     if joint.slides:
@@ -151,70 +169,76 @@ def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
     return replace(values, joints={**values.joints, name: moved})
 
 
-def _base(
+def _find_base_pose(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
-    """Returns the pose of the first's base frame in the second's, if they are not the same."""
+    """Return the pose of the first's base frame in the second's; None if equal or undetermined."""
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
         return None
-    body, joints = _digits_at_base(first, second, tolerances)
+    body, joints = _base_deviation(first, second, tolerances)
     if min(joints) == 0:
-        return None  # a joint is where it is in the other: so is the base's frame
-    least = body + sum(joints)
-    best, still = None, least
-    for pose in _poses(first, second):
+        return None  # a joint has the same placement, so the base frames are equal
+    total = body + sum(joints)
+    best, best_cost = None, total
+    for pose in _candidate_base_poses(first, second):
         angle = float(np.linalg.norm(pin.log3(pose.rotation)))
-        apart = float(np.linalg.norm(pose.translation))
-        own = count_digits(apart, tolerances.position) + count_digits(angle, tolerances.rotation)
-        if own == 0:
+        distance = float(np.linalg.norm(pose.translation))
+        pose_bits = count_digits(distance, tolerances.position) + count_digits(
+            angle, tolerances.rotation
+        )
+        if pose_bits == 0:
             continue
-        body, joints = _digits_at_base(with_base(first, pose), second, tolerances)
+        body, joints = _base_deviation(with_base(first, pose), second, tolerances)
         cost = body + sum(joints)
-        # What it explains must be more than what it takes to state it, and most of what there is.
-        said = cost + own
-        turned = fixed and apart <= tolerances.position and _is_quarter(pose.rotation)
-        enough = said < 0.6 * least or (cost == 0 and said < least - _GAIN)
-        if enough and said < still:
-            best, still = pose, said
-        elif turned and cost == 0 and best is None:
+        # Including its own size, the pose must leave less than 60 % of the deviation, or explain
+        # the whole deviation and save bits.
+        total_cost = cost + pose_bits
+        is_rotation_only = (
+            fixed and distance <= tolerances.position and _is_axis_permutation(pose.rotation)
+        )
+        is_better = total_cost < 0.6 * total or (cost == 0 and total_cost < total - _MIN_SAVED_BITS)
+        if is_better and total_cost < best_cost:
+            best, best_cost = pose, total_cost
+        elif is_rotation_only and cost == 0 and best is None:
             best = pose
     return best
 
 
-def _digits_at_base(
+def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Says how many digits tell the differences of the base's body, and of each joint on it."""
+    """Return the deviations [bits] of the body of the base, and of each joint on the base."""
     body = digits_of_body(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)
     second = align_frames(second, first, tolerances, only=names).values
     return body, [digits_of(first, second, name, tolerances) for name in names]
 
 
-def _is_quarter(rotation: Array) -> bool:
+def _is_axis_permutation(rotation: Array) -> bool:
+    """Return True if a rotation (3, 3) maps the axes onto each other."""
     return bool(np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6))
 
 
-def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
-    """Yields where the first's base frame may be in the second's."""
+def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
+    """Yield candidate poses of the first's base frame in the second's."""
     names = first.children(first.base)
-    for name in names[:_TRIED]:
-        one, two = first.joints[name], second.joints[name]
-        yield two.placement * one.placement.inverse()
-    here = np.array([first.joints[name].position for name in names])
-    there = np.array([second.joints[name].position for name in names])
+    for name in names[:_MAX_JOINTS_TRIED]:
+        first_joint, second_joint = first.joints[name], second.joints[name]
+        yield second_joint.placement * first_joint.placement.inverse()
+    positions = np.array([first.joints[name].position for name in names])
+    other_positions = np.array([second.joints[name].position for name in names])
     bases = [values.bodies[values.base] for values in (first, second)]
     if all(base.mass and np.isfinite(base.com).all() for base in bases):
-        here = np.vstack([here, bases[0].com])
-        there = np.vstack([there, bases[1].com])
-    for turn in quarter_turns():
-        yield pin.SE3(turn, np.zeros(3))
-        yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
+        positions = np.vstack([positions, bases[0].com])
+        other_positions = np.vstack([other_positions, bases[1].com])
+    for rotation in quarter_turns():
+        yield pin.SE3(rotation, np.zeros(3))
+        yield pin.SE3(rotation, other_positions.mean(axis=0) - rotation @ positions.mean(axis=0))
 
 
 def quarter_turns() -> Iterator[Array]:
-    """Yields the 24 rotations that map the axes onto each other."""
+    """Yield the 24 rotations (3, 3) that map the axes onto each other."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
@@ -225,24 +249,24 @@ def quarter_turns() -> Iterator[Array]:
 
 
 def take_conventions(
-    root: etree._Element, link: str, found: Conventions, first: MultibodyTree
+    root: etree._Element, link: str, conventions: Conventions, first: MultibodyTree
 ) -> None:
-    """Gives a URDF the MJCF's conventions, in place: another base frame, other zeros.
+    """Convert a URDF to the conventions of the MJCF, in place: base frame and zeros.
 
     Args:
-        root: Its XML.
-        link: Its root link.
-        found: The conventions.
-        first: Its joints, as they were.
+        root: Root element.
+        link: Root link.
+        conventions: Conventions.
+        first: Tree of the URDF before the conversion.
     """
     tree = UrdfTree(root)
-    if found.base is not None:
+    if conventions.base is not None:
         inertial = tree.links[link].inertial
         below = [joint.element for joint in tree.below.get(link, ())]
         for element in below if inertial is None else [*below, inertial]:
-            set_origin(element, found.base * origin_of(element))
+            set_origin(element, conventions.base * origin_of(element))
     for name, mover in tree.joints.items():
-        joint, offset = mover.element, found.zeros.get(name)
+        joint, offset = mover.element, conventions.zeros.get(name)
         if offset:
             axis, slides = first.joints[name].axis, first.joints[name].slides
             step = (
@@ -258,14 +282,14 @@ def take_conventions(
 
 
 def describe_pose(pose: pin.SE3) -> Diagnostic:
-    """Says where a frame is in another."""
-    turn = pin.log3(pose.rotation)
-    angle = float(np.linalg.norm(turn))
-    away = float(np.linalg.norm(pose.translation)) > 1e-9
+    """Return a diagnostic of a pose: translation, and angle and axis of the rotation."""
+    rotation_vector = pin.log3(pose.rotation)
+    angle = float(np.linalg.norm(rotation_vector))
+    is_translated = float(np.linalg.norm(pose.translation)) > 1e-9
     parts = []
-    if away:
+    if is_translated:
         parts.append(diagnose("pose-at", at=Vector.rounded(pose.translation, "m")))
     if angle > 1e-9:
-        axis = Vector.rounded(turn / angle)
+        axis = Vector.rounded(rotation_vector / angle)
         parts.append(diagnose("pose-turned", angle=Quantity(angle, "rad"), axis=axis))
     return diagnose("pose", parts=parts)

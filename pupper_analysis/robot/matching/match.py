@@ -1,6 +1,9 @@
-"""Brings a URDF and an MJCF of one robot to the same base, the same joints and the same names.
+"""Matching of a URDF and an MJCF of one robot: same base, same joints, same names.
 
-Parts that one file has and the other lacks (a gripper, a tail, a head) are left out, and said.
+Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Objects of a scene are
+removed from the MJCF, joints are paired, joints in only one file are fixed at zero, and the URDF is
+converted to the conventions of the MJCF. Parts in only one file (gripper, tail, head) are removed
+if the masses indicate that the other file lacks these, and reported.
 """
 
 from __future__ import annotations
@@ -63,13 +66,13 @@ from pupper_analysis.robot.robot import Robot
 
 @dataclass(frozen=True)
 class RemovablePart:
-    """A subtree with joints that the other file lacks, as it may be taken off.
+    """Subtree with joints that the other file lacks.
 
     Attributes:
-        root: The link or body that goes, with all below it.
-        carrier: The moving joint that carries it, by its name in the file; "" for the base.
-        joints: The joints in it.
-        mass: Of all of it (kg).
+        root: Link or body at the root of the subtree.
+        carrier: Moving joint that carries the part, as named in the file; "" for the base.
+        joints: Joints of the part.
+        mass: Mass [kg] of the part.
     """
 
     root: str
@@ -79,7 +82,7 @@ class RemovablePart:
 
 
 def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
-    """Tells what one file has and the other lacks."""
+    """Return the diagnostic of a part that one file contains and the other lacks."""
     return diagnose(
         "part-of-one-file",
         subject=("link" if has == "URDF" else "body", part.root),
@@ -92,38 +95,53 @@ def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
 
 
 Ways = list[tuple[str, list[list[RemovablePart]]]]
-"""Carriers, and what may be taken off each, the least first."""
+"""(carrier, alternative lists of removable parts, from small to large) of each carrier."""
 
 
 def ways_off(tree: ModelTree, extra: Collection[str]) -> Ways:
-    """Returns each carrier of joints that the other file lacks, and the ways to take these off it.
+    """Return the carriers of joints that the other file lacks, and alternatives to remove these.
 
-    The parts as they move come first, and then with more and more of what holds them.
+    The first alternative of a carrier contains the moving parts; further alternatives include more
+    of the fixed parts between these and the carrier.
+
+    Args:
+        tree: Tree of the file.
+        extra: Joints that the other file lacks.
     """
     chains: dict[str, list[list[RemovablePart]]] = {}
     for name in tree.names:
         link: str | None = name if set(tree.movers(name)) & set(extra) else None
         chain: list[RemovablePart] = []
-        while link is not None and (part := _part(tree, link, extra)) is not None:
+        while link is not None and (part := _make_part(tree, link, extra)) is not None:
             chain.append(part)
-            up = tree.parent(link)
-            link = up if up is not None and not tree.movers(up) and tree.parent(up) else None
-        if chain and chain[0].carrier not in extra:  # else it goes with that
+            parent = tree.parent(link)
+            link = (
+                parent
+                if parent is not None and not tree.movers(parent) and tree.parent(parent)
+                else None
+            )
+        if chain and chain[0].carrier not in extra:  # otherwise it is removed with its carrier
             chains.setdefault(chain[0].carrier, []).append(chain)
     ways = []
-    for carrier, those in chains.items():
-        listed = []
-        for level in range(max(map(len, those))):
-            parts = dict.fromkeys(each[min(level, len(each) - 1)] for each in those)
-            listed.append(
-                [one for one in parts if not any(set(one.joints) < set(o.joints) for o in parts)]
+    for carrier, part_chains in chains.items():
+        alternatives = []
+        for level in range(max(map(len, part_chains))):
+            parts = dict.fromkeys(
+                part_chain[min(level, len(part_chain) - 1)] for part_chain in part_chains
             )
-        ways.append((carrier, listed))
+            alternatives.append(
+                [
+                    part
+                    for part in parts
+                    if not any(set(part.joints) < set(other.joints) for other in parts)
+                ]
+            )
+        ways.append((carrier, alternatives))
     return ways
 
 
-def _part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Returns what is on a link with the link itself, if none of its joints is the other file's."""
+def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
+    """Return the subtree of a link; None if the other file contains one of its joints."""
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
     if any(joint not in extra for joint in joints):
@@ -141,54 +159,65 @@ def take_off(
     ways: tuple[Ways, Ways],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
-    """Takes off what one file has and the other lacks, where masses say so; returns what it is.
+    """Remove parts that the other file lacks, in place; return their diagnostics.
 
-    So much goes that the carrier's mass comes nearest to the other file's: nothing, if that is
-    nearest with all of it left on, at rest.
+    For each carrier, the alternative (or no removal) is selected for which the carrier's mass is
+    nearest to that in the other file.
+
+    Args:
+        trees: Trees of URDF and MJCF.
+        files: URDF and MJCF.
+        ways: Alternatives for both files, from ``ways_off``.
+        pairs: {joint in the URDF: joint in the MJCF}.
     """
     if not any(ways):
         return []
-    one, two = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
-    said = []
-    for tree, of_carriers, here, there, words in (
-        (trees[0], ways[0], one, two, ("URDF", "MJCF")),
-        (trees[1], ways[1], two, one, ("MJCF", "URDF")),
+    urdf, mjcf = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
+    notes = []
+    for tree, alternatives_by_carrier, own_tree, other_tree, file_types in (
+        (trees[0], ways[0], urdf, mjcf, ("URDF", "MJCF")),
+        (trees[1], ways[1], mjcf, urdf, ("MJCF", "URDF")),
     ):
-        for carrier, listed in of_carriers:
-            name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
-            if name not in here.bodies or name not in there.bodies:
+        for carrier, alternatives in alternatives_by_carrier:
+            name = pairs.get(carrier, carrier) if file_types[0] == "URDF" else carrier
+            if name not in own_tree.bodies or name not in other_tree.bodies:
                 continue
-            short = here.bodies[name].mass - there.bodies[name].mass
-            left = [abs(short - sum(part.mass for part in parts)) for parts in ([], *listed)]
-            # The least that does as well, to a milligram.
-            best = next(number for number, off in enumerate(left) if off <= min(left) + 1e-6)
-            for part in ([], *listed)[best]:
-                said.append(tell_lacking(part, *words))
+            excess = own_tree.bodies[name].mass - other_tree.bodies[name].mass
+            remaining = [
+                abs(excess - sum(part.mass for part in parts)) for parts in ([], *alternatives)
+            ]
+            # The smallest alternative within a milligram of the best.
+            best_index = next(
+                index for index, mass in enumerate(remaining) if mass <= min(remaining) + 1e-6
+            )
+            for part in ([], *alternatives)[best_index]:
+                notes.append(tell_lacking(part, *file_types))
                 tree.remove_subtree(part.root)
-    return said
+    return notes
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """A URDF and an MJCF that have been matched.
+    """Matched URDF and MJCF.
 
     Attributes:
-        robot: Both as one robot, with the MJCF's joint names.
-        urdf_joint: {joint: its name in the URDF}.
-        urdf_link: {base or joint: the URDF's link that it moves}.
-        mjcf_body: {base or joint: the MJCF's body that it moves}.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
-            the same but for prefixes and suffixes.
-        only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
-        only_mjcf: Joints that the URDF does not have; likewise.
-        notes: What was assumed or left out.
-        reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
-            lacks, these are fixed at zero.
-        mimics: The joints that follow others in the URDF.
-        conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
-        parts: What one file has and the other lacks, and was taken off.
-        unstated: {"damping" or "friction": joints for which the URDF does not state it, and was
-            given the MJCF's}.
+        robot: Robot of both files, with the joint names of the MJCF.
+        urdf_joint: {joint: name in the URDF}.
+        urdf_link: {base or joint: link of the URDF that it moves}.
+        mjcf_body: {base or joint: body of the MJCF that it moves}.
+        guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
+            by names without affixes.
+        only_urdf: Joints that the MJCF lacks; fixed at zero for the comparison.
+        only_mjcf: Joints that the URDF lacks; fixed at zero for the comparison.
+        notes: Diagnostics of assumptions and omissions.
+        reference: Model of the MJCF with its whole scene. Joints that the URDF lacks are fixed at
+            zero.
+        mimics: Mimic joints of the URDF.
+        conventions: Conventions of the MJCF to which the URDF was converted: base frame, zeros of
+            joints.
+        parts: Diagnostics of removed parts that one file lacks.
+        unstated: {"damping" or "friction": joints with the MJCF's value, because the URDF has
+            none}.
     """
 
     robot: Robot
@@ -207,14 +236,14 @@ class Match:
 
     @cached_property
     def urdf_tree(self) -> UrdfTree:
-        """The links and joints of the URDF as it was matched."""
+        """Links and joints of the URDF as matched."""
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
-        """Returns where the numbers stand in the two files that were matched."""
+        """Return the locations of the values in the two matched files."""
         base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
         frames = self.robot.description.frames
-        one = UrdfSources(
+        urdf_sources = UrdfSources(
             file=urdf,
             tree=self.urdf_tree,
             links=self.urdf_link,
@@ -222,14 +251,14 @@ class Match:
             frames={name: link for name, (link, _) in frames.items()},
             base=base,
         )
-        two = MjcfSources(
+        mjcf_sources = MjcfSources(
             file=mjcf,
             model=self.robot.mj_model,
             bodies=self.mjcf_body,
             frames={name: site for name, (_, site) in frames.items()},
             base=base,
         )
-        return one, two
+        return urdf_sources, mjcf_sources
 
 
 def match_models(
@@ -242,60 +271,60 @@ def match_models(
     tolerances: Tolerances | None = None,
     strict: bool = False,
 ) -> Match:
-    """Matches joints and frames by name, then by ``names``, and the rest by structure.
+    """Match joints and frames of a URDF and an MJCF by ``names``, by name, and by structure.
 
-    Dummy root links, and a floating joint at the base, are left out of the URDF. A joint that only
-    one file has is fixed at zero. Where the MJCF's base is fixed, so is the URDF's.
+    Massless root links and a floating joint at the base are removed from the URDF. Joints in only
+    one file are fixed at zero. If the base of the MJCF is fixed, so is that of the URDF.
 
     Args:
         urdf: The URDF.
         mjcf: The MJCF.
         names: {name in the URDF: name in the MJCF} of joints or frames.
-        feet: Frames, by their names in the MJCF, to be compared as feet.
-        complete: Keep the URDF's shapes, and the parts that only one file has.
-        tolerances: What counts as a difference.
-        strict: Damping and friction that the URDF does not state are 0; else they are the MJCF's.
+        feet: Frames, as named in the MJCF, that are compared as feet.
+        complete: Whether to keep the URDF's shapes, and parts that only one file contains.
+        tolerances: Tolerances of the comparison.
+        strict: Whether missing damping and friction in the URDF are 0; otherwise the MJCF's values.
 
     Raises:
-        ModelError: If the two have no joint in common, one cannot be analysed, or (``complete``)
-            the MJCF closes loops and has joints that the URDF lacks.
-        UnknownNameError: If ``names`` or ``feet`` name what is not there.
+        ModelError: If the files have no joint in common, one cannot be analysed, or (with
+            ``complete``) the MJCF closes loops and has joints that the URDF lacks.
+        UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
-    taken, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
-    named = name_all(spec, taken)
-    joined = join_free_base(spec, stated=taken)
-    whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
-    dropped = drop_other_objects(spec, mjcf.path, root)
-    theirs, balls, held = list_hinges(spec, mjcf.path)
+    urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
+    naming_notes = name_all(spec, urdf_joint_names)
+    joined = join_free_base(spec, stated=urdf_joint_names)
+    scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
+    scene_notes = drop_other_objects(spec, mjcf.path, root)
+    mjcf_joints, balls, ball_notes = list_hinges(spec, mjcf.path)
     tree = mjcf_tree(spec, mjcf.path)
-    root, stripped = strip_roots(root, urdf.path, tree)
-    mine, others, fixed = moving_joints(root)
-    notes = [*urdf.notes, *mjcf.notes, *named, *([joined] if joined else [])]
-    notes += [*dropped, *held, *stripped, *fixed]
-    wanted = dict(names or {})
-    _check_names(wanted, (mine, root, urdf.path), (theirs, spec, mjcf.path))
-    found = pair_up(root, tree, (urdf.path, mjcf.path), (mine, theirs), wanted)
-    pairs, notes = found.pairs, [*notes, *found.notes]
+    root, root_notes = strip_roots(root, urdf.path, tree)
+    urdf_joints, other_urdf_joints, fixed_notes = moving_joints(root)
+    notes = [*urdf.notes, *mjcf.notes, *naming_notes, *([joined] if joined else [])]
+    notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
+    requested = dict(names or {})
+    _check_names(requested, (urdf_joints, root, urdf.path), (mjcf_joints, spec, mjcf.path))
+    matched = pair_up(root, tree, (urdf.path, mjcf.path), (urdf_joints, mjcf_joints), requested)
+    pairs, notes = matched.pairs, [*notes, *matched.notes]
     if is_fused(spec, pairs.values()):
         notes += take_mass_of_base(root, urdf.path)
-    only_urdf = (*others, *(name for name in mine if name not in pairs))
+    only_urdf = (*other_urdf_joints, *(name for name in urdf_joints if name not in pairs))
     partners = set(pairs.values())
-    only_mjcf = (*balls, *(name for name in theirs if name not in partners))
+    only_mjcf = (*balls, *(name for name in mjcf_joints if name not in partners))
     for key in list(spec.keys):
-        spec.delete(key)  # its size may no longer fit
+        spec.delete(key)  # the number of coordinates may have changed
     if complete:
         _refuse_loops(spec, only_mjcf, mjcf.path)
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
     ways = ways_off(sides[0], only_urdf), ways_off(sides[1], only_mjcf)
-    mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
-    # In a robot that shall stand, what one file lacks is weight: it stays.
+    mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
+    # For a stand, the weight of the parts matters, so these are kept.
     parts = [] if complete else take_off(sides, paths, ways, pairs)
-    own = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
-    models = whole, whole if joined else own
+    own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
+    models = scene_model, scene_model if joined else own_model
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else take_unstated(root, tree.joints, urdf.unknown, pairs)
-    frames = common_frames(root, spec, wanted)
+    frames = common_frames(root, spec, requested)
     _check_feet(feet, frames, urdf.path)
     description = Description(
         name=spec.modelname,
@@ -306,69 +335,73 @@ def match_models(
         contact_points={},
         frames={name: frames[name] for name in feet or frames},
     )
-    robot, meant, moved = _in_one_convention(root, description, tolerances or Tolerances())
+    robot, conventions, base_notes = _build_in_mjcf_convention(
+        root, description, tolerances or Tolerances()
+    )
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
         urdf_link=links_of(root, robot),
         mjcf_body=bodies_of(robot),
-        guessed=found.guessed,
+        guessed=matched.guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        notes=(*notes, *moved),
+        notes=(*notes, *base_notes),
         reference=Reference(
             robot.mj_model if only_mjcf else models[1],
-            robot.mj_model if only_mjcf else whole,
+            robot.mj_model if only_mjcf else scene_model,
             robot.joint_names,
             robot.mj_base,
         ),
-        mimics=_with_zeros(mimics, meant),
-        conventions=meant,
+        mimics=_shift_mimics(mimics, conventions),
+        conventions=conventions,
         parts=tuple(parts),
         unstated=unstated,
     )
 
 
 def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path) -> None:
-    """Raises UnknownNameError for a foot that is no frame of both files."""
+    """Raise an error for feet that are no frames of both files."""
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf, "frame of both files (for a foot)", foot, frames)
 
 
-def _in_one_convention(
+def _build_in_mjcf_convention(
     root: etree._Element, description: Description, tolerances: Tolerances
 ) -> tuple[Robot, Conventions, list[Diagnostic]]:
-    """Builds the robot, with the URDF in the MJCF's conventions; and tells how they differed."""
+    """Build the robot with the URDF in the conventions of the MJCF; report the differences."""
     robot = build_robot(description)
-    meant, notes = _conventions(robot, tolerances)
-    if meant.base is not None or meant.zeros:
-        take_conventions(root, robot.base, meant, kinematic_trees(robot)[0])
+    conventions, notes = _compare_conventions(robot, tolerances)
+    if conventions.base is not None or conventions.zeros:
+        take_conventions(root, robot.base, conventions, kinematic_trees(robot)[0])
         text = for_engines(root)
         robot = build_robot(replace(description, urdf=text))
-    return robot, meant, notes
+    return robot, conventions, notes
 
 
-def _conventions(robot: Robot, tolerances: Tolerances) -> tuple[Conventions, list[Diagnostic]]:
-    """Finds how the files' conventions differ, and tells where a fixed base stands."""
+def _compare_conventions(
+    robot: Robot, tolerances: Tolerances
+) -> tuple[Conventions, list[Diagnostic]]:
+    """Find the differences between the conventions of both files; report a fixed base's pose."""
     urdf, mjcf = kinematic_trees(robot)
     if robot.floating:
         return find_conventions(urdf, mjcf, tolerances, fixed=False), []
     pose, notes, base = base_pose(robot), [], ("body", robot.mj_base)
     if not pose.isIdentity(1e-9):
         notes.append(diagnose("fixed-base-stands", subject=base, pose=describe_pose(pose)))
-    one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
-    found = find_conventions(one, two, tolerances, fixed=True)
-    if found.base is not None and found.shown:
+    urdf_in_base, mjcf_in_base = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
+    conventions = find_conventions(urdf_in_base, mjcf_in_base, tolerances, fixed=True)
+    if conventions.base is not None and conventions.shown:
         notes.append(
-            diagnose("fixed-base-frame-moved", subject=base, pose=describe_pose(found.base))
+            diagnose("fixed-base-frame-moved", subject=base, pose=describe_pose(conventions.base))
         )
-    return found, notes
+    return conventions, notes
 
 
-def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
-    """Returns the couplings q = m q' + c in coordinates with other zeros."""
-    zeros = found.zeros
+def _shift_mimics(mimics: Mimics, conventions: Conventions) -> Mimics:
+    """Return the couplings q = m q' + c in coordinates with other zeros."""
+    zeros = conventions.zeros
     return {
         name: (
             leader,
@@ -384,45 +417,45 @@ def _check_names(
     urdf: tuple[Sequence[str], etree._Element, Path],
     mjcf: tuple[Sequence[str], mujoco.MjSpec, Path],
 ) -> None:
-    """Refuses a mapping of what is not there, or of two to one.
+    """Raise an error if a requested mapping contains unknown names, or maps two names to one.
 
     Args:
         wanted: {name in the URDF: name in the MJCF}.
-        urdf: The joints, the XML, and the file.
-        mjcf: The joints, the spec, and the file.
+        urdf: Joints, root element and file of the URDF.
+        mjcf: Joints, spec and file of the MJCF.
     """
-    (mine, root, source), (theirs, spec, target) = urdf, mjcf
+    (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
     links = UrdfTree(root).links
-    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
+    frame_names = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     for old, new in wanted.items():
-        if old not in mine and old not in links:
-            raise UnknownNameError(source, "joint or link (of a mapping)", old, mine)
-        if old in mine and old not in links and new not in theirs:
-            raise UnknownNameError(target, "joint (of a mapping)", new, theirs)
-        if new not in theirs and new not in places:
-            raise UnknownNameError(target, "joint or frame (of a mapping)", new, theirs)
+        if old not in urdf_joints and old not in links:
+            raise UnknownNameError(source, "joint or link (of a mapping)", old, urdf_joints)
+        if old in urdf_joints and old not in links and new not in mjcf_joints:
+            raise UnknownNameError(target, "joint (of a mapping)", new, mjcf_joints)
+        if new not in mjcf_joints and new not in frame_names:
+            raise UnknownNameError(target, "joint or frame (of a mapping)", new, mjcf_joints)
         rivals = [name for name, value in wanted.items() if value == new and name != old]
         if rivals:
-            both = (old, rivals[0])
-            raise ModelError(source, diagnose("names-mapped-to-one", names=both, other=new))
+            duplicates = (old, rivals[0])
+            raise ModelError(source, diagnose("names-mapped-to-one", names=duplicates, other=new))
 
 
-def _make_alike(
+def _unify_joints(
     root: etree._Element,
     spec: mujoco.MjSpec,
     pairs: Mapping[str, str],
     only_urdf: Collection[str],
     only_mjcf: Collection[str],
 ) -> Mimics:
-    """Fixes the joints that one side lacks, and gives the URDF's the MJCF's names; in place.
+    """Fix the joints that one file lacks, and rename the URDF's joints as in the MJCF, in place.
 
     Returns:
-        The joints that followed others in the URDF, by their new names; they move freely now.
+        The URDF's mimic joints, in the new names; their coupling is removed.
     """
-    theirs = {*pairs.values(), *only_mjcf}
+    mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
-        pairs[name]: (pairs.get(other, other), multiplier, offset)
-        for name, (other, multiplier, offset) in urdf_mimics(root).items()
+        pairs[name]: (pairs.get(leader, leader), multiplier, offset)
+        for name, (leader, multiplier, offset) in urdf_mimics(root).items()
         if name in pairs
     }
     tree = UrdfTree(root)
@@ -431,8 +464,8 @@ def _make_alike(
         if joint.name in only_mjcf:
             delete_joint(spec, joint)
     for name, joint in tree.joints.items():
-        # One that is left over must not take the name of another.
-        joint.element.set("name", pairs.get(name, f"{name} (URDF)" if name in theirs else name))
+        # An unmatched joint must not have the name of a joint of the MJCF.
+        joint.element.set("name", pairs.get(name, f"{name} (URDF)" if name in mjcf_names else name))
         joint.remove("mimic")
     return mimics
 
@@ -443,34 +476,39 @@ def take_unstated(
     unknown: Mapping[str, tuple[str, ...]],
     pairs: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
-    """Gives a URDF's joints the MJCF's damping and dry friction where it states none, in place.
+    """Copy damping and friction of the MJCF to joints of a URDF without these values, in place.
 
     Args:
-        root: The URDF, with the MJCF's names of joints.
-        theirs: The MJCF's joints.
-        unknown: What the URDF leaves open, see `UrdfFile.unknown`: its efforts become the MJCF's.
-        pairs: {joint in the URDF's file: in the MJCF}.
+        root: Root element of the URDF, with the MJCF's joint names.
+        theirs: Joints of the MJCF.
+        unknown: Unknown values of the URDF, see `UrdfFile.unknown`; unknown efforts are copied,
+            too.
+        pairs: {joint in the URDF file: joint in the MJCF}.
 
     Returns:
-        {``damping`` or ``friction``: the joints that were given it}.
+        {``damping`` or ``friction``: joints with copied values}.
     """
-    optional = [one for one in PASSIVE_ATTRIBUTES if one.in_both]
-    given: dict[str, list[str]] = {one.kind: [] for one in optional}
-    mine = [joint for joint in UrdfTree(root).joints.values() if not joint.is_fixed]
-    lacking = [joint for joint in mine if any(joint.stated(one) is None for one in optional)]
-    if not (lacking or unknown.get("effort")):
-        return dict.fromkeys(given, ())
+    optional = [attribute for attribute in PASSIVE_ATTRIBUTES if attribute.in_both]
+    copied: dict[str, list[str]] = {attribute.kind: [] for attribute in optional}
+    movable_joints = [joint for joint in UrdfTree(root).joints.values() if not joint.is_fixed]
+    incomplete = [
+        joint
+        for joint in movable_joints
+        if any(joint.stated(attribute) is None for attribute in optional)
+    ]
+    if not (incomplete or unknown.get("effort")):
+        return dict.fromkeys(copied, ())
     effort = BY_KIND["effort"]
     for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
         if name in theirs and math.isfinite(theirs[name].effort):
             UrdfTree(root).joints[name].state(effort, theirs[name].effort)
-    for joint in lacking:
-        for one in optional if joint.name in theirs else ():
-            value = float(getattr(theirs[joint.name], one.field))
-            if value and joint.stated(one) is None:
-                joint.state(one, value)
-                given[one.kind].append(joint.name)
-    return {kind: tuple(names) for kind, names in given.items()}
+    for joint in incomplete:
+        for attribute in optional if joint.name in theirs else ():
+            value = float(getattr(theirs[joint.name], attribute.field))
+            if value and joint.stated(attribute) is None:
+                joint.state(attribute, value)
+                copied[attribute.kind].append(joint.name)
+    return {kind: tuple(names) for kind, names in copied.items()}
 
 
 def take_unknown(
@@ -480,44 +518,53 @@ def take_unknown(
     unknown: Mapping[str, tuple[str, ...]],
     source: Path,
 ) -> list[Diagnostic]:
-    """Gives an MJCF's joints the URDF's numbers where its file leaves them open, in place.
+    """Copy values of the URDF to joints of an MJCF with unknown values, in place.
 
     Args:
-        root: The URDF, with the MJCF's names of joints.
+        root: Root element of the URDF, with the MJCF's joint names.
         spec: The MJCF.
-        models: What MuJoCo makes of it; they are given them, too.
+        models: Compiled models of the MJCF, which are modified as well.
         unknown: {kind: joints}, see `MjcfFile.unknown`.
-        source: The MJCF's file.
+        source: File of the MJCF.
 
     Returns:
-        What was given to which.
+        Diagnostics of the copied values.
     """
-    messages, mine = [], UrdfTree(root).joints
-    theirs = {joint.name: joint for joint in spec.joints}
+    notes, urdf_joints = [], UrdfTree(root).joints
+    mjcf_joints = {joint.name: joint for joint in spec.joints}
     for kind, names in unknown.items():
-        one = BY_KIND[kind]
-        stated = {name: mine[name].stated(one) for name in names if name in mine.keys() & theirs}
-        given = {name: float(value) for name, value in stated.items() if value is not None}
-        if kind == "effort":  # of 0 is how a URDF says that it states none
-            given = {name: value for name, value in given.items() if value > 0}
-        for name, value in given.items():
-            state_number(theirs[name], one, value)
-            for model in models if one.mujoco else ():
-                getattr(model, one.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
-        if given:
-            messages.append(
-                diagnose("unknown-taken-from-urdf", file=source.name, what=Term(kind), joints=given)
+        attribute = BY_KIND[kind]
+        texts = {
+            name: urdf_joints[name].stated(attribute)
+            for name in names
+            if name in urdf_joints.keys() & mjcf_joints
+        }
+        values = {name: float(value) for name, value in texts.items() if value is not None}
+        if kind == "effort":  # 0 means unspecified in a URDF
+            values = {name: value for name, value in values.items() if value > 0}
+        for name, value in values.items():
+            state_number(mjcf_joints[name], attribute, value)
+            for model in models if attribute.mujoco else ():
+                getattr(model, attribute.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
+        if values:
+            notes.append(
+                diagnose(
+                    "unknown-taken-from-urdf", file=source.name, what=Term(kind), joints=values
+                )
             )
-    return messages
+    return notes
 
 
-# The side of an MJCF in matching: names, what is not the robot, joints that go.
+# Normalisation of an MJCF for matching.
 
 
 def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
+    """Return the names of hinges and slides, and of ball joints, which are deleted, in place.
 
-    A URDF has no ball joints: what they carry is compared as it is at rest. The third says so.
+    A URDF has no ball joints; the bodies on these are compared in the zero pose.
+
+    Returns:
+        Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
     """
     names, balls = [], []
     for joint in list(spec.joints):
@@ -531,90 +578,102 @@ def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str]
     if not balls:
         return names, balls, []
     for key in list(spec.keys):
-        spec.delete(key)  # its size no longer fits
+        spec.delete(key)  # the number of coordinates has changed
     return names, balls, [diagnose("ball-joints-fixed", joints=balls)]
 
 
 def drop_other_objects(
     spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None
 ) -> list[Diagnostic]:
-    """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
+    """Delete the objects of a scene that do not belong to the robot, the largest tree of joints.
 
-    Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
-    has the name of one of the URDF's links; beside a free one, as part of its com. Limbs that stand
-    in the world itself, because the base was fused with it, are the robot's. (Without a URDF, of
-    two versions of an MJCF, neither is known.)
+    A table or a wall beside a robot with fixed base would count as part of the base, and is deleted
+    unless it contains a link name of the URDF. Beside a robot with a free base, static bodies
+    without a plane would affect the CoM. Limbs directly on the world, because the base was merged
+    with the world, belong to the robot. Without a URDF (two versions of an MJCF), neither link
+    names nor limbs are known.
+
+    Args:
+        spec: Spec to modify.
+        source: File, for messages.
+        urdf: Root element of the URDF, or None.
 
     Returns:
-        What was left out.
+        Diagnostics of the deleted bodies.
     """
-    kinds = mujoco.mjtObj
+    object_types = mujoco.mjtObj
     links, limbs = set[str](), set[str]()
     if urdf is not None:
         links = set(UrdfTree(urdf).links)
         limbs = {body.name for body in limbs_on_the_world(spec, urdf)}
-    size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
-    if not any(size.values()):
+    num_joints = {
+        body.name: len(body.find_all(object_types.mjOBJ_JOINT)) for body in spec.worldbody.bodies
+    }
+    if not any(num_joints.values()):
         raise ModelError(source, diagnose("no-joints"))
-    robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
+    robot = max(spec.worldbody.bodies, key=lambda body: num_joints[body.name])
     fixed = not any(joint.type == JointKind.FREE for joint in robot.joints)
     notes = []
     for body in list(spec.worldbody.bodies):
-        names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
-        # Beside a free robot nothing that stands in the world is of it, but for its ground.
+        names = {body.name, *(below.name for below in body.find_all(object_types.mjOBJ_BODY))}
+        # Beside a free robot, static bodies other than the ground are scenery.
         scenery = not body.mocap and not (names & links if fixed else _has_plane(body))
         if body.name in limbs and robot.name in limbs:
             continue
         if body.mocap:
-            _weightless(body)
-        if body.name != robot.name and (size[body.name] or scenery):
-            left = "body", body.name
-            notes.append(diagnose("body-left-out", subject=left, file=source.name, sources=source))
-            for eye in (*spec.cameras, *spec.lights):  # MuJoCo refuses those that follow nothing
-                if eye.targetbody in names:
-                    spec.delete(eye)
+            _remove_mass(body)
+        if body.name != robot.name and (num_joints[body.name] or scenery):
+            subject = "body", body.name
+            notes.append(
+                diagnose("body-left-out", subject=subject, file=source.name, sources=source)
+            )
+            # MuJoCo rejects cameras and lights whose target does not exist.
+            for element in (*spec.cameras, *spec.lights):
+                if element.targetbody in names:
+                    spec.delete(element)
             spec.delete(body)
     return notes
 
 
-def _weightless(body: mujoco.MjsBody) -> None:
-    """Takes the mass off a body that is moved by hand: a fixed base would count it as its own."""
-    for below in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
-        below.mass, below.inertia = 0.0, np.zeros(3)
-        for geom in below.geoms:
+def _remove_mass(body: mujoco.MjsBody) -> None:
+    """Set the mass of a mocap body to zero; a fixed base would include it."""
+    for part in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
+        part.mass, part.inertia = 0.0, np.zeros(3)
+        for geom in part.geoms:
             geom.mass = geom.density = 0.0
 
 
 def _has_plane(body: mujoco.MjsBody) -> bool:
+    """Return True if a body or a descendant has a plane."""
     geoms = body.find_all(mujoco.mjtObj.mjOBJ_GEOM)
     return any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in geoms)
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
-    """Returns the bodies of the world that move by the joints of a URDF: limbs without a base.
+    """Return the bodies on the world that move by joints of a URDF: limbs of a merged base.
 
-    MuJoCo makes that of a URDF: it fuses what does not move with the world. The joints are known
-    by their names, or their names without prefixes and suffixes.
+    MuJoCo's import of a URDF merges static bodies with the world. Joints are identified by name,
+    with or without affixes.
     """
-    mine = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
-    theirs = [joint.name for joint in spec.joints]
-    known = {*mine, *without_affixes(mine, theirs, {}).values()}
+    urdf_joints = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
+    mjcf_joints = [joint.name for joint in spec.joints]
+    joint_names = {*urdf_joints, *without_affixes(urdf_joints, mjcf_joints, {}).values()}
     return [
         body
         for body in spec.worldbody.bodies
-        if any(joint.name in known for joint in body.joints)
+        if any(joint.name in joint_names for joint in body.joints)
         and all(joint.type != JointKind.FREE for joint in body.joints)
     ]
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
-    """Tells whether the world is the base: whether one of some joints is between it and a body."""
-    there = (joint for body in spec.worldbody.bodies for joint in body.joints)
-    return any(j.name in joints and j.type != JointKind.FREE for j in there)
+    """Return True if one of some joints connects a body directly to the world: no separate base."""
+    world_joints = (joint for body in spec.worldbody.bodies for joint in body.joints)
+    return any(joint.name in joints and joint.type != JointKind.FREE for joint in world_joints)
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Returns {base or joint: the body that it moves}."""
+    """Return {base or joint: body that it moves}."""
     model = robot.mj_model
     bodies = {robot.base: robot.mj_base}
     for name in robot.joint_names:
@@ -625,16 +684,16 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 def mjcf_tree(
     spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
 ) -> multibody.MultibodyTree:
-    """Returns the parameters of an MJCF's joints and bodies, in the frame of its base.
+    """Return the multibody tree of an MJCF, in the frame of its base.
 
     Args:
-        spec: The MJCF; all its joints but a free one are named hinges or slides.
-        source: Where it came from, for messages.
-        base: What its base is called.
-        frames: Bodies and sites whose places count.
+        spec: The MJCF; all joints except a free one are named hinges or slides.
+        source: File, for messages.
+        base: Name of the base.
+        frames: Bodies and sites that become frames of the tree.
 
     Raises:
-        ModelError: If MuJoCo cannot compile it.
+        ModelError: If MuJoCo cannot compile the spec.
     """
     compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
@@ -650,17 +709,18 @@ def mjcf_tree(
     return with_base(tree, placement_of(data.xquat[body], data.xpos[body]).inverse())
 
 
-_CLOSING = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+_LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
-def _refuse_loops(spec: mujoco.MjSpec, gone: Collection[str], source: Path) -> None:
-    """Refuses loops, and couplings through joints that only the MJCF has: held, they would bind.
+def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
+    """Raise an error for loops, and for couplings with joints that the URDF lacks, if any.
 
-    A rod that is held at zero would hold the ankle that it turns.
+    With the latter fixed at zero, the constraints would block other joints: a rod at zero would
+    block the ankle that it drives.
     """
-    for equality in spec.equalities if gone else ():
-        ends = {equality.name1, equality.name2} - {""}
-        coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT and not ends.isdisjoint(gone)
-        coupled = coupled and not ends.issubset(gone)
-        if equality.active and (coupled or equality.type in _CLOSING):
-            raise ModelError(source, diagnose("loops-through-other-joints", joints=gone))
+    for equality in spec.equalities if fixed_joints else ():
+        names = {equality.name1, equality.name2} - {""}
+        is_coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT and not names.isdisjoint(fixed_joints)
+        is_coupled = is_coupled and not names.issubset(fixed_joints)
+        if equality.active and (is_coupled or equality.type in _LOOP_TYPES):
+            raise ModelError(source, diagnose("loops-through-other-joints", joints=fixed_joints))

@@ -1,4 +1,9 @@
-"""Which joints of two files are the same: by name, by part of it, by where they are."""
+"""Matching of the joints of two files: by name, by name without affixes, and by position and axis.
+
+Input: joints of a URDF and of an MJCF. Output: ``Pairs``. Requested pairs have priority, then equal
+names, then names without common prefixes and suffixes. The remaining joints are matched below
+matched parents if their axes are parallel and each is the nearest of the other.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,13 @@ from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Which joints are the same, which of them were matched otherwise than by name, and notes."""
+    """Matched joints.
+
+    Attributes:
+        pairs: {joint in the URDF: joint in the MJCF}.
+        guessed: Pairs that are neither requested nor have equal names.
+        notes: Diagnostics of joints with several candidates.
+    """
 
     pairs: dict[str, str]
     guessed: dict[str, str]
@@ -35,137 +46,171 @@ def pair_up(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Matches the joints: by ``wanted``, by name, by part of it, and by structure.
+    """Match the joints of two files.
+
+    Args:
+        root: Root element of the URDF.
+        tree: Tree of the MJCF.
+        files: URDF and MJCF.
+        joints: Names of the joints in both files.
+        wanted: {joint in the URDF: joint in the MJCF} requested by the user; may contain other
+            names.
 
     Raises:
-        ModelError: If fewer than half of the joints have a partner.
+        ModelError: If no joint matches, or fewer than half of the joints match, more than the
+            requested.
     """
-    mine, theirs = joints
-    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
-    message = len(pairs)
+    urdf_joints, mjcf_joints = joints
+    pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
+    num_requested = len(pairs)
     taken = set(pairs.values())
-    known, used = set(theirs), {*pairs, *taken}
-    pairs |= {name: name for name in mine if name in known and name not in used}
-    guessed = without_affixes(mine, theirs, pairs)
+    mjcf_names, used = set(mjcf_joints), {*pairs, *taken}
+    pairs |= {name: name for name in urdf_joints if name in mjcf_names and name not in used}
+    guessed = without_affixes(urdf_joints, mjcf_joints, pairs)
     pairs |= guessed
     guess = guess_of_trees(urdf_tree(root, files[0]), tree, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
-    choices = {one: others for one, others in guess.choices.items() if one not in pairs}
-    fewer = min(len(mine), len(theirs))
+    choices = {
+        urdf_joint: candidates
+        for urdf_joint, candidates in guess.choices.items()
+        if urdf_joint not in pairs
+    }
+    num_joints = min(len(urdf_joints), len(mjcf_joints))
     if not pairs and not choices:
-        problem = diagnose("no-joint-paired", other=files[1], urdf=mine, mjcf=theirs)
+        problem = diagnose("no-joint-paired", other=files[1], urdf=urdf_joints, mjcf=mjcf_joints)
         raise ModelError(files[0], problem)
-    if (2 * len(pairs) < fewer and len(pairs) > message) or not pairs:
+    if (2 * len(pairs) < num_joints and len(pairs) > num_requested) or not pairs:
         partners = set(pairs.values())
         raise ModelError(
             files[0],
             diagnose(
                 "too-few-joints-in-common",
                 count=len(pairs),
-                joints=fewer,
+                joints=num_joints,
                 other=files[1],
-                choices=[_options(one, others) for one, others in choices.items()],
-                alone=[name for name in mine if name not in {*pairs, *choices}],
-                free=[name for name in theirs if name not in partners],
+                choices=[
+                    _list_map_options(urdf_joint, candidates)
+                    for urdf_joint, candidates in choices.items()
+                ],
+                alone=[name for name in urdf_joints if name not in {*pairs, *choices}],
+                free=[name for name in mjcf_joints if name not in partners],
             ),
         )
     notes = [
         diagnose(
             "joint-matches-several",
-            subject=("joint", one),
-            candidates=others,
-            options=_options(one, others),
+            subject=("joint", urdf_joint),
+            candidates=candidates,
+            options=_list_map_options(urdf_joint, candidates),
         )
-        for one, others in choices.items()
+        for urdf_joint, candidates in choices.items()
     ]
     return Pairs(pairs, guessed, notes)
 
 
-def _options(one: str, others: Sequence[str]) -> Diagnostic:
-    """Returns the options by which a user says which joint another is."""
-    options = [f"--map {one}={other}" for other in others]
-    return diagnose("ways-to-map", subject=("joint", one), options=options)
+def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
+    """Return the command line options that select one of several candidates."""
+    options = [f"--map {urdf_joint}={candidate}" for candidate in candidates]
+    return diagnose("ways-to-map", subject=("joint", urdf_joint), options=options)
 
 
-_EMPTY = {"joint", "jnt", "link"}
-"""Words that say nothing about which joint it is."""
+_GENERIC_WORDS = {"joint", "jnt", "link"}
+"""Words without information about the joint."""
 
 
 def without_affixes(
     mine: Sequence[str], theirs: Sequence[str], pairs: Mapping[str, str]
 ) -> dict[str, str]:
-    """Matches names that are equal but for prefixes (``panda_``) and suffixes (``_joint``).
+    """Match names that are equal except for prefixes (``panda_``) and suffixes (``_joint``).
 
-    What begins or ends most names of one file is left out, and so are words like ``joint``; upper
-    and lower case, and how words are joined, do not count. Each is the only one of its kind.
+    Words at the start or end of most names of a file, and words such as ``joint``, are removed.
+    Upper and lower case, and separators, are ignored. Remaining words must be unique in each file.
 
     Args:
-        mine: The names in the URDF.
-        theirs: The names in the MJCF.
-        pairs: What is matched already.
+        mine: Names in the URDF.
+        theirs: Names in the MJCF.
+        pairs: {name in the URDF: name in the MJCF} of matched joints.
 
     Returns:
         {name in the URDF: name in the MJCF}.
     """
-    one = _cores([name for name in mine if name not in pairs], mine)
+    urdf_cores = _find_cores([name for name in mine if name not in pairs], mine)
     taken = set(pairs.values())
-    two = _cores([name for name in theirs if name not in taken], theirs)
-    return {one[core]: two[core] for core in one if core in two}
+    mjcf_cores = _find_cores([name for name in theirs if name not in taken], theirs)
+    return {urdf_cores[core]: mjcf_cores[core] for core in urdf_cores if core in mjcf_cores}
 
 
-def _cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Returns {what is left of a name: the name}, where that is one alone."""
-    words = {name: _words(name) for name in every}
-    usual = [_usual(list(words.values())), _usual([each[::-1] for each in words.values()])]
+def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
+    """Return {words of a name without affixes: name} of the names whose words are unique."""
+    words = {name: _split_words(name) for name in every}
+    affixes = [
+        _find_common_prefix(list(words.values())),
+        _find_common_prefix([name_words[::-1] for name_words in words.values()]),
+    ]
     cores: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         core = words[name]
-        for ends in usual:  # what begins it, and then, backwards, what ends it
-            for word in ends:
+        for affix in affixes:  # prefix, then the suffix on the reversed words
+            for word in affix:
                 if len(core) > 1 and core[0] == word:
                     core = core[1:]
             core = core[::-1]
-        kept = tuple(word for word in core if word not in _EMPTY)
+        kept = tuple(word for word in core if word not in _GENERIC_WORDS)
         cores.setdefault(kept or core, []).append(name)
-    return {core: found[0] for core, found in cores.items() if len(found) == 1}
+    return {core: matching[0] for core, matching in cores.items() if len(matching) == 1}
 
 
-def _usual(words: Sequence[tuple[str, ...]]) -> list[str]:
-    """Returns the words, one after the other, with which most names begin."""
-    found: list[str] = []
+def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return the sequence of words with which at least 60 % of the names start."""
+    prefix: list[str] = []
     while True:
-        begun = [each for each in words if list(each[: len(found)]) == found]
-        next_ones = Counter(each[len(found)] for each in begun if len(each) > len(found) + 1)
-        word, count = next_ones.most_common(1)[0] if next_ones else ("", 0)
+        with_prefix = [
+            name_words for name_words in words if list(name_words[: len(prefix)]) == prefix
+        ]
+        next_words = Counter(
+            name_words[len(prefix)]
+            for name_words in with_prefix
+            if len(name_words) > len(prefix) + 1
+        )
+        word, count = next_words.most_common(1)[0] if next_words else ("", 0)
         if count < max(2, 0.6 * len(words)):
-            return found
-        found.append(word)
+            return prefix
+        prefix.append(word)
 
 
-def _words(name: str) -> tuple[str, ...]:
+def _split_words(name: str) -> tuple[str, ...]:
+    """Return the alphanumeric words of a name in lower case."""
     return tuple(word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word) or (name,)
 
 
-_PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
-_POSITION_TOLERANCE = (
-    0.25  # greatest distance of joints that may be one, relative to the robot's size
-)
+_MIN_AXIS_COSINE = 0.99
+"""Minimum |cosine| between the axes of matching joints."""
+
+_MAX_RELATIVE_DISTANCE = 0.25
+"""Maximum distance of matching joints, relative to the largest distance of a joint from the base.
+Chosen, not tuned."""
 
 
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Returns the frames of both: links on fixed joints, and sites or bodies without joints.
+    """Return {frame: (link, site or body)} of the frames in both files.
 
-    A fixed base's body is none of them: where its frame is, is a convention of its own.
+    Frames are links on fixed joints of the URDF, and sites or bodies without joints of the MJCF.
+    The bodies of a fixed base are excluded, because their frames are a convention.
+
+    Args:
+        root: Root element of the URDF.
+        spec: The MJCF.
+        names: {link in the URDF: name in the MJCF}, if different.
     """
     places = {site.name for site in spec.sites if site.name}
-    base = _of_base(spec)
+    base = _find_base_bodies(spec)
     places |= {
         body.name
         for body in spec.bodies
-        # MuJoCo makes one body of those that nothing moves, where the file asks for it.
+        # With ``fusestatic`` MuJoCo merges fixed bodies.
         if not spec.compiler.fusestatic
         and body.name
         and body.name not in base
@@ -180,83 +225,99 @@ def common_frames(
     return frames
 
 
-def _of_base(spec: mujoco.MjSpec) -> set[str]:
-    """Returns the bodies that stand in the world and carry joints: a fixed base's."""
-    found, waiting = set(), list(spec.worldbody.bodies)
-    while waiting:
-        body = waiting.pop()
+def _find_base_bodies(spec: mujoco.MjSpec) -> set[str]:
+    """Return the names of static bodies that carry joints: the bodies of a fixed base."""
+    names, pending = set(), list(spec.worldbody.bodies)
+    while pending:
+        body = pending.pop()
         if not list(body.joints) and body.find_all(mujoco.mjtObj.mjOBJ_JOINT):
-            found.add(body.name)
-            waiting += body.bodies
-    return found
+            names.add(body.name)
+            pending += body.bodies
+    return names
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Joints that structure matches.
+    """Joints matched by structure.
 
     Attributes:
         pairs: {joint in the URDF: joint in the MJCF}.
-        choices: {joint in the URDF: joints in the MJCF} where it leaves a choice.
+        choices: {joint in the URDF: candidates in the MJCF} of ambiguous joints.
     """
 
     pairs: Mapping[str, str]
     choices: Mapping[str, tuple[str, ...]]
 
 
-def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
-    """Matches the joints of two trees that ``pairs`` lack, by structure.
+def guess_of_trees(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+    """Match the unmatched joints of two trees by structure.
 
-    Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
-    no name is in common and not all joints match, the base's frame may be turned in one of the
-    files, and legs exchanged: what matches is a choice then, and nothing is guessed.
+    Joints match below the same parent, with parallel axes at zero angles, if each is the nearest of
+    the other. If no pairs are given, and not all joints match, the base frame may be rotated in one
+    file, and legs may be exchanged: the matches are then returned as ``choices``.
+
+    Args:
+        urdf: Tree of the URDF.
+        mjcf: Tree of the MJCF.
+        pairs: {joint in the URDF: joint in the MJCF} of matched joints.
     """
-    free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
-    if not free or not rest:
+    num_unmatched, num_candidates = (
+        len(set(urdf.joints) - set(pairs)),
+        len(set(mjcf.joints) - set(pairs.values())),
+    )
+    if not num_unmatched or not num_candidates:
         return Guess({}, {})
-    best = _in_place(one, two, pairs)
-    if pairs or len(best.pairs) == min(free, rest):
+    best = _match_by_position(urdf, mjcf, pairs)
+    if pairs or len(best.pairs) == min(num_unmatched, num_candidates):
         return best
-    return Guess({}, {**{name: (other,) for name, other in best.pairs.items()}, **best.choices})
+    return Guess(
+        {}, {**{name: (candidate,) for name, candidate in best.pairs.items()}, **best.choices}
+    )
 
 
-def _in_place(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
-    """Matches the joints of two trees where they are."""
-    free_one, free_two = set(one.joints) - set(pairs), set(two.joints) - set(pairs.values())
-    place_one, place_two = at_zero(one), at_zero(two)
-    size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
-    partner = {one.base: two.base, **pairs}
+def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+    """Match the unmatched joints of two trees by position and axis at zero angles."""
+    unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
+    urdf_places, mjcf_places = at_zero(urdf), at_zero(mjcf)
+    size = max(float(np.linalg.norm(place[0])) for place in urdf_places.values())
+    partner = {urdf.base: mjcf.base, **pairs}
     guessed: dict[str, str] = {}
     choices: dict[str, tuple[str, ...]] = {}
 
     def likeness(name: str, other: str) -> float:
-        (here, axis), (there, other_axis) = place_one[name], place_two[other]
-        distance = float(np.linalg.norm(here - there))
-        parallel = abs(float(axis @ other_axis)) > _PARALLEL
-        return distance if parallel and distance < _POSITION_TOLERANCE * size else np.inf
+        (position, axis), (other_position, other_axis) = urdf_places[name], mjcf_places[other]
+        distance = float(np.linalg.norm(position - other_position))
+        parallel = abs(float(axis @ other_axis)) > _MIN_AXIS_COSINE
+        return distance if parallel and distance < _MAX_RELATIVE_DISTANCE * size else np.inf
 
-    for parent in (one.base, *one.joints):  # parents first
-        twin = partner.get(parent)
-        mine = [name for name in one.children(parent) if name in free_one]
-        theirs = [other for other in two.children(twin or "") if other in free_two]
-        if twin is None or not mine or not theirs:
+    for parent in (urdf.base, *urdf.joints):  # parents first
+        partner_parent = partner.get(parent)
+        urdf_joints = [name for name in urdf.children(parent) if name in unmatched]
+        mjcf_joints = [
+            other for other in mjcf.children(partner_parent or "") if other in candidates
+        ]
+        if partner_parent is None or not urdf_joints or not mjcf_joints:
             continue
-        table = np.array([[likeness(name, other) for other in theirs] for name in mine])
-        for row, name in enumerate(mine):
-            column = int(np.argmin(table[row]))
-            least = table[row, column]
+        distances = np.array(
+            [[likeness(name, other) for other in mjcf_joints] for name in urdf_joints]
+        )
+        for row, name in enumerate(urdf_joints):
+            column = int(np.argmin(distances[row]))
+            minimum = distances[row, column]
             rivals = np.concatenate(
-                [np.delete(table[row], column), np.delete(table[:, column], row)]
+                [np.delete(distances[row], column), np.delete(distances[:, column], row)]
             )
-            if np.isfinite(least) and (least < 0.5 * rivals).all():
-                guessed[name] = partner[name] = theirs[column]
-            elif np.isfinite(least):
+            if np.isfinite(minimum) and (minimum < 0.5 * rivals).all():
+                guessed[name] = partner[name] = mjcf_joints[column]
+            elif np.isfinite(minimum):
                 choices[name] = tuple(
-                    other for other, far in zip(theirs, table[row], strict=True) if np.isfinite(far)
+                    other
+                    for other, distance in zip(mjcf_joints, distances[row], strict=True)
+                    if np.isfinite(distance)
                 )
-    taken = set(guessed.values())
-    left = {
-        name: tuple(other for other in others if other not in taken)
+    used = set(guessed.values())
+    remaining_choices = {
+        name: tuple(other for other in others if other not in used)
         for name, others in choices.items()
     }
-    return Guess(guessed, {name: others for name, others in left.items() if others})
+    return Guess(guessed, {name: others for name, others in remaining_choices.items() if others})

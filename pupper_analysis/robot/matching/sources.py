@@ -1,4 +1,4 @@
-"""Where the numbers of a tree of joints stand in its file: the same question of either format."""
+"""Locations of the values of a multibody tree in its file, independent of the format."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 
-_OF_BODIES: Final = ("mass", "com", "inertia")
+_BODY_KINDS: Final = ("mass", "com", "inertia")
 
-_URDF_CHILD: Final = {
+_URDF_CHILD_PATHS: Final = {
     "mass": "inertial/mass",
     "com": "inertial/origin",
     "inertia": "inertial/inertia",
@@ -26,38 +26,38 @@ _URDF_CHILD: Final = {
     "rotation": "origin",
     "axis": "axis",
     "mimic": "mimic",
-    # Where it would stand, of what a URDF has no words for.
-    **{one.kind: one.urdf[0] if one.urdf else "dynamics" for one in TREE_ATTRIBUTES},
+    # "dynamics" is the nearest element for parameters that URDF does not support.
+    **{row.kind: row.urdf[0] if row.urdf else "dynamics" for row in TREE_ATTRIBUTES},
 }
-"""Below a URDF's link or joint."""
+"""{kind: path below the link or joint of a URDF}."""
 
-_SECTION: Final = {
+_MJCF_SECTIONS: Final = {
     "tendon": "tendon",
     "actuator": "actuator",
     "motor": "actuator",
     "equality": "equality",
 }
-"""Sections of an MJCF whose elements a URDF has none of."""
+"""{kind: section of an MJCF} of elements that URDF does not support."""
 
 _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "fluid": ("density", "viscosity"),
     "gravity": ("gravity",),
     "flag": (),
 }
-"""Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
+"""{kind: options of the MJCF} of kinds that concern the whole robot."""
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfSources:
-    """Where the numbers stand in a URDF.
+    """Locations of values in a URDF.
 
     Attributes:
         file: The file.
-        tree: Its links and joints as they were compared.
-        links: {base or joint: the link that it moves}.
-        joints: {joint: its name in the file}; others are called so there, too.
-        frames: {frame: its link}; likewise.
-        base: What the base is called.
+        tree: Links and joints as compared.
+        links: {base or joint: link that it moves}.
+        joints: {joint: name in the file}, if different.
+        frames: {frame: link}, if different.
+        base: Names of the base in the comparison.
     """
 
     file: UrdfFile
@@ -68,18 +68,18 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Returns where a number stands; the file alone where it has none.
+        """Return the location of a value; the file without line if it has none.
 
         Args:
-            kind: Of the number, as of a `Difference`.
-            element: The joint, the body (by the joint that moves it, or the base), the frame or
-                another element, as it is called in the comparison.
+            kind: Kind of the value, as in a `Difference`.
+            element: Name in the comparison: joint, body (joint that moves the body, or base), frame
+                or other element.
         """
-        child, file = _URDF_CHILD.get(kind), self.file
-        if kind in _SECTION or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
+        child, file = _URDF_CHILD_PATHS.get(kind), self.file
+        if kind in _MJCF_SECTIONS or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
             return Place(file.path)
-        if kind in _OF_BODIES and element in self.links:
-            return self.weight(kind, _heaviest(self.members(element)))
+        if kind in _BODY_KINDS and element in self.links:
+            return self.weight(kind, _find_heaviest(self.members(element)))
         if element in self.base:
             return file.place("link", self.links[self.base[0]], child)
         if kind == "frame":
@@ -91,29 +91,31 @@ class UrdfSources:
         return file.place("joint", self.joints.get(element, element), child)
 
     def members(self, mover: str) -> list[tuple[str, float]]:
-        """Returns (link, kg) of what moves with a joint, or is the base, and has mass.
+        """Return (link, mass [kg]) of the links that move with a joint or with the base.
 
-        What the joint moves comes first, though it may have none.
+        The first link is the one that the joint moves; others are listed if they have mass.
         """
-        top = self.links[mover]
-        masses = [(name, self.tree.links[name].mass or 0.0) for name in self.tree.fixed_group(top)]
+        first_link = self.links[mover]
+        masses = [
+            (name, self.tree.links[name].mass or 0.0) for name in self.tree.fixed_group(first_link)
+        ]
         return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
 
     def weight(self, kind: str, name: str) -> Place:
-        """Returns where a link's mass, com or inertia stands."""
-        return self.file.place("link", name, _URDF_CHILD[kind])
+        """Return the location of mass, CoM or inertia of a link."""
+        return self.file.place("link", name, _URDF_CHILD_PATHS[kind])
 
 
 @dataclass(frozen=True, eq=False)
 class MjcfSources:
-    """Where the numbers stand in an MJCF.
+    """Locations of values in an MJCF.
 
     Attributes:
         file: The file.
-        model: What MuJoCo makes of it.
-        bodies: {base or joint: the body that it moves}.
-        frames: {frame: its site, body or geom}; others are called so there, too.
-        base: What the base is called.
+        model: Compiled model.
+        bodies: {base or joint: body that it moves}.
+        frames: {frame: site, body or geom}, if different.
+        base: Names of the base in the comparison.
     """
 
     file: MjcfFile
@@ -123,70 +125,72 @@ class MjcfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Returns where a number stands: see `UrdfSources`."""
+        """Return the location of a value: see `UrdfSources.place`."""
         file, body = self.file, self.bodies.get(element, "")
-        if kind in _SECTION:
-            named = not element.startswith("#")
-            return file.place(_SECTION[kind], element) if named else Place(file.path)
+        if kind in _MJCF_SECTIONS:
+            has_name = not element.startswith("#")
+            return file.place(_MJCF_SECTIONS[kind], element) if has_name else Place(file.path)
         if kind in _GLOBAL_OPTIONS:
             words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"
-            stated = (at for found, at in file.elements(tag) if words & set(found))
-            return next(stated, Place(file.path))
+            places = (place for attributes, place in file.elements(tag) if words & set(attributes))
+            return next(places, Place(file.path))
         if kind == "gravity compensation":
             return file.place("body", element)
-        if kind in _OF_BODIES and body:
-            return self.weight(kind, _heaviest(self.members(element)))
+        if kind in _BODY_KINDS and body:
+            return self.weight(kind, _find_heaviest(self.members(element)))
         if kind == "base frame":
             return file.place("body", body or element)
         if element in self.base:
             return file.place("body", self.bodies[self.base[0]], "joint")
         if kind in ("zero", "position", "rotation", "parent") and body:
             return file.place("body", body)
-        tries = [("joint", element, None), ("body", body, "joint")]
+        candidates = [("joint", element, None), ("body", body, "joint")]
         if kind in ("effort", "servo stiffness", "servo damping"):
-            tries.insert(0, ("actuator", element, None))
+            candidates.insert(0, ("actuator", element, None))
         if kind == "frame":
             name = self.frames.get(element, element)
-            tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
-        return _first(file, kind, tries)
+            candidates = [("site", name, None), ("body", name, None), ("geom", name, None)]
+        return _find_stated(file, kind, candidates)
 
     def members(self, mover: str) -> list[tuple[str, float]]:
-        """Returns the bodies that move with a joint: see `UrdfSources`."""
+        """Return (body, mass [kg]) of the bodies that move with a joint: see `UrdfSources`."""
         model = self.model
-        top = model.body(self.bodies[mover]).id
-        welded = np.flatnonzero(model.body_weldid == model.body_weldid[top]).tolist()
-        group = [each for each in welded if model.body_mass[each] > 0 or each == top]
-        group.sort(key=lambda each: each != top)
-        return [(str(model.body(each).name), float(model.body_mass[each])) for each in group]
+        first_body = model.body(self.bodies[mover]).id
+        welded = np.flatnonzero(model.body_weldid == model.body_weldid[first_body]).tolist()
+        group = [body for body in welded if model.body_mass[body] > 0 or body == first_body]
+        group.sort(key=lambda body: body != first_body)
+        return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
     def weight(self, kind: str, name: str) -> Place:
-        """Returns where a body's mass, com or inertia stands: all three in its <inertial>."""
+        """Return the location of mass, CoM and inertia of a body: its <inertial>."""
         del kind
         return self.file.place("body", name, "inertial")
 
 
 Sources = UrdfSources | MjcfSources
-"""Where the numbers of a tree of joints stand in its file."""
+"""Locations of the values of a multibody tree in its file."""
 
 
-def _heaviest(members: Sequence[tuple[str, float]]) -> str:
+def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:
     return max(members, key=lambda member: member[1])[0]
 
 
-def _first(file: MjcfFile, kind: str, tries: Sequence[tuple[str, str, str | None]]) -> Place:
-    """Returns where a kind of number is stated, or else the first of its elements that is there.
+def _find_stated(
+    file: MjcfFile, kind: str, candidates: Sequence[tuple[str, str, str | None]]
+) -> Place:
+    """Return the location at which a kind of value is set, or the first existing candidate.
 
     Args:
         file: The MJCF.
-        kind: Of the number.
-        tries: Tag, name and child of the elements that may state it.
+        kind: Kind of the value.
+        candidates: (tag, name, child) of the elements that may set the value.
     """
     attribute = BY_KIND.get(kind)
     words = attribute.mjcf if attribute is not None else (kind,) if kind == "axis" else ()
-    for tag, name, below in tries:
-        place = None if below else file.stated(tag, name, words)
+    for tag, name, child in candidates:
+        place = None if child else file.stated(tag, name, words)
         if place is not None:
             return place
-    places = [file.place(*one) for one in tries]
+    places = [file.place(*candidate) for candidate in candidates]
     return next((place for place in places if place.line is not None), places[0])

@@ -1,4 +1,4 @@
-"""How far two files may differ before it is a difference."""
+"""Tolerances for the comparison of two files."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from pupper_analysis.base.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far two files may differ in each kind of number.
+    """Tolerances for each kind of value in two files.
 
-    The defaults pass files written with 5 to 6 digits.
+    The defaults accept files written with 5 to 6 digits.
 
     Attributes:
-        mass: Relative.
-        com: Of the com's position (m).
-        inertia: Relative to the tensor's largest element.
-        position: Of a joint's or frame's position (m).
+        mass: Mass, relative.
+        com: Position of the CoM (m).
+        inertia: Inertia tensor, relative to its largest element.
+        position: Position of a joint or frame (m).
         rotation: Angle between the placements of a joint (rad).
-        axis: Angle between a joint's axes (rad).
-        limit: Of a joint limit (rad).
-        effort: Relative.
-        velocity: Relative.
-        damping: Relative.
-        friction: Relative.
-        gravity: Of the MJCF's gravity, to the 9.81 m/s^2 downwards that Pinocchio gives a URDF
-            (m/s^2). The default passes 9.8 and 9.80665.
-        dynamics: Of the quantities of the cross-check, relative to their scale.
+        axis: Angle between the axes of a joint (rad).
+        limit: Joint limit (rad).
+        effort: Effort limit, relative.
+        velocity: Velocity limit, relative.
+        damping: Damping, relative.
+        friction: Friction loss, relative.
+        gravity: Gravity of the MJCF minus 9.81 m/s^2 downwards, Pinocchio's value for a URDF
+            (m/s^2). The default accepts 9.8 and 9.80665.
+        dynamics: Quantities of the cross-check, relative to their scale.
     """
 
     mass: float = 1e-4
@@ -57,19 +57,20 @@ class Tolerances:
 
     @staticmethod
     def strict() -> Tolerances:
-        """Returns tolerances that pass rounding errors of floating-point numbers alone."""
+        """Return tolerances for rounding errors only: 1e-9 each."""
         return Tolerances(**{kind.name: 1e-9 for kind in fields(Tolerances)})
 
     @staticmethod
     def fine() -> Tolerances:
-        """Returns the same, digit for digit, but for gravity, which a URDF does not state."""
+        """Return ``strict`` tolerances, but the default for gravity, which no URDF specifies."""
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 
     def changed(self, changes: Mapping[str, float]) -> Tolerances:
-        """Returns these tolerances with some changed.
+        """Return a copy with changed values.
 
         Raises:
-            ConfigurationError: If a kind is unknown (lists the valid ones) or not positive.
+            ConfigurationError: If a kind is unknown (the message lists the valid kinds), or a value
+                is not positive.
         """
         valid = [kind.name for kind in fields(self)]
         for kind in changes:

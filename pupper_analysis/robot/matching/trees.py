@@ -1,4 +1,4 @@
-"""A robot's two models as trees of parameters, with the same names; and a URDF's own tree."""
+"""Multibody trees of the models of a robot, and normalisation of a URDF for matching."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
-    """Returns the parameters of the URDF and of the MJCF; of a fixed base, in the world's frame."""
+    """Return the trees of URDF and MJCF with equal names; of a fixed base, in the world frame."""
     frames = {**robot.description.contact_points, **robot.description.frames}
     urdf = multibody.from_pinocchio(
         robot.pin_model,
@@ -51,7 +51,7 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
 
 
 def base_pose(robot: Robot) -> pin.SE3:
-    """Returns where a fixed base stands in the world, by the MJCF."""
+    """Return the world pose of a fixed base in the MJCF."""
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.mj_model.body(robot.mj_base).id
@@ -59,7 +59,7 @@ def base_pose(robot: Robot) -> pin.SE3:
 
 
 def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
-    """Returns where each body's frame is at zero angles, in the base's."""
+    """Return {base or joint: pose of its body at zero angles} in the frame of the base."""
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
         joint = tree.joints[name]
@@ -68,7 +68,7 @@ def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
 
 
 def at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
-    """Returns where each joint is at zero, and its axis, both in the base's frame."""
+    """Return {joint: (position (3,) [m], axis (3,))} at zero angles in the frame of the base."""
     poses = poses_at_zero(tree)
     return {
         name: (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
@@ -78,13 +78,13 @@ def at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A compiled MJCF, and the names by which its elements are called.
+    """Compiled MJCF, and names of its elements.
 
     Attributes:
-        model: What MuJoCo makes of the file, as it is; it may hold more than the robot.
-        names: The same, in which every body and joint has a name.
-        joint_names: The robot's joints, by those names.
-        base: Its base, likewise.
+        model: Compiled model of the file; it may contain objects other than the robot.
+        names: Equivalent model in which all bodies and joints have names.
+        joint_names: Joints of the robot, in these names.
+        base: Base of the robot, in these names.
     """
 
     model: mujoco.MjModel
@@ -93,22 +93,22 @@ class Reference:
     base: str
 
     def joints(self) -> list[int]:
-        """Returns the ids of the robot's joints, and of the free one of its base."""
+        """Return the ids of the base's free joint, if any, and of the robot's joints."""
         base = self.names.body(self.base).id
-        free = free_joints(self.model)
-        loose = [joint for joint in free if self.model.jnt_bodyid[joint] == base]
-        return [*loose, *(self.names.joint(name).id for name in self.joint_names)]
+        free_ids = free_joints(self.model)
+        base_joints = [joint for joint in free_ids if self.model.jnt_bodyid[joint] == base]
+        return [*base_joints, *(self.names.joint(name).id for name in self.joint_names)]
 
     def convention(self) -> MujocoConvention:
-        """Returns where the public coordinates are; other objects of a scene may float as well."""
+        """Return the addresses of the public coordinates; the model may have other free bodies."""
         model, joints = self.model, self.joints()
-        free = len(joints) - len(self.joint_names)
+        num_free = len(joints) - len(self.joint_names)
         starts = zip(model.jnt_qposadr[joints], model.jnt_dofadr[joints], strict=True)
         qpos: list[int] = []
         qvel: list[int] = []
-        for number, (position, velocity) in enumerate(starts):
-            qpos += range(position, position + (7 if number < free else 1))
-            qvel += range(velocity, velocity + (6 if number < free else 1))
+        for index, (position, velocity) in enumerate(starts):
+            qpos += range(position, position + (7 if index < num_free else 1))
+            qvel += range(velocity, velocity + (6 if index < num_free else 1))
         return MujocoConvention(
             qpos_index=np.array(qpos, dtype=np.int64),
             qvel_index=np.array(qvel, dtype=np.int64),
@@ -116,19 +116,19 @@ class Reference:
         )
 
     def bodies(self) -> set[int]:
-        """Returns the ids of the robot's bodies: all on the trees of its base and its joints."""
+        """Return the ids of all bodies on the trees of the robot's base and joints."""
         model = self.model
-        found = {self.names.body(self.base).id}
-        found |= {int(model.jnt_bodyid[joint]) for joint in self.joints()}
-        roots = {int(model.body_rootid[body]) for body in found} - {0}
+        robot_bodies = {self.names.body(self.base).id}
+        robot_bodies |= {int(model.jnt_bodyid[joint]) for joint in self.joints()}
+        roots = {int(model.body_rootid[body]) for body in robot_bodies} - {0}
         return {body for body in range(model.nbody) if int(model.body_rootid[body]) in roots}
 
 
-# The side of a URDF in matching: its base, its joints, its links.
+# Normalisation of a URDF for matching.
 
 
 def without_shapes(urdf: etree._Element) -> etree._Element:
-    """Returns a copy of a URDF's XML without visuals and collision shapes."""
+    """Return a copy of a URDF's XML without visual and collision shapes."""
     tree = UrdfTree(urdf).copy()
     tree.remove_shapes()
     return tree.root
@@ -137,14 +137,22 @@ def without_shapes(urdf: etree._Element) -> etree._Element:
 def strip_roots(
     root: etree._Element, source: Path, other: multibody.MultibodyTree
 ) -> tuple[etree._Element, list[Diagnostic]]:
-    """Takes out root links without mass, as long as they carry one fixed or floating joint.
+    """Remove massless root links with a single fixed or floating joint.
 
-    Where such a link's frame, not that of the base on it, is the one that the MJCF has, the link
-    stays: whichever brings the joints nearer to the MJCF's.
+    For a floating base, the number of removed links is that with the smallest distance between the
+    joints of both files.
+
+    Args:
+        root: Root element of the URDF; not modified.
+        source: File, for messages.
+        other: Tree of the MJCF.
+
+    Returns:
+        Modified copy, and diagnostics of the removed links.
     """
     candidates: list[tuple[etree._Element, list[Diagnostic]]] = [(root, [])]
     while True:
-        tree, said = UrdfTree(candidates[-1][0]).copy(), list(candidates[-1][1])
+        tree, notes = UrdfTree(candidates[-1][0]).copy(), list(candidates[-1][1])
         base = tree.base
         joints = tree.below.get(base.name, [])
         if (base.mass or 0.0) > 0 or [joint.kind for joint in joints] not in (
@@ -152,50 +160,56 @@ def strip_roots(
             ["floating"],
         ):
             break
-        left = "link", base.name
-        said.append(diagnose("root-link-left-out", subject=left, file=source.name, sources=source))
+        subject = "link", base.name
+        notes.append(
+            diagnose("root-link-left-out", subject=subject, file=source.name, sources=source)
+        )
         tree.remove_base()
         if joints[0].kind == "floating":
-            candidates.clear()  # the base cannot stay on a joint that floats by itself
-        candidates.append((tree.root, said))
-    there = at_zero(other)
+            candidates.clear()  # a floating joint must be removed
+        candidates.append((tree.root, notes))
+    other_joints = at_zero(other)
 
     def distance(tree: etree._Element) -> float:
-        here = at_zero(urdf_tree(tree, source))
-        common = [name for name in here if name in there]
-        apart = sum(float(np.linalg.norm(here[name][0] - there[name][0])) for name in common)
-        return round(apart, 6)
+        joints = at_zero(urdf_tree(tree, source))
+        common = [name for name in joints if name in other_joints]
+        total = sum(
+            float(np.linalg.norm(joints[name][0] - other_joints[name][0])) for name in common
+        )
+        return round(total, 6)
 
     if len(candidates) == 1 or not other.floating:
-        return candidates[-1]  # a fixed base is put where the MJCF has it
-    # The last of the equally good: no needless root.
+        return candidates[-1]  # the frame of a fixed base is moved to that of the MJCF
+    # Of equal candidates, the one with the fewest links.
     best = min(reversed(candidates), key=lambda candidate: distance(candidate[0]))
     return best[0], best[1]
 
 
 def take_mass_of_base(root: etree._Element, source: Path) -> list[Diagnostic]:
-    """Takes the inertials off the base and what is fixed to it, in place; tells what they weighed.
+    """Remove the inertias of the base and of links fixed to it, in place; report their mass.
 
-    For an MJCF whose base is the world, which has no mass: a fixed base's has no effect either.
+    For an MJCF whose base is the world, which has no mass. The mass of a fixed base has no effect.
     """
     tree, masses = UrdfTree(root), {}
     for name in tree.fixed_group(tree.base.name):
-        stated = tree.links[name].mass
-        if stated is not None:
-            masses[name] = stated
+        link_mass = tree.links[name].mass
+        if link_mass is not None:
+            masses[name] = link_mass
             tree.links[name].remove("inertial")
     if not any(masses.values()):
         return []
     heaviest, mass = max(masses, key=masses.__getitem__), Quantity(sum(masses.values()), "kg")
-    base = "link", heaviest
-    return [diagnose("mass-of-base-left-out", subject=base, mass=mass, file=source.name)]
+    subject = "link", heaviest
+    return [diagnose("mass-of-base-left-out", subject=subject, mass=mass, file=source.name)]
 
 
 def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Returns the names of the hinges and slides, and of other joints, which are fixed, in place.
+    """Return hinges and slides, and other movable joints, which are changed to fixed, in place.
 
-    These are floating and planar ones inside the tree: what they carry is compared as at rest. The
-    third says so.
+    The other joints are floating or planar joints inside the tree.
+
+    Returns:
+        Names of the hinges and slides, names of the others, and diagnostics of the others.
     """
     moving, others, notes = [], [], []
     for name, joint in UrdfTree(root).joints.items():
@@ -210,25 +224,25 @@ def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diag
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Returns {base or joint: the link that it moves}."""
+    """Return {base or joint: link that it moves}."""
     tree = UrdfTree(root)
-    moved = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
-    return {robot.base: tree.base.name, **moved}
+    links = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
+    return {robot.base: tree.base.name, **links}
 
 
 def urdf_tree(
     root: etree._Element, source: Path, base: str = "", frames: Iterable[str] = ()
 ) -> multibody.MultibodyTree:
-    """Returns the parameters of a URDF's joints and bodies, with a free base.
+    """Return the multibody tree of a URDF, with a free base.
 
     Args:
-        root: Its XML; all its joints are fixed, hinges or slides.
-        source: Where it came from, for messages.
-        base: What its base is called.
-        frames: Links whose places count.
+        root: Root element; all joints are fixed, hinges or slides.
+        source: File, for messages.
+        base: Name of the base.
+        frames: Links that become frames of the tree.
 
     Raises:
-        ModelError: If Pinocchio cannot read it.
+        ModelError: If Pinocchio cannot read the URDF.
     """
     model = pinocchio_from_urdf(for_engines(root), source, floating=True)
     names = list(model.names)[2:]
@@ -236,15 +250,15 @@ def urdf_tree(
 
 
 Mimics = Mapping[str, tuple[str, float, float]]
-"""{joint: (the joint that it follows, multiplier, offset)}: q = multiplier q_other + offset."""
+"""{joint: (leader, multiplier, offset)}: q = multiplier q_leader + offset."""
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Returns the joints of a parsed URDF that follow others: their ``<mimic>``."""
-    found = {}
+    """Return the joints with ``<mimic>`` of a parsed URDF, except fixed joints."""
+    mimics = {}
     for name, joint in UrdfTree(root).joints.items():
         mimic = joint.mimic
         if mimic is not None and not joint.is_fixed:
             numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
-            found[name] = (str(mimic.get("joint")), *numbers)
-    return found
+            mimics[name] = (str(mimic.get("joint")), *numbers)
+    return mimics
