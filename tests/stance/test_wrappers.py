@@ -93,3 +93,18 @@ def test_robots_that_are_solved_leave_no_memory_behind() -> None:
     before = resident()
     solved(20, 40)
     assert (resident() - before) / 20 < 50e3
+
+
+def test_one_infinite_joint_limit_keeps_the_finite_other() -> None:
+    """PlaCo's model, a Pinocchio model, holds the limits that the goal states."""
+    robot = load("v3")
+    placo = Context(robot).solver
+    shapes, index = placo.placo_robot.wrapper.model, 3
+    name = robot.joint_names[index]
+    q = int(shapes.joints[shapes.getJointId(name)].idx_q)
+    lower, upper = robot.lower_limits.copy(), robot.upper_limits.copy()
+    upper[index] = np.inf
+    for low, high in ((robot.lower_limits, robot.upper_limits), (lower, upper)):
+        placo._set_joint_limits(low, high)
+    assert shapes.lowerPositionLimit[q] == pytest.approx(robot.lower_limits[index], abs=1e-12)
+    assert shapes.upperPositionLimit[q] > 100
