@@ -74,6 +74,17 @@ class JointAttribute:
         return self.urdf is not None and bool(self.mjcf)
 
 
+UNSTATED = 1e9
+"""Smallest number (N m, N; rad/s, m/s) that a URDF's effort or velocity may have to mean that no
+limit is stated. The readers of both engines require a finite number; the strongest motors give
+1e4 N m. Chosen, not tuned."""
+
+
+def known_limit(stated: float) -> float:
+    """Return a URDF's effort or velocity; infinity if it is ``UNSTATED`` or more."""
+    return math.inf if stated >= UNSTATED else stated
+
+
 _POSITION_UNITS, _FORCE_UNITS = ("rad", "m"), ("N m", "N")
 
 JOINT_ATTRIBUTES: Final = (

@@ -27,9 +27,9 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
@@ -123,7 +123,7 @@ def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     for name, (owner, position) in parameters.frames.items():
         bodies[owner].add_site(name=name, pos=position + 1.0)  # not zero, as above
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
-    return spec.compile()
+    return compile_spec(spec, Path(spec.modelname))
 
 
 def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
@@ -172,9 +172,12 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     tree.remove_shapes()
     base = (pin.JointModelFreeFlyer(),) if floating else ()
     try:
-        return pin.buildModelFromXML(to_text(tree.root), *base)
+        model = pin.buildModelFromXML(to_text(tree.root), *base)
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
+    for limits in (model.effortLimit, model.velocityLimit):
+        limits[limits >= UNSTATED] = np.inf
+    return model
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -27,7 +28,7 @@ from pupper_analysis.models.attributes import (
     JointAttribute,
     Number,
 )
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane, compile_spec
 from pupper_analysis.models.xml import free_name
 
 Array = NDArray[np.float64]
@@ -122,7 +123,7 @@ class SpecTree:
 
     @cached_property
     def _compiled_model(self) -> mujoco.MjModel:
-        return self.spec.copy().compile()
+        return compile_spec(self.spec.copy(), Path(self.spec.modelname))
 
     def _clear_cache(self) -> None:
         self.__dict__.pop("_compiled_model", None)

@@ -15,7 +15,7 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
@@ -84,7 +84,7 @@ def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return notes
 
 
-def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnostic]:
+def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) -> list[Diagnostic]:
     """Raises the frame of a free base to the height of its com where no limb ends below it.
 
     Roll, pitch and height are of a base's frame with z up: that the file's first keyframe
@@ -94,9 +94,13 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     Args:
         spec: The MJCF's, in which all bodies have names; it is changed.
         file: What MuJoCo compiles its file to: the same, unless the base has been freed.
+        source: The file.
 
     Returns:
         What was done.
+
+    Raises:
+        ModelError: If MuJoCo refuses the spec.
     """
     base = next((joint.parent for joint in spec.joints if joint.type == JointKind.FREE), None)
     if base is None or base.frame is not None:
@@ -107,8 +111,7 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     else:
         whole = spec.copy()
         whole.compiler.discardvisual = False  # a limb may end in what is only seen
-        with silence_mujoco():
-            model = whole.compile()
+        model = compile_spec(whole, source)
         body = model.body(base.name).id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

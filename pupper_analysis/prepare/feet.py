@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.additions import Addition, Ball, Untouching
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import free_name, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
@@ -264,7 +264,8 @@ def with_feet(
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
     _name_geoms(spec)
-    compiled = spec.copy().compile()  # which may lack what is only seen
+    # It may lack what is only seen.
+    compiled = compile_spec(spec.copy(), robot.description.mjcf_source)
     names: dict[str, tuple[str, str]] = {}
     several: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}

@@ -59,6 +59,7 @@ from pupper_analysis.prepare.simulable import (
     check_masses,
     check_simulable,
     choose_exact_solver,
+    explain_refused_body,
 )
 from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
@@ -271,7 +272,9 @@ def _name_elements(draft: Draft) -> Made:
     name_all(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
         leave_out_visuals(spec)
-    known = start.choose_keyframes(draft.mjcf, start.list_keyframes(spec), draft.request.keyframe)
+    known = start.choose_keyframes(
+        draft.mjcf, start.list_keyframes(spec, draft.mjcf.path), draft.request.keyframe
+    )
     return replace(draft, spec=spec, keyframes=known), ()
 
 
@@ -283,7 +286,7 @@ def _free_base(draft: Draft) -> Made:
 
 @_pass(Term("lifts the base's frame off the ground"), _free)
 def _place_base_frame(draft: Draft) -> Made:
-    return draft, place_base_frame(draft.spec, draft.mjcf.model)
+    return draft, place_base_frame(draft.spec, draft.mjcf.model, draft.mjcf.path)
 
 
 @_pass(Term("finds whose joint is whose"), _any)
@@ -536,8 +539,9 @@ def _passed(draft: Draft) -> Draft:
             try:
                 draft, done = each.apply(draft)
             except ModelError as error:
+                error = explain_refused_body(error, draft.urdf, draft.mjcf)
                 if draft.refused or not draft.may_be_held:
-                    raise
+                    raise error from error.__cause__
                 draft = replace(draft, refused=error)
             else:
                 run = PassRun(each.name, each.does, tuple(done))

@@ -6,6 +6,7 @@ And MuJoCo's constraint solver, where a model is more than it solves as it is se
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 
 import mujoco
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.additions import Options
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
@@ -96,6 +98,27 @@ def _place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
         stated = (place for words, place in mjcf.elements("option") if field in words)
         return next(stated, Place(mjcf.path))
     return mjcf.place("contact" if kind == "pair" else kind, _name(mjcf.model, kind, row))
+
+
+def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
+    """Return the error of a body that MuJoCo refuses, with the URDF's link and line.
+
+    Args:
+        error: The error, which is returned if it is about something else.
+        urdf: The URDF.
+        mjcf: The MJCF; the URDF is named only if the MJCF was made of it.
+    """
+    message = str(error.cause.values.get("message", ""))
+    found = re.search(r"larger than mjMINVAL.*Element name '([^']+)'", message)
+    if found is None:
+        return error
+    name = found[1]
+    place, kind = mjcf.place("body", name), "body"
+    if mjcf.of_urdf and name in urdf.tree.links:
+        place, kind = urdf.place("link", name), "link"
+    where = f"{place.file.name}:{place.line}" if place.line else place.file.name
+    problem = diagnose("moving-link-without-mass", subject=(kind, name), place=where)
+    return refuse_file(place, problem)
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:

@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,7 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.additions import Start
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind, free_joints, silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import limbs_aside
@@ -40,16 +41,19 @@ _CARRIED = 0.01
 by hand it is off by as much as it is."""
 
 
-def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
     """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
 
     Args:
         spec: A copy of its spec, in which every joint has a name.
+        source: The file.
+
+    Raises:
+        ModelError: If MuJoCo refuses the spec.
     """
     if not len(spec.keys):
         return {}
-    with silence_mujoco():
-        model = spec.copy().compile()
+    model = compile_spec(spec.copy(), source)
     found = {}
     for number in range(model.nkey):
         name = model.key(number).name or f"keyframe {number + 1}"
@@ -122,8 +126,7 @@ def with_keyframes(
     if not known:
         return description
     spec = description.mjcf.copy()
-    with silence_mujoco():
-        model = spec.copy().compile()
+    model = compile_spec(spec.copy(), description.mjcf_source)
     for name, pose in known.items():
         qpos = model.qpos0.copy()
         for joint in range(model.njnt):

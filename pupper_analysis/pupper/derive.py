@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.pupper.variants import BASES, VariantSpec
 
 Array = NDArray[np.float64]
@@ -294,7 +295,7 @@ def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
 
 def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     """Returns how far the lowest foot is below the base: at zero angles, then at each keyframe."""
-    model = _bones(spec).compile()
+    model = compile_spec(_bones(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
     ids = [model.site(name).id for name in sites]  # type: ignore[attr-defined]
     depths = []

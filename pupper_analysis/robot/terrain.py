@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters
@@ -239,7 +240,7 @@ def _separate_from_floor(
     Raises:
         ModelError: If the MJCF has not enough unused bits.
     """
-    spec.compile()  # sets the ids of the geoms
+    compile_spec(spec, Path(spec.modelname))  # sets the ids of the geoms
     geoms = [geom for geom in spec.geoms if geom.id != floor.id]
     floor_contacts = {
         geom.id

@@ -86,3 +86,16 @@ def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
     published = published_nominal(robot)
     assert published is not None
     assert [cause.code for cause in published.causes] == ["base-held"]
+
+
+def test_a_free_base_without_mass_is_refused_with_link_and_line(
+    tmp_path: Path,
+) -> None:
+    """MuJoCo: "mass and inertia of moving bodies must be larger than mjMINVAL"."""
+    urdf = legged.quadruped(tmp_path).urdf
+    trunk = '<mass value="4.0"/><inertia ixx="0.02" iyy="0.05" izz="0.06"'
+    none = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0"'
+    rewritten(urdf, (trunk, none))
+    robot = pa.load_robot(urdf)
+    with pytest.raises(pa.ConfigurationError, match=r"link 'trunk' \(robot.urdf:\d+\).*no mass"):
+        pa.solve_stand(robot)

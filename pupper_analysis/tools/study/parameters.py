@@ -16,6 +16,7 @@ from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description, ModelTree
+from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
@@ -280,7 +281,7 @@ def with_friction(robot: Robot, friction: float) -> Robot:
         problem = diagnose("contacts-frictionless", feet=bare)
         raise ConfigurationError("friction", problem)
     spec = robot.description.mjcf.copy()
-    spec.compile()  # numbers the geoms
+    compile_spec(spec, robot.description.mjcf_source)  # numbers the geoms
     feet = set(robot.foot_geoms)
     for geom in spec.geoms:
         if geom.id in feet or geom.parent.name == "world":
