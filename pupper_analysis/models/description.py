@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.additions import Addition, Ball, put_all
-from pupper_analysis.models.efforts import EffortLimit
+from pupper_analysis.models.efforts import EffortLimit, EffortStatement
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -44,6 +44,7 @@ class Description:
         made_servos: Servos in ``mjcf`` that the file does not contain.
         efforts: {joint: effort limit} of motors that were replaced by servos, whose own attributes
             are no longer in ``mjcf``.
+        null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks them.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
             other; "" if both have files.
     """
@@ -62,6 +63,7 @@ class Description:
     added: tuple[Addition, ...] = ()
     made_servos: tuple[MadeServo, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
+    null_efforts: Mapping[str, EffortStatement] = field(default_factory=dict)
     converted: str = ""
 
     def given(self, *additions: Addition) -> Description:

@@ -1,9 +1,12 @@
-"""What a motor can give at its joint, by all that two files state of it.
+"""Torque limits of motors at their joints, from all statements of a URDF and an MJCF.
 
-A limit of torque has four homes: the URDF's ``effort``, and in an MJCF the joint's
+A torque limit has four sources: the URDF's ``effort``, and in an MJCF the joint's
 ``actuatorfrcrange``, an actuator's ``forcerange`` times its gear, and the ``ctrlrange`` of a plain
-motor times its gain and gear. MuJoCo cuts a torque by all of them, one after the other, so the
-least counts.
+motor times its gain and gear. MuJoCo clamps a torque by all of them, one after the other, so the
+smallest limit counts.
+
+A limit of zero is a motor without torque, and a negative limit is an error; ``EffortCode`` names
+both. A joint for which no file states a limit has an unknown limit, which is no unlimited motor.
 """
 
 from __future__ import annotations
@@ -11,12 +14,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
+import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.transmission import actuator_gear, drives_of
+
+if TYPE_CHECKING:
+    from pupper_analysis.models.mjcf_file import MjcfFile
 
 _HOLDING = (
     mujoco.mjtDyn.mjDYN_NONE.value,
@@ -24,6 +34,15 @@ _HOLDING = (
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
 """Dynamics through which a force is never more than that of the greatest command."""
+
+
+class EffortCode(StrEnum):
+    """Meaning of the torque limit of a joint."""
+
+    STATED = "stated"
+    ZERO = "zero"
+    NEGATIVE = "negative"
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -65,6 +84,14 @@ class EffortStatement(Result):
         ends = sorted((factor * low, factor * high))
         return EffortStatement(file, element, name, attribute, (low, high), factor, *ends)
 
+    @staticmethod
+    def empty(
+        file: str, element: str, name: str, attribute: str, stated: Sequence[float]
+    ) -> EffortStatement:
+        """Return the statement of a range from zero to zero, or of an inverted one: no torque."""
+        low, high = (float(end) + 0.0 for end in stated)  # + 0.0: no -0.0
+        return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
+
     @property
     def greatest(self) -> float:
         """What the motor can give one way at the most (N m)."""
@@ -85,14 +112,39 @@ class EffortLimit(Result):
         lower: The greatest torque the one way (N m), negative; -inf without a limit.
         upper: The other way; inf without a limit.
         origin: The statement that is the least; None without a limit.
-        stated: All statements of both files. One of 0 in a URDF is none.
+        stated: All statements of both files.
+        code: Meaning of the limit: ``unknown`` if no file states one, ``zero`` and ``negative`` if
+            the motor has no torque, else ``stated``.
     """
+
+    _reported: ClassVar[tuple[str, ...]] = ("code",)
 
     joint: str
     lower: float = field(metadata={"unit": "N m"})
     upper: float = field(metadata={"unit": "N m"})
     origin: EffortStatement | None
     stated: tuple[EffortStatement, ...]
+
+    @property
+    def code(self) -> EffortCode:
+        """Meaning of the limit."""
+        if self.origin is None:
+            return EffortCode.UNKNOWN
+        if self.lower < 0 or self.upper > 0:
+            return EffortCode.STATED
+        low, high = self.origin.stated
+        return EffortCode.NEGATIVE if low > high else EffortCode.ZERO
+
+    @property
+    def without_torque(self) -> bool:
+        """Whether the limit is zero or negative: the motor gives no torque."""
+        return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
+
+    @property
+    def positive_statement(self) -> EffortStatement | None:
+        """The smallest positive limit that another statement has; None without one."""
+        positive = [statement for statement in self.stated if statement.least > 0]
+        return min(positive, key=lambda statement: statement.least, default=None)
 
     @property
     def least(self) -> float:
@@ -107,23 +159,28 @@ def effort_of(
     *,
     name: str = "",
     drives: Sequence[int] | None = None,
+    null: EffortStatement | None = None,
 ) -> EffortLimit:
-    """Returns what a joint's motor can give by both files.
+    """Return the torque limit of a joint by both files.
 
     Args:
         model: MuJoCo's model of the MJCF.
         joint: The id of a hinge or slide in it.
-        effort: The URDF's for the joint (N m); None or 0 where it does not say, as exporters do.
+        effort: The URDF's for the joint (N m); None or infinite if it states none.
         name: The joint's in the URDF; by default as in the MJCF.
         drives: Its actuators, where they are known.
+        null: An empty range of the MJCF, which its compiled model lacks: ``null_efforts``.
     """
     own = str(model.joint(joint).name)
     drives = drives_of(model, joint) if drives is None else drives
     stated = _stated(model, joint, drives)
-    if effort is not None and 0 < effort < math.inf:
+    if null is not None:
+        stated.append(null)
+    if effort is not None and effort < UNSTATED:
         # First: of two that say the same, the one that says it of the joint.
         range_ = (-effort, effort)
-        stated.insert(0, EffortStatement.of("URDF", "joint", name or own, "effort", range_))
+        make = EffortStatement.of if effort > 0 else EffortStatement.empty
+        stated.insert(0, make("URDF", "joint", name or own, "effort", range_))
     return EffortLimit(
         joint=name or own,
         lower=max((one.lower for one in stated), default=-math.inf),
@@ -149,6 +206,58 @@ def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[Ef
         least = min(each[0], key=lambda one: one.least)
         found.append(EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper)))
     return found
+
+
+def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
+    """Return the force ranges of an MJCF that are empty: from 0 to 0, or inverted.
+
+    MuJoCo ignores such a range without a message, so a compiled model has no limit there. Of a
+    ``ctrlrange``, only that of a torque motor bounds a torque.
+
+    Returns:
+        {joint: statement}, of joints that have a name.
+    """
+    found: dict[str, EffortStatement] = {}
+    by_joint: dict[str, list[EffortStatement | None]] = {}
+    for actuator in file.spec.actuators:
+        if actuator.trntype in _SPEC_JOINTS:
+            by_joint.setdefault(actuator.target, []).append(_empty_range(file, actuator))
+    for joint, statements in by_joint.items():
+        first = statements[0]
+        if first is not None and all(statements):  # several actuators add up
+            found[joint] = first
+    for joint in file.spec.joints:
+        name, range_ = joint.name, joint.actfrcrange
+        switch = joint.actfrclimited
+        if name and _is_empty(file, "joint", name, "actuatorfrcrange", range_, switch):
+            found[name] = EffortStatement.empty("MJCF", "joint", name, "actuatorfrcrange", range_)
+    return found
+
+
+_SPEC_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+
+
+def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
+    """Return the empty force range of an actuator; None without one."""
+    name = actuator.name or actuator.target
+    ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
+    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:
+        ranges.append(("ctrlrange", actuator.ctrlrange, actuator.ctrllimited))
+    for attribute, range_, switch in ranges:
+        ends = np.ravel(range_)[:2].tolist()
+        if _is_empty(file, "actuator", name, attribute, ends, switch):
+            return EffortStatement.empty("MJCF", "actuator", name, attribute, ends)
+    return None
+
+
+def _is_empty(
+    file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], switch: int
+) -> bool:
+    """Return True if a range is in force by its numbers alone, is stated, and contains nothing."""
+    low, high = (float(end) for end in range_)
+    if switch != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
+        return False
+    return low > high or file.stated(kind, name, (attribute,)) is not None
 
 
 def stated_by_joint(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:

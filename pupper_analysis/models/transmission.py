@@ -59,6 +59,23 @@ def drives_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
     return actuators_by_joint
 
 
+def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return the actuators at fixed tendons of which a hinge or slide is a part."""
+    at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
+    found = []
+    for actuator in at_tendons.tolist():
+        tendon = int(model.actuator_trnid[actuator, 0])
+        first = int(model.tendon_adr[tendon])
+        wraps = range(first, first + int(model.tendon_num[tendon]))
+        parts = [wrap for wrap in wraps if model.wrap_type[wrap] == _WRAPS_JOINT]
+        if any(model.wrap_objid[wrap] == joint and model.wrap_prm[wrap] != 0 for wrap in parts):
+            found.append(actuator)
+    return found
+
+
+_WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
+
+
 @dataclass(frozen=True)
 class ActuatorLaw:
     """Force law of an actuator at a hinge or slide: F = gain ctrl - stiffness l - damping dl/dt.
@@ -105,6 +122,7 @@ class Drive(StrEnum):
     WRONG_SIGN = "a servo whose stiffness is negative"
     NO_STIFFNESS = "a servo without stiffness"
     VELOCITY = "velocity servo"
+    TENDON = "an actuator at a tendon"
     OTHER = "an actuator that holds no position"
 
     @property
@@ -142,7 +160,7 @@ def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
     """
     motors = drives_of(model, joint)
     if not motors:
-        return Drive.NONE
+        return Drive.TENDON if tendon_actuators(model, joint) else Drive.NONE
     kinds = [_classify_actuator(model, motor) for motor in motors]
     if len(motors) == 1:
         return kinds[0]

@@ -28,7 +28,7 @@ from pupper_analysis.models.places import (
     refuse_file,
 )
 from pupper_analysis.models.published import existing_file, folders_of_package
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree
+from pupper_analysis.models.urdf_tree import UNSTATED_LIMITS, UrdfJoint, UrdfTree
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, parse_xml, to_text
 
 
@@ -446,14 +446,11 @@ MAX_SLIDE_POSITION = 1e3
 """Limit of a slide without limits [m]. URDF requires two limits, whose defaults are 0. No robot
 moves as far, and with 12 digits the resolution is a nanometre."""
 
-_REQUIRED_LIMITS = ("effort", "velocity")
-"""Attributes of ``<limit>`` that the format requires, and that some exporters omit."""
-
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
-    """Set missing efforts and velocities of ``<limit>`` to 0, which means no limit, in place.
+    """Set missing efforts and velocities of ``<limit>`` to ``UNSTATED_LIMITS``, in place.
 
-    Pinocchio's reader rejects joints without these attributes.
+    The format requires both, some exporters omit them, and Pinocchio's reader rejects the joint.
 
     Returns:
         Diagnostic with the names of the joints; None if nothing was missing.
@@ -461,9 +458,9 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
     names = []
     for name, joint in UrdfTree(root).joints.items():
         for limit in joint.element.findall("limit"):
-            missing = [attribute for attribute in _REQUIRED_LIMITS if limit.get(attribute) is None]
+            missing = {k: v for k, v in UNSTATED_LIMITS.items() if limit.get(k) is None}
             names += [name] if missing else []
-            limit.attrib.update(dict.fromkeys(missing, "0"))
+            limit.attrib.update(missing)
     return diagnose("effort-or-velocity-unstated", names=names) if names else None
 
 

@@ -21,7 +21,7 @@ from pupper_analysis.base.arrays import (
     inertia_of,
     inertia_tensor,
 )
-from pupper_analysis.models.attributes import BY_KIND, JointAttribute
+from pupper_analysis.models.attributes import BY_KIND, UNSTATED, JointAttribute
 from pupper_analysis.models.xml import (
     NUM_ANGLE_DIGITS,
     add_element,
@@ -60,9 +60,8 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
         add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
-_UNSPECIFIED_LIMITS = {"effort": "0", "velocity": "0"}
-"""Required attributes of ``<limit>``, with the values that mean no limit. The readers of both
-engines do not accept ``inf``."""
+UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{UNSTATED:g}")
+"""Attributes that a <limit> must have, with values that mean unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +191,7 @@ class UrdfJoint(UrdfElement):
         tag, word = attribute.urdf
         element = self.element.find(tag)
         if element is None:
-            element = etree.SubElement(
-                self.element, tag, _UNSPECIFIED_LIMITS if tag == "limit" else {}
-            )
+            element = etree.SubElement(self.element, tag, UNSTATED_LIMITS if tag == "limit" else {})
         element.set(word, repr(float(value)))
 
     def follow(

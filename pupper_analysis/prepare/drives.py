@@ -19,10 +19,13 @@ from pupper_analysis.models.additions import (
     Options,
     Servo,
 )
+from pupper_analysis.models.attributes import BY_KIND, UNSTATED
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.notes import describe_span
@@ -161,8 +164,38 @@ def add_position_servos(
 def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot position servos with suggested gains; as if it were held, if it stands nowhere.
 
-    Who asks for a stand of their own then needs none of theirs.
+    Who asks for a stand of their own then needs none of theirs. Gains are chosen without limits of
+    zero, which hold in the robot that is returned.
     """
+    made, messages = _with_chosen_servos(_lift_null_efforts(robot), mjcf)
+    return _restore_null_efforts(made, robot), messages
+
+
+def _lift_null_efforts(robot: Robot) -> Robot:
+    """Return the robot without torque limits of zero; the robot itself if it has none."""
+    null = [limit.joint for limit in robot.efforts if limit.without_torque]
+    if not null:
+        return robot
+    urdf = UrdfTree.of(robot.description.urdf)
+    for name in null:
+        urdf.joints[name].state(BY_KIND["effort"], UNSTATED)
+    return rebuild_robot(robot, urdf=to_text(urdf.root), null_efforts={})
+
+
+def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
+    """Return a robot with servos and the torque limits of the robot that it was made of."""
+    if not any(limit.without_torque for limit in robot.efforts):
+        return made
+    return rebuild_robot(
+        made,
+        urdf=robot.description.urdf,
+        efforts={limit.joint: limit for limit in robot.efforts},
+        null_efforts=robot.description.null_efforts,
+    )
+
+
+def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Give a robot position servos with suggested gains; see ``with_added_servos``."""
     stand = start.first_stand(robot)
     if stand is None:
         return with_held_servos(robot, mjcf)
@@ -187,6 +220,12 @@ def held_gains_of(robot: Robot) -> tuple[Array, Array]:
 
 def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot whose base is held position servos where it has none."""
+    made, messages = _with_held_servos(_lift_null_efforts(robot), mjcf)
+    return _restore_null_efforts(made, robot), messages
+
+
+def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Give a robot whose base is held position servos; see ``with_held_servos``."""
     kp, kd = held_gains_of(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.given(*servos_of(robot, kp, kd, timestep))
@@ -289,7 +328,8 @@ def servos_of(
     ]
     for index in missing:
         limit = robot.efforts[index]
-        bounded = math.isfinite(limit.lower) and math.isfinite(limit.upper)
+        # A range from 0 to 0 does not compile; the simulation applies it to the compiled model.
+        bounded = math.isfinite(limit.lower) and limit.lower < limit.upper < math.inf
         limits = (limit.lower, limit.upper) if bounded else None
         name = robot.joint_names[index]
         made.append(Servo(message, name, float(kp[index]), float(kd[index]), limits))

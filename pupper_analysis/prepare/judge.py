@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.prepare.limits import bears_on_null_effort as null_bears
+from pupper_analysis.prepare.limits import describe_null_efforts, describe_unknown_limits
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
@@ -26,6 +28,7 @@ from pupper_analysis.simulation.trial import (
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import (
+    ABOUT_LOAD,
     Asked,
     Outcome,
     Verdict,
@@ -75,22 +78,42 @@ def judge(
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
+    null, unknown = describe_null_efforts(robot), None
+    if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
+        # All else that fails is a consequence.
+        fed, null = replace(fed, passed=False, failures=(null,)), None
+        alone = None if alone is None else replace(alone, passed=False, failures=fed.failures)
+    if statics is not None:
+        unknown = describe_unknown_limits(robot, statics)
+    loaded_more = robot.total_mass > loaded.total_mass * (1 + _SAME_MASS)
     return judge_stance(
         fed,
         alone,
         servos,
         asked=asked,
-        overloaded=() if statics is None else beyond_limits(statics),
+        overloaded=() if statics is None else _overloaded(robot, statics),
         own=own,
         published=published,
         converted=robot.description.converted,
+        unknown=unknown is not None and (loaded_more or asked in ABOUT_LOAD),
         remarks=(
+            *(remark for remark in (null, unknown) if remark is not None),
             *structure(robot),
             *(robot.description.replaced_soles() if stand.stance_feet else ()),
             *remarks_of_files(robot),
             *_buried(robot, stand, statics),
         ),
     )
+
+
+def _overloaded(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
+    """Return the motors beyond their limits; motors without torque are described by themselves."""
+    null = {limit.joint for limit in robot.efforts if limit.without_torque}
+    return tuple(name for name in beyond_limits(statics) if name not in null)
+
+
+_SAME_MASS = 1e-9
+"""Relative difference between two masses of one robot that is rounding."""
 
 
 def _buried(

@@ -58,7 +58,10 @@ class Clause:
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
     own, fails = tuple(own_clauses(verdict.own)), verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    unknown = verdict.code is VerdictCode.LIMITS_UNKNOWN
+    deciding = [one for one in verdict.remarks if unknown and one.code == _UNKNOWN_LIMITS]
     messages = (
+        *(Clause(False, remark) for remark in deciding),
         *(own if fails else ()),
         *_replaced(verdict.servos.replaced),
         *_computed(verdict),
@@ -76,6 +79,9 @@ def in_words(verdict: Verdict) -> str:
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
+_UNKNOWN_LIMITS = "torque-limits-unknown"
+"""Code of the remark that decides ``VerdictCode.LIMITS_UNKNOWN``."""
+
 _WORDS = {
     Asked.STANDS: ("HOLDS", "FAILS"),
     Asked.CARRIES: ("carries", "FAILS"),
@@ -87,6 +93,8 @@ _WORDS = {
 
 def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
+    if verdict.code is VerdictCode.LIMITS_UNKNOWN:
+        return "UNKNOWN"
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
         return "HOLDS with feed-forward"
@@ -201,7 +209,7 @@ def verdict_of_files(key: str, converted: str) -> Text:
         converted: Which of the robot's models was made of the other one, if one was.
     """
     word = text(key)
-    good = converted and key not in ("FAILS", "FAILED")
+    good = converted and key not in ("FAILS", "FAILED", "UNKNOWN")
     return text("verdict-from-one-file", word=word) if good else word
 
 

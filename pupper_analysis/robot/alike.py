@@ -95,6 +95,28 @@ def limbs_of(robot: Robot) -> list[Limb]:
     return limbs
 
 
+def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Return {joint: joints in the same place of limbs that are alike}, of joints that have any."""
+    model, limbs = robot.mj_model, limbs_of(robot)
+    joints = [
+        [int(joint) for body in limb.bodies for joint in np.flatnonzero(model.jnt_bodyid == body)]
+        for limb in limbs
+    ]
+    found: dict[str, tuple[str, ...]] = {}
+    for number, limb in enumerate(limbs):
+        alike = [
+            joints[other]
+            for other, another in enumerate(limbs)
+            if other != number and another.like(limb)
+        ]
+        for place, joint in enumerate(joints[number]):
+            names = tuple(model.joint(other[place]).name for other in alike)
+            name = model.joint(joint).name
+            if names and name not in names:
+                found[name] = names
+    return found
+
+
 def structure(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the limbs without a foot if at least half of the similar limbs have a foot.
 

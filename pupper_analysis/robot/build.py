@@ -87,7 +87,14 @@ def build_robot(
     notes = [*added, *option_notes(mj_model), *_check_forces_at_rest(mj_model)]
     notes += tell_ranges_not_kept(mj_model)
     notes += tell_bonds_not_kept(mj_model)
-    notes += _copy_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
+    notes += _copy_armature(
+        mj_model,
+        mj_convention,
+        pin_model,
+        pin_convention,
+        joint_names,
+        description.null_efforts,
+    )
     contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}
     for frame in contact_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -209,9 +216,10 @@ def _copy_armature(
     pin_model: pin.Model,
     pin_convention: PinocchioConvention,
     joint_names: Sequence[str],
+    null: Mapping[str, EffortStatement],
 ) -> list[Diagnostic]:
     """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts."""
-    limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {})
+    limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = effort_notes(limits)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
@@ -470,7 +478,11 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
                 own=Quantity(old_limit, "N m") if old_limit < math.inf else None,
             )
         )
-    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec, efforts=new_limits)
+    null = {
+        name: empty for name, empty in robot.description.null_efforts.items() if name not in efforts
+    }
+    changes = {"urdf": to_text(urdf.root), "mjcf": mjcf.spec, "efforts": new_limits}
+    built = rebuild_robot(robot, **changes, null_efforts=null)
     return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=messages)))
 
 

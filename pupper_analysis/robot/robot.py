@@ -28,6 +28,7 @@ from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
     EffortLimit,
+    EffortStatement,
     effort_of,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -44,12 +45,16 @@ _EFFORT_RTOL = 1e-6
 """Relative tolerance for equal limits, because files contain rounded values."""
 
 
+_NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
+
+
 def efforts_of(
     mj_model: mujoco.MjModel,
     pin_model: pin.Model,
     convention: PinocchioConvention,
     joint_names: Sequence[str],
     original_limits: Mapping[str, EffortLimit],
+    null: Mapping[str, EffortStatement] = _NO_STATEMENTS,
 ) -> tuple[EffortLimit, ...]:
     """Return the effort limit of each joint, in the order of ``joint_names``.
 
@@ -60,12 +65,14 @@ def efforts_of(
         joint_names: Names of the joints.
         original_limits: {joint: original limit} of motors that were replaced by servos. If the
             servo has an equal limit, the original one is returned, with its sources.
+        null: {joint: empty force range of the MJCF}.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     actuators_by_joint = drives_by_joint(mj_model)
     for name, effort in zip(joint_names, urdf, strict=True):
         joint, original = int(mj_model.joint(name).id), original_limits.get(name)
-        limit = effort_of(mj_model, joint, effort, drives=actuators_by_joint.get(joint, ()))
+        drives = actuators_by_joint.get(joint, ())
+        limit = effort_of(mj_model, joint, effort, drives=drives, null=null.get(name))
         is_equal = original is not None and _are_equal_efforts(original.lower, limit.lower)
         is_equal = (
             is_equal and original is not None and _are_equal_efforts(original.upper, limit.upper)
@@ -446,6 +453,7 @@ class Robot:
             self.pin_convention,
             self.joint_names,
             self.description.efforts,
+            self.description.null_efforts,
         )
 
     @cached_property

@@ -184,7 +184,7 @@ def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bo
     return bool(
         statics.com_margin < _FALLS * fall
         or (not robot.welds and min(loads) < _LIGHT * sum(loads) / len(loads))
-        or max(statics.motor_utilisation, default=0.0) > _NEARLY
+        or bool((statics.motor_utilisation > _NEARLY).any())
         or max(statics.friction_utilisation.values(), default=0.0) > _NEARLY
         or min(room, default=math.inf) < _NEAR
     )

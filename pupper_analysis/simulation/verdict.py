@@ -31,6 +31,7 @@ class VerdictCode(StrEnum):
     IN_BALANCE = "in balance, and not simulated"
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
+    LIMITS_UNKNOWN = "holds in simulation, on motors whose torque limit no file states"
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
@@ -53,6 +54,10 @@ class Asked(StrEnum):
     CARRIES = "whether it carries its payload"
     TRACKED = "whether it follows its path"
     LASTS = "whether it bears pushes"
+
+
+ABOUT_LOAD = (Asked.CARRIES, Asked.LASTS)
+"""Questions that no simulation with motors of unknown torque answers."""
 
 
 class Ending(StrEnum):
@@ -145,6 +150,7 @@ def judge_stance(
     own: OwnRun | None = None,
     published: Published | None = None,
     converted: str = "",
+    unknown: bool = False,
     remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
     """Weighs what was simulated of a stance, of a posture, or of what is asked of them.
@@ -158,9 +164,12 @@ def judge_stance(
         own: What the file does by itself, from its keyframe.
         published: How the MJCF as it was published differs from what was simulated.
         converted: Which of the robot's models was made of the other one, if one was.
+        unknown: Whether the answer depends on torque limits that no file states.
         remarks: What else of the robot it rests on; an error lets it not pass.
     """
     code = _code(fed, alone, servos, overloaded, own, published, remarks)
+    if unknown and code in HOLDING:
+        code = VerdictCode.LIMITS_UNKNOWN
     return Verdict(
         code=code,
         asked=asked,

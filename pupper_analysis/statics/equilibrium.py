@@ -156,7 +156,7 @@ class Equilibrium(Tabular):
     Attributes:
         joint_names: Names of the joints, in actuator order.
         joint_torques: (nu,) what the motors hold (N m).
-        motor_utilisation: (nu,) torque / effort limit, absolute.
+        motor_utilisation: (nu,) |torque| / effort limit; not a number if no file states the limit.
         contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
         contact_points: {foot: (3,)} where it acts, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
@@ -411,18 +411,27 @@ def utilise(robot: Robot, torques: Array) -> Array:
         torques: Shape (..., nu) [N m].
 
     Returns:
-        Shape (..., nu). For a limit of zero: infinite, or NaN if the torque is zero too.
+        Shape (..., nu). NaN for an unknown limit. For a limit of zero: infinite if the torque is
+        more than rounding, else zero.
     """
     limits, magnitudes = robot.effort_limits, np.abs(torques)
-    # `errstate` takes longer than the division, and is needed only if a limit is zero.
-    if robot.once(_has_only_nonzero_limits):
+    # `errstate` takes longer than the division, and is needed only for zero and unknown limits.
+    if robot.once(_has_only_positive_limits):
         return magnitudes / limits
+    loaded = magnitudes > MIN_TORQUE_PER_MASS * robot.total_mass
     with np.errstate(divide="ignore", invalid="ignore"):
-        return magnitudes / limits
+        shares = np.where(limits > 0, magnitudes / limits, np.where(loaded, np.inf, 0.0))
+    return np.where(np.isinf(limits), np.nan, shares)
 
 
-def _has_only_nonzero_limits(robot: Robot) -> bool:
-    return bool(robot.effort_limits.all())
+def _has_only_positive_limits(robot: Robot) -> bool:
+    return bool(((robot.effort_limits > 0) & np.isfinite(robot.effort_limits)).all())
+
+
+def peak_utilisation(shares: Array) -> float:
+    """Compute the largest utilisation of motors with a stated limit; NaN without any."""
+    known = shares[~np.isnan(shares)]
+    return float(known.max()) if known.size else math.nan
 
 
 _NO_WELDS = FrozenDict[str, Array]()

@@ -11,10 +11,13 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.efforts import effort_of
 from pupper_analysis.models.transmission import Drive, drive_of
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.limits import describe_null_efforts
+from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.robot import effort_notes
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.stand.stance import study_stance
@@ -108,7 +111,10 @@ def arm(motor: str, joint: str = "") -> mujoco.MjModel:
         ('<motor joint="turn" forcerange="-1 4" gear="-2"/>', "", 5.0, (-5, 2), "forcerange"),
         ('<motor joint="turn"/>', 'actuatorfrcrange="-2 3"', 9.0, (-2, 3), "actuatorfrcrange"),
         ('<position joint="turn" kp="5" ctrlrange="-2 2"/>', "", 4.0, (-4, 4), "effort"),
-        ('<motor joint="turn" forcerange="-4 4"/>', "", 0.0, (-4, 4), "forcerange"),
+        ('<motor joint="turn" forcerange="-4 4"/>', "", 0.0, (0, 0), "effort"),
+        ('<motor joint="turn" forcerange="-4 4"/>', "", -1.0, (0, 0), "effort"),
+        ('<motor joint="turn" forcerange="-4 4"/>', "", UNSTATED, (-4, 4), "forcerange"),
+        ('<motor joint="turn"/>', "", UNSTATED, None, None),
         ('<intvelocity joint="turn" kp="5" actrange="-1 1"/>', "", None, None, None),
         ('<motor joint="turn" ctrlrange="-4 4"/>', "", 4.0, (-4, 4), "effort"),
     ],
@@ -221,8 +227,46 @@ def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
     assert not model.jnt_limited[model.joint("FL_roll").id]
 
 
-def _without_effort(pair: Pair) -> Pair:
-    rewritten(pair.urdf, ('effort="80" velocity="20"', 'effort="0" velocity="0"'))
+@pytest.mark.parametrize(
+    ("effort", "code"),
+    [(80.0, "stated"), (0.0, "zero"), (-1.0, "negative"), (None, "unknown"), (2e9, "unknown")],
+)
+def test_code_of_a_limit_names_zero_negative_and_unknown(effort: float | None, code: str) -> None:
+    limit = effort_of(arm('<motor joint="turn"/>'), 0, effort)
+    assert limit.code == code
+    assert limit.without_torque is (code in ("zero", "negative"))
+    assert limit.to_dict()["code"] == code
+
+
+@pytest.mark.parametrize(
+    ("actuator", "joint", "code"),
+    [
+        ('<position joint="turn" kp="9" forcerange="0 0"/>', "", "zero"),
+        ('<position joint="turn" kp="9" forcerange="5 -5"/>', "", "negative"),
+        ('<position joint="turn" kp="9" forcerange="0 0" forcelimited="false"/>', "", "unknown"),
+        ('<motor joint="turn" ctrlrange="0 0"/>', "", "zero"),
+        ('<position joint="turn" kp="9" ctrlrange="0 0"/>', "", "unknown"),  # of angles
+        ('<motor joint="turn"/>', 'actuatorfrcrange="0 0"', "zero"),
+        ('<motor joint="turn"/>', "", "unknown"),
+        ('<motor joint="turn" forcerange="-2 2"/>', "", "stated"),
+    ],
+)
+def test_a_range_from_0_to_0_is_a_motor_without_torque(
+    actuator: str, joint: str, code: str, tmp_path: Path
+) -> None:
+    """MuJoCo ignores the range: its model has no limit, which ``mj_forward`` shows."""
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(motor=actuator, joint=joint))
+    robot = pa.load_robot(path, fixed_base=True, as_is=True)
+    assert robot.efforts[0].code == code
+    data = mujoco.MjData(robot.mj_model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(robot.mj_model, data)
+    assert data.qfrc_actuator[0] != 0  # the engine applies no limit of zero
+
+
+def _without_effort(pair: Pair, effort: str = "") -> Pair:
+    rewritten(pair.urdf, ('effort="80" velocity="20"', effort))
     return pair
 
 
@@ -238,7 +282,7 @@ def test_of_two_limits_the_lesser_counts_and_it_is_said_whose_it_is(tmp_path: Pa
     ]
 
 
-def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
+def test_an_effort_that_the_urdf_does_not_state_is_the_mjcfs_or_unknown(tmp_path: Path) -> None:
     pair = _without_effort(quadruped(tmp_path))
     robot = pa.load_robot(*pair)
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
@@ -250,7 +294,42 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)
     rewritten(pair.mjcf, (' ctrlrange="-30 30"', ""))
     robot = pa.load_robot(*pair)
-    np.testing.assert_array_equal(robot.effort_limits, np.inf)
+    assert {limit.code for limit in robot.efforts} == {"unknown"}
+    assert np.isnan(pa.stance.stand_statics(robot, stand).motor_utilisation).all()
+
+
+def test_an_effort_of_zero_fails_and_names_the_mjcfs(tmp_path: Path) -> None:
+    """In MuJoCo with the forces clamped to zero the robot falls; the MJCF states 30 N m."""
+    pair = _without_effort(quadruped(tmp_path), 'effort="0" velocity="0"')
+    robot = pa.load_robot(*pair)
+    assert {limit.code for limit in robot.efforts} == {"zero"}
+    stand = pa.solve_stand(robot)
+    drive = model_with_servos(robot)
+    data = mujoco.MjData(drive.model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    data.ctrl[:] = drive.command(robot, stand.qpos[7:])
+    while data.time < 1.0:
+        mujoco.mj_step(drive.model, data)
+    assert data.qpos[2] < 0.6 * stand.qpos[2]
+    verdict = judge_stand(robot, stand)
+    assert not verdict.passed
+    (cause,) = verdict.failures
+    assert cause.code == "motors-without-torque"
+    assert cause.values["joints"] == robot.joint_names
+    assert cause.values["other"] == Quantity(30.0, "N m")
+    assert cause.values["other_file"] == "MJCF"
+    assert judge_stand(with_efforts(robot, dict.fromkeys(robot.joint_names, 30.0)), stand).passed
+
+
+def test_an_effort_of_zero_names_that_of_a_sibling_limb(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    rewritten(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    robot = pa.load_robot(pair.urdf)
+    cause = describe_null_efforts(robot)
+    assert cause is not None
+    assert cause.values["joints"] == ("FL_roll",)
+    assert cause.values["other"] == Quantity(80.0, "N m")
+    assert cause.values["other_name"] in ("FR_roll", "RL_roll", "RR_roll")
 
 
 @pytest.mark.slow
@@ -265,7 +344,7 @@ def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None
     assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
     assert result.overloaded
     assert not result.passed
-    pair = _without_effort(biped(tmp_path))
+    pair = _without_effort(biped(tmp_path))  # nobody states one
     rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
     result = study_stance(pa.load_robot(*pair), pa.StandTask())
     assert result.passed
@@ -296,3 +375,20 @@ def test_a_gear_makes_no_other_drive(gear: float) -> None:
 def test_of_two_servos_the_stiffer_one_at_the_joint_says_where_it_goes() -> None:
     assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
     assert drive(position(10, 2) + position(-10)) is Drive.SERVO
+
+
+@pytest.mark.parametrize(("coefficient", "expected"), [(1.0, Drive.TENDON), (0.0, Drive.NONE)])
+def test_a_joint_of_a_driven_tendon_has_an_actuator(coefficient: float, expected: Drive) -> None:
+    """MuJoCo: the tendon's actuator turns the joint, by ``qfrc_actuator``."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/><body pos="1 0 0">'
+        '<joint name="b"/><geom size="0.1"/></body></body></worldbody><tendon><fixed name="t">'
+        f'<joint joint="a" coef="1"/><joint joint="b" coef="{coefficient}"/></fixed></tendon>'
+        '<actuator><motor joint="a"/><position tendon="t" kp="5"/></actuator></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.ctrl[1] = 1.0
+    mujoco.mj_forward(model, data)
+    assert bool(data.qfrc_actuator[1]) is (expected is Drive.TENDON)
+    assert drive_of(model, 1) is expected
+    assert drive_of(model, 0) is Drive.MOTOR

@@ -98,7 +98,7 @@ def test_robots_that_are_solved_leave_no_memory_behind() -> None:
 def test_one_infinite_joint_limit_keeps_the_finite_other() -> None:
     """PlaCo's model, a Pinocchio model, holds the limits that the goal states."""
     robot = load("v3")
-    placo = Context(robot).solver
+    placo = SearchContext(robot).solver
     shapes, index = placo.placo_robot.wrapper.model, 3
     name = robot.joint_names[index]
     q = int(shapes.joints[shapes.getJointId(name)].idx_q)

@@ -12,7 +12,7 @@ from lxml import etree
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_limit
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
 from pupper_analysis.models.stated.model import (
@@ -76,14 +76,20 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
         stated=_stated_values(joint),
         lower=_read_number(limit, "lower", 0.0) if limited else -math.inf,
         upper=_read_number(limit, "upper", 0.0) if limited else math.inf,
-        effort=_read_number(limit, "effort", math.inf),
+        effort=known_limit(_read_number(limit, "effort", math.inf)),
     )
 
 
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
     """Return {kind: value} of the joint parameters that the file specifies."""
     texts = {attribute.kind: joint.stated(attribute) for attribute in JOINT_ATTRIBUTES}
-    return {kind: float(text) for kind, text in texts.items() if text is not None}
+    found = {kind: float(text) for kind, text in texts.items() if text is not None}
+    # The reader adds values of UNSTATED to a <limit> that lacks them.
+    return {
+        kind: value
+        for kind, value in found.items()
+        if kind not in ("effort", "velocity") or value < UNSTATED
+    }
 
 
 def _make_link(

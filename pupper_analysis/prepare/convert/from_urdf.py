@@ -24,6 +24,7 @@ from pupper_analysis.models.attributes import (
     COUPLING_TIME_CONSTANT,
     FLOOR_NAME,
     PASSIVE_ATTRIBUTES,
+    UNSTATED,
     Number,
 )
 from pupper_analysis.models.conversion import UrdfImport
@@ -258,7 +259,8 @@ class UrdfBodies:
         if effort is not None and float(effort) < 0:
             limit = Quantity(float(effort), "N m")
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
-            effort = None
+        if effort is not None and not 0 < float(effort) < UNSTATED:
+            effort = None  # MuJoCo ignores an empty range; the URDF's statement is kept beside it
         mimic = stated.mimic
         if mimic is not None and self._follows(stated):
             factors = mimic.get("multiplier") or "1", mimic.get("offset") or "0"

@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
+from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.conversion import inertia_of_body, places_of_joint
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
@@ -149,7 +149,7 @@ class UrdfLinks:
         limit = add_element(
             node,
             "limit",
-            effort=write_numbers(effort if math.isfinite(effort) else 0.0),
+            effort=write_numbers(effort if math.isfinite(effort) else UNSTATED),
             velocity=write_numbers(_UNKNOWN_VELOCITY),
         )
         if limited:

@@ -16,7 +16,7 @@ from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
 
 NOTHING: Mapping[doc.Column, Any] = MappingProxyType({})
 
@@ -32,8 +32,15 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
+def limit_cell(limit: float) -> doc.Cell:
+    """Return a motor's torque limit as a cell; a word if no file states it."""
+    return doc.number_cell(limit, "g") if math.isfinite(limit) else text("limit-unknown")
+
+
 def mass_text(mass: float) -> doc.Words:
     """Returns a mass that can be borne (kg), rounded down: what is stated is borne."""
+    if math.isnan(mass):
+        return text("limit-unknown")
     if math.isinf(mass):
         return text("no-limit")
     return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
@@ -72,8 +79,9 @@ def load_blocks(
         page_of("explanation/statics.md", "Standing is not hanging"),
         proof_text(verification),
     )
+    peak = _share(peak_utilisation(min_max_torque.motor_utilisation))
     notes = (
-        text("torque-distributions", peak=f"{min_max_torque.motor_utilisation.max():.1%}"),
+        text("torque-distributions", peak=peak),
         text("limit-origins", origins=origins_text(origins)),
     )
     compared = {
@@ -87,6 +95,11 @@ def load_blocks(
         torque_plot(statics, verification.joint_torques.tolist(), limits),
         _contacts(statics, verification),
     ]
+
+
+def _share(value: float) -> str:
+    """Return a share in percent; a dash if it is unknown or infinite."""
+    return f"{value:.1%}" if math.isfinite(value) else "-"
 
 
 def torque_table(
@@ -105,7 +118,7 @@ def torque_table(
         (
             doc.Name(name),
             doc.number_cell(statics.joint_torques[index], "+.4f"),
-            doc.number_cell(limits[index], "g"),
+            limit_cell(limits[index]),
             utilisation_cell(float(statics.motor_utilisation[index]), limits[index]),
             *(
                 doc.number_cell(values[index], "+.2f" if column.unit == "°" else "+.4f")
@@ -129,7 +142,7 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
     listed = []
     for origin, count in counts.most_common():
-        place = text("no-limit" if origin is None else "as-asked")
+        place = text("no-limit-stated" if origin is None else "as-asked")
         if origin is not None and origin[1]:
             place = text("attribute-in-the-file", attribute=origin[0], file=origin[1])
         several = len(counts) > 1

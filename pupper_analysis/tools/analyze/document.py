@@ -43,6 +43,7 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.statics.equilibrium import peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
@@ -93,8 +94,8 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     """Says in a line each: mass and peak torque; how high it stands; how well the files agree."""
     statics = analysis.statics
     share = statics.motor_utilisation
-    limited = bool(share.any())
-    most = int(np.argmax(share if limited else np.abs(statics.joint_torques)))
+    limited = not np.isnan(share).all()
+    most = int(np.nanargmax(share if limited else np.abs(statics.joint_torques)))
     peak = text(
         "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
@@ -429,7 +430,7 @@ def compare_with_base(
         thigh_ratio=_ratio(analysis.thigh_length, thigh),
         height=analysis.stand.task.height,
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
-        peak_utilisation=float(analysis.statics.motor_utilisation.max()),
+        peak_utilisation=peak_utilisation(analysis.statics.motor_utilisation),
         servo_sag=analysis.sagging.servo_sag,
         stands_without=analysis.sagging.passed,
         verified=analysis.verified,

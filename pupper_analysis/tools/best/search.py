@@ -20,6 +20,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import peak_utilisation
 from pupper_analysis.tools.best.first_order import SmallPayload, bearable
 from pupper_analysis.tools.best.space import STEP_OVER, Room, StanceSpace
 
@@ -125,7 +126,7 @@ class StanceSearch:
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
             return statics.com_margin
-        return float(statics.motor_utilisation.max())
+        return peak_utilisation(statics.motor_utilisation)
 
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
         """Returns a stance, or None if there is none; remembers the best that is allowed.

@@ -14,6 +14,7 @@ from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
+    limit_cell,
     origins_text,
     torque_plot,
     torque_table,
@@ -120,7 +121,7 @@ def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
         (
             doc.Name(name),
             doc.number_cell(worst.joint_torques[index], "+.4g"),
-            doc.number_cell(worst.limits[index], "g"),
+            limit_cell(float(worst.limits[index])),
             utilisation_cell(float(worst.utilisation[index]), float(worst.limits[index])),
             doc.vector_cell(scales * worst.postures[index], ".1f"),
         )
@@ -159,11 +160,14 @@ def _limits(
     notes: tuple[doc.Text, ...],
 ) -> doc.Table:
     """Returns a table of greatest values, and whose motor is at its limit with each."""
-    cells = tuple(
-        (what, doc.number_cell(value, ".4g"), doc.Name(joint or "-")) for what, value, joint in rows
-    )
+    cells = tuple((what, _limit_cell(value), doc.Name(joint or "-")) for what, value, joint in rows)
     last = doc.Column(text("motor-at-its-limit"), left=True)
     return doc.Table(title, (first, most, last), cells, notes=notes)
+
+
+def _limit_cell(value: float) -> doc.Cell:
+    """Return a greatest value; a word if torque limits that it depends on are unknown."""
+    return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 
 def _tried(hold: Hold) -> Iterator[doc.Text]:
@@ -209,7 +213,8 @@ def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
     full = np.unique(ring)
     middle = 1e3 * (edges[full] + edges[full + 1]) / 2
-    per_ring = [100 * reach.utilisation[ring == one] for one in full]
+    shares = np.where(np.isfinite(reach.utilisation), reach.utilisation, np.nan)
+    per_ring = [100 * shares[ring == one] for one in full]
     axis = doc.Axis(text("distance-from-the-first-joint"), "mm", ".0f")
     share = doc.Axis(text("utilisation"), "%", ".1f")
     lines = (
@@ -247,7 +252,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
     """
     used = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(used)
-    if limited.any():
+    if limited.any() and limits[limited].all():
         worst = int(np.argmax(np.where(limited, used, -1.0)))
         yield text(
             "motor-that-holds-most",
@@ -276,8 +281,8 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
     ]
     if weak:
         yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
-    if not np.isfinite(hold.limits).any():
-        yield text("no-motor-has-a-limit").marked("warn")
+    if hold.payload.unknown:
+        yield _unknown(hold).marked("warn")
         return
     if hold.payload.servos < hold.payload.mass:
         yield text(
@@ -295,6 +300,22 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
     )
     if hold.payload_trial is not None and not hold.payload_trial.passed:
         yield from (words.marked("warn") for words in _tried(hold))
+
+
+def _unknown(hold: Hold) -> doc.Text:
+    """Return that no file states what the motors carry, and the torques that they need."""
+    worst = np.abs(hold.worst.joint_torques)
+    joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
+    hardest = max(joints, key=lambda joint: float(worst[joint]))
+    return text(
+        "payload-unknown",
+        tool=doc.Name(hold.tool.name),
+        count=len(joints),
+        joints=join_words(map(doc.Name, hold.payload.unknown)),
+        here=f"{float(np.abs(hold.statics.joint_torques[joints]).max()):.3g}",
+        worst=f"{float(worst[hardest]):.3g}",
+        hardest=doc.Name(hold.worst.joint_names[hardest]),
+    )
 
 
 def _limit(most: float) -> str:

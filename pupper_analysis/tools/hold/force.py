@@ -34,9 +34,11 @@ class ToolForce(Tabular):
 
     Attributes:
         directions: (6, 3) of the force: along +x, -x, +y, -y, +z, -z of the world.
-        forces: (6,) the greatest (N); infinite where no motor with a limit feels it.
+        forces: (6,) the greatest (N); infinite if no motor bears it, not a number if a motor that
+            bears it has an unknown limit.
         joints: (6,) whose motor then is at its limit; "" if none is.
-        weakest: The least force of all directions that is not withstood (N).
+        weakest: The least force of all directions that is not withstood (N); not a number if a
+            motor that bears a force has an unknown limit.
         weakest_direction: (3,) a unit vector; zero if every force is withstood, or none.
         weakest_joint: Whose motor gives in.
         angles: (n,) about the sections' normals, from their first axis to their second (rad).
@@ -115,6 +117,7 @@ def edges(rows: Array, room: Array, directions: Array) -> tuple[Array, NDArray[n
         ends[:, room < 0] = 0.0
     nearest = ends.argmin(axis=1)
     forces = ends[np.arange(len(ends)), nearest]
+    forces[(np.abs(along[:, np.isinf(room)]) > _IDLE).any(axis=1)] = np.nan  # an unknown limit
     return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
 
 
@@ -132,6 +135,8 @@ def _weakest(rows: Array, room: Array) -> tuple[float, Array, int]:
     if room.min() < 0:
         return 0.0, np.zeros(3), int(room.argmin()) % (len(rows) // 2)
     lengths = np.linalg.norm(rows, axis=1)
+    if (lengths[np.isinf(room)] > _IDLE).any():  # an unknown limit
+        return float("nan"), np.zeros(3), -1
     distances = np.where(lengths > _IDLE, room / np.maximum(lengths, _IDLE), np.inf)
     nearest = int(distances.argmin())
     if not np.isfinite(distances[nearest]):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.results import Result, Tabular
-from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
@@ -39,6 +40,8 @@ from pupper_analysis.statics.equilibrium import (
     GravityCompensation,
     borne_by_motors,
     gravity_compensation,
+    peak_utilisation,
+    utilise,
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
 from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
@@ -57,7 +60,8 @@ class ReachLoad(Tabular):
     Attributes:
         distances: (n,) of the tool from the vertical through the chain's first joint (m).
         heights: (n,) of the tool in the world (m).
-        utilisation: (n,) of the motor that is nearest to its limit; 0 where none has one.
+        utilisation: (n,) of the motor that is nearest to its limit; infinite if a motor without
+            torque has to hold something, not a number if no motor has a stated limit.
     """
 
     distances: Array = field(metadata={"unit": "m"})
@@ -81,14 +85,12 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         posture: One of its postures.
         tool: Its tool.
     """
-    found, limits = [], robot.effort_limits
-    limited = np.isfinite(limits) & (limits > 0)
+    found = []
     for qpos in JointMotions(robot, posture).random(_POSTURES):
         config = Configuration(robot, qpos)
         place = tool.position(config)
         middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
-        held = np.abs(config.by_motors(config.load()))
-        most = float(np.max(held[limited] / limits[limited], initial=0.0))
+        most = peak_utilisation(utilise(robot, config.by_motors(config.load())))
         found.append((float(np.hypot(*(place - middle)[:2])), float(place[2]), most))
     distances, heights, utilisation = np.array(found).T
     return ReachLoad(distances, heights, utilisation)
@@ -112,15 +114,20 @@ class ToolPayload(Result):
     """The greatest point masses that the motors hold at a tool.
 
     Attributes:
-        mass: In the posture (kg); infinite if no motor that bears it has a limit.
+        mass: In the posture (kg); infinite if no motor bears it, not a number if a motor that bears
+            it has an unknown limit.
         joint: Whose motor then is at its limit; "" if none is.
         servos: The greatest that its servos hold in the posture (kg), whatever the motors do: with
             more, gravity turns it over against their stiffness, or one is commanded beyond its
             ``ctrlrange``. Infinite if no mass is too much.
         servo: Whose command that is; "" if gravity turns it over.
-        somewhere: With more than this, a posture was found that is not held (kg).
+        somewhere: With more than this, a posture was found that is not held (kg); not a number if a
+            motor that may bear it has an unknown limit.
         weakest: The joint whose motor is beyond its limit there; "" if none is.
         posture: (nu,) that posture (rad, m).
+        code: ``unknown`` if a motor that may bear the mass has an unknown limit, ``zero`` if one
+            has no torque, else ``stated``.
+        unknown: Joints that may bear the mass and whose torque limit no file states.
     """
 
     mass: float = field(metadata={"unit": "kg"})
@@ -130,6 +137,8 @@ class ToolPayload(Result):
     somewhere: float = field(metadata={"unit": "kg"})
     weakest: str
     posture: Array = field(metadata={"unit": "rad or m"})
+    code: EffortCode
+    unknown: tuple[str, ...]
 
 
 @check_arguments
@@ -158,9 +167,27 @@ def tool_payload(
     """
     mass, joint = posture_payload(robot, posture.qpos, tool)
     servos, servo = servo_payload(robot, posture, tool, kp)
+    bears = _bearing(robot, posture, tool)
+    names = np.array(robot.joint_names)
+    unknown = tuple(names[bears & np.isinf(robot.effort_limits)].tolist())
+    null = names[bears & [limit.without_torque for limit in robot.efforts]].tolist()
+    known: dict[str, Any] = {
+        "servos": servos,
+        "servo": servo,
+        "posture": posture.qpos,
+        "unknown": unknown,
+    }
+    if null:
+        code, first = EffortCode.ZERO, null[0]
+        return ToolPayload(mass=0.0, joint=first, somewhere=0.0, weakest=first, code=code, **known)
+    if unknown:
+        code = EffortCode.UNKNOWN
+        return ToolPayload(
+            mass=mass, joint=joint, somewhere=math.nan, weakest="", code=code, **known
+        )
     most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
     most = min(most, UNLIMITED * robot.total_mass)
-    loaded, bears = worst, _bearing(robot, posture, tool)
+    loaded = worst
     for _ in range(_ROUNDS if most > 0 else 0):
         loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
         lower, name, at = _least(robot, tool, list(loaded.postures))
@@ -177,11 +204,16 @@ def tool_payload(
         somewhere=most if weakest else math.inf,
         weakest=weakest,
         posture=place,
+        code=EffortCode.STATED,
+        unknown=(),
     )
 
 
 def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
-    """Returns the greatest mass (kg) at a tool in a posture (nu,), and whose motor binds."""
+    """Return the greatest mass (kg) at a tool in a posture (nu,), and the joint that limits it.
+
+    Not a number if a motor that bears the mass in this posture has an unknown limit.
+    """
     config, limits = Configuration(robot, qpos), robot.effort_limits
     empty = config.by_motors(config.load())
     rates = config.by_motors(tool.load_per_mass(config))
@@ -189,6 +221,8 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     if over.any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
     mass = borne_by_motors(empty, rates, limits)
+    if (np.abs(rates)[np.isinf(limits)] > MIN_TORQUE_PER_MASS).any():
+        return math.nan, ""
     if not mass <= UNLIMITED * robot.total_mass:  # a lever that is all but none
         return math.inf, ""
     left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
@@ -243,6 +277,8 @@ def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     closure = robot.closure
     for joints in [] if closure is None else bound_in_common(closure, posture.qpos):
         bears[joints] |= bears[joints].any()
+    if closure is not None:
+        bears[closure.following] = False
     return bears
 
 

@@ -46,14 +46,13 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
 
 def _word(limit: PayloadLimit) -> doc.Words:
     """Returns the verdict: whether it carries, and if that lasts."""
-    limited = len(limit.joint_torques) - len(limit.unlimited)
-    if not limit.passed:
+    if limit.unknown_limits and limit.at_most > 0:
+        key = "UNKNOWN"
+    elif not limit.passed:
         key = "FAILS"
-    elif not limited:
-        key = "carries"
     elif not limit.continuous:
         key = "carries-for-moments"
-    elif (count := limited - len(set(limit.continuous) - set(limit.unlimited))) > 0:
+    elif (count := len(limit.joint_torques) - len(limit.continuous)) > 0:
         return text("carries-in-part", count=count)
     else:
         key = "carries-lastingly"
@@ -62,6 +61,8 @@ def _word(limit: PayloadLimit) -> doc.Words:
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
     """Returns the greatest mass, where it is, and what gives way beyond it."""
+    if limit.unknown_limits and limit.at_most > 0:
+        return _unknown_text(limit)
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
@@ -69,6 +70,21 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         mass=mass_text(limit.mass),
         ground=ground_word(limit.stand.depths.values()),
         failure=_failure(limit.failure, limit.where),
+    )
+
+
+def _unknown_text(limit: PayloadLimit) -> doc.Text:
+    """Return the joints without a stated limit, and the torque that the upper bound needs."""
+    torques = limit.torque_of
+    hardest = max(limit.unknown_limits, key=lambda name: abs(float(torques[name])))
+    return text(
+        "payload-unknown",
+        place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
+        link=limit.link,
+        mass=mass_text(limit.at_most),
+        bounded=math.isfinite(limit.at_most),
+        torque=f"{abs(float(torques[hardest])):.3g}",
+        hardest=doc.Name(hardest),
     )
 
 
@@ -80,12 +96,12 @@ def payload_table(limit: PayloadLimit) -> doc.Table:
         if name != "simulation" or math.isfinite(bound.mass)
     ]
     notes: list[doc.Words] = [text("payload-is-static")]
-    if limit.unlimited:
+    if limit.unknown_limits:
         notes.append(
             text(
                 "motors-without-effort-limit",
-                count=len(limit.unlimited),
-                joints=join_words(map(doc.Name, limit.unlimited)),
+                count=len(limit.unknown_limits),
+                joints=join_words(map(doc.Name, limit.unknown_limits)),
             )
         )
     return doc.Table(

@@ -17,7 +17,10 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.limits import driven_limits
+from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
 from pupper_analysis.robot.stability import LASTING
@@ -26,7 +29,7 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
-from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
+from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode, beyond_limits
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -137,7 +140,11 @@ class PayloadLimit(Result):
 
     Attributes:
         name: The robot's name.
-        mass: kg; the least of the four bounds, infinite if none binds.
+        mass: kg; the least of the four bounds, infinite if none binds; not a number if a motor that
+            bears the load has an unknown torque limit.
+        at_most: kg; the least of the four bounds, without motors whose limit is unknown.
+        code: ``unknown`` if a motor that bears the load has an unknown torque limit, ``zero`` if a
+            motor has no torque, else ``stated``.
         binding: Which of them it is: ``stance``, ``motors``, ``servos`` or ``simulation``.
         stance: Up to where there is a loaded stand: the base comes where the load asks for it, and
             the contacts bear it.
@@ -149,9 +156,10 @@ class PayloadLimit(Result):
             stance does not hold without payload.
         point: (3,) where the mass is attached, in the frame of ``link`` (m).
         link: Of the URDF, that carries it.
-        unlimited: The motors without an effort limit: they say nothing about a payload.
+        unknown_limits: The motors that bear the load and whose torque limit no file states.
         stand: The loaded stand with ``mass``; without, if that is infinite.
         offset: (2,) of the base from the centre of the feet in it, as ``StandTask.offset`` (m).
+        joint_names: (nu,) in actuator order.
         joint_torques: (nu,) in it (N m).
         contact_forces: {foot: (3,)} in it, in world axes (N).
         verdict: The one judge's, of the stance with ``TRIED`` of ``mass``; without payload, if
@@ -162,6 +170,8 @@ class PayloadLimit(Result):
 
     name: str
     mass: float = field(metadata={"unit": "kg"})
+    at_most: float = field(metadata={"unit": "kg"})
+    code: EffortCode
     binding: str
     stance: Bound
     motors: Bound
@@ -169,14 +179,20 @@ class PayloadLimit(Result):
     simulation: Bound
     point: Array = field(metadata={"unit": "m"})
     link: str
-    unlimited: tuple[str, ...]
+    unknown_limits: tuple[str, ...]
     stand: Stand
     offset: Array = field(metadata={"unit": "m"})
+    joint_names: tuple[str, ...]
     joint_torques: Array = field(metadata={"unit": "N m"})
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     verdict: Verdict
     trial: PayloadTrial | None
     continuous: tuple[str, ...] = ()
+
+    @property
+    def torque_of(self) -> dict[str, float]:
+        """{joint: torque in ``stand`` (N m)}."""
+        return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     @property
     def bounds(self) -> dict[str, Bound]:
@@ -197,7 +213,7 @@ class PayloadLimit(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it carries anything, and holds with it."""
+        """Whether a payload is known that it carries, and holds with; False if it is unknown."""
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.held)
 
 
@@ -267,28 +283,37 @@ def payload_limit(
         binding, most = "simulation", simulation.mass
     carries = 0 < most < math.inf
     held = search.at(most if math.isfinite(most) else 0.0)
+    unknown = _unknown_limits(robot, place)
+    null = any(limit.without_torque for limit in driven_limits(robot))
+    known = EffortCode.ZERO if null else EffortCode.STATED
     assert held.stand is not None
     assert held.statics is not None
     return PayloadLimit(
         name=robot.name,
-        mass=most,
+        mass=math.nan if unknown and most > 0 else most,
+        at_most=most,
+        code=EffortCode.UNKNOWN if unknown else known,
         binding=binding,
         **bounds,
         continuous=(),
         point=place.offset,
         link=place.link,
-        unlimited=tuple(
-            name
-            for name, limit in zip(robot.joint_names, robot.effort_limits, strict=True)
-            if not math.isfinite(limit)
-        ),
+        unknown_limits=unknown,
         stand=held.stand,
         offset=held.stand.qpos[:2] - held.stand.centre(robot)[:2],
+        joint_names=robot.joint_names,
         joint_torques=held.statics.joint_torques,
         contact_forces=held.statics.contact_forces,
         verdict=judged(TRIED * most if carries else 0.0),
         trial=tried(TRIED * most) if carries else None,
     )
+
+
+def _unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
+    """Return the joints that carry a foot or the payload and whose torque limit no file states."""
+    aside = set(free_joints(robot)) - set(place.chain)
+    unknown = (limit.joint for limit in driven_limits(robot) if limit.code is EffortCode.UNKNOWN)
+    return tuple(name for name in unknown if name not in aside)
 
 
 Trouble = tuple[Failure, tuple[str, ...]] | None
@@ -309,14 +334,19 @@ def _simulated(
         trial = tried(TRIED * mass)
         if trial.failure is not None:
             return trial.failure, trial.where
-        return None if judged(TRIED * mass).passed else (Failure.SIMULATED, ())
+        return None if _holds(judged(TRIED * mass)) else (Failure.SIMULATED, ())
 
     found = trouble(most)
     if found is None:
         return Bound(math.inf, Failure.NOTHING, ())
-    if not judged(0.0).passed:
+    if not _holds(judged(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
     return _bisect(trouble, 0.0, most, found, FINE**2 * most, FINE)
+
+
+def _holds(verdict: Verdict) -> bool:
+    """Return True if a stance holds in simulation, whatever is known of its motors' limits."""
+    return verdict.passed or verdict.code is VerdictCode.LIMITS_UNKNOWN
 
 
 def _bisect(

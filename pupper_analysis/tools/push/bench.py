@@ -227,6 +227,21 @@ class Bench:
             return False
         return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
 
+    def peak_torques(self, direction: int, impulse: float) -> Array:
+        """Return the largest |torque| of each motor during a push, shape (nu,) [N m].
+
+        Args:
+            direction: Index of the axis.
+            impulse: N s.
+        """
+        (states,) = self.simulate(np.array([direction]), np.array([impulse]))
+        dofs = self.robot.mj_convention.qvel_index[-self.robot.nu :]
+        peaks = np.zeros(self.robot.nu)
+        for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
+            self.watcher.look(state, self.ctrl)
+            peaks = np.maximum(peaks, np.abs(self.watcher.data.qfrc_actuator[dofs]))
+        return peaks
+
     def point(self) -> Array:
         """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""
         data = self.robot.placed(self.stand.qpos)

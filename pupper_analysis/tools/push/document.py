@@ -53,6 +53,18 @@ def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
     if recovery.unpushed:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
         return
+    if pushed.peak_torques is not None:
+        names, peaks = pushed.joint_names, pushed.peak_torques
+        unknown = [names.index(name) for name in pushed.unknown_limits]
+        hardest = max(unknown, key=lambda joint: float(peaks[joint]))
+        yield text(
+            "push-unknown",
+            impulse=f"{recovery.weakest_impulse:.2f}",
+            direction=f"{math.degrees(recovery.weakest_direction):.0f}",
+            torque=f"{float(peaks[hardest]):.3g}",
+            hardest=doc.Name(names[hardest]),
+        )
+        return
     yield text(
         "weakest-at-directiondeg-impulse",
         direction=f"{math.degrees(recovery.weakest_direction):.0f}",

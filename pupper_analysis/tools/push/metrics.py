@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from pupper_analysis.tools.push.recovery import push_recovery
+from pupper_analysis.tools.push.recovery import push_recovery, unknown_push_limits
 
 
 def _measure(design: Any) -> float:
+    if unknown_push_limits(design.robot):
+        return math.nan
     return push_recovery(design.robot, design.held).weakest_impulse
 
 

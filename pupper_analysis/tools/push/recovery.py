@@ -15,8 +15,11 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge
+from pupper_analysis.prepare.limits import driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.rollout import check_stand
@@ -36,16 +39,30 @@ class PushedStance(Result):
 
     Attributes:
         name: The robot's name.
+        joint_names: (nu,) in actuator order.
         stand: What is pushed: the stand with its feet sunk into MuJoCo's soft ground; the one on
             rigid ground where that is out of reach.
-        recovery: The largest pushes.
+        recovery: The largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, since a
+            motor with an unknown limit gives any torque there.
+        impulse: The smallest of the largest pushes (N s); not a number if a motor that carries the
+            robot has an unknown torque limit.
+        code: ``unknown`` if a motor that carries the robot has an unknown torque limit, ``zero`` if
+            a motor has no torque, else ``stated``.
+        unknown_limits: The motors that carry the robot and whose torque limit no file states.
+        peak_torques: (nu,) the largest |torque| of each motor during the weakest push of
+            ``recovery`` (N m); None if all limits are known, or the robot does not stand.
         verdict: Whether it holds unpushed, with feed-forward: that of ``study_stance``. What stands
             and does not hold (another robot's torques, say) is pushed all the same.
     """
 
     name: str
+    joint_names: tuple[str, ...]
     stand: Stand
     recovery: PushRecovery
+    impulse: float = field(metadata={"unit": "N s"})
+    code: EffortCode
+    unknown_limits: tuple[str, ...]
+    peak_torques: Array | None = field(metadata={"unit": "N m"})
     verdict: Verdict
 
     @property
@@ -95,8 +112,38 @@ def study_pushes(
         )
         statics = stand_statics(robot, held)
         verdict = judge(robot, stand, fed, statics=statics, asked=Asked.LASTS, kp=kp, kd=kd)
-        found[robot.name] = PushedStance(robot.name, held, recovery, verdict)
+        unknown = unknown_push_limits(robot)
+        peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
+        if any(limit.without_torque for limit in driven_limits(robot)):
+            code = EffortCode.ZERO
+        if unknown:
+            code, impulse = EffortCode.UNKNOWN, math.nan
+            if not recovery.unpushed:
+                angle = np.array([recovery.weakest_direction])
+                length = recovery.duration
+                bench = bench_of(
+                    robot,
+                    held,
+                    angle,
+                    duration=length,
+                    kp=kp,
+                    kd=kd,
+                    feedforward=True,
+                    integrator=None,
+                    verification=fed,
+                )
+                peaks = bench.peak_torques(0, recovery.weakest_impulse)
+        found[robot.name] = PushedStance(
+            robot.name, robot.joint_names, held, recovery, impulse, code, unknown, peaks, verdict
+        )
     return found
+
+
+def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
+    """Return the joints that carry a foot and whose torque limit no file states."""
+    aside = free_joints(robot)
+    unknown = (limit.joint for limit in driven_limits(robot) if limit.code is EffortCode.UNKNOWN)
+    return tuple(name for name in unknown if name not in aside)
 
 
 LEVELS = 8

@@ -104,8 +104,8 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
 
 def _answer(stance: Stance) -> Iterable[doc.Words]:
     """Says what is asked first: how hard the motors work, and what it does without feed-forward."""
-    limited = np.isfinite(stance.limits)
-    if limited.any():
+    limited = np.isfinite(stance.statics.motor_utilisation)
+    if limited.any() and not np.isinf(stance.statics.motor_utilisation).any():
         shares = np.where(limited, stance.statics.motor_utilisation, -1.0)
         most = int(np.argmax(shares))
         share = f"{100 * float(shares[most]):.0f}"

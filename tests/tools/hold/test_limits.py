@@ -149,11 +149,15 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
     mass = by_hand.EFFORTS["b_slide"] / G - MASSES["hand"]
     assert payload.somewhere == pytest.approx(mass, rel=1e-6)
     assert posture_payload(robot, payload.posture, tool)[0] == pytest.approx(mass, rel=1e-6)
-    strong = replace(robot)
-    vars(strong)["effort_limits"] = np.full(4, math.inf)
-    free = tool_payload(strong, posture, tool, worst_postures(strong, posture, tool))
-    assert free.mass == free.somewhere == math.inf
-    assert tool_force(strong, posture, tool).weakest == math.inf
+    unknown = replace(robot)
+    vars(unknown)["effort_limits"] = np.full(4, math.inf)
+    free = tool_payload(unknown, posture, tool, worst_postures(unknown, posture, tool))
+    assert math.isnan(free.mass)
+    assert math.isnan(free.somewhere)
+    assert free.code == "unknown"
+    assert free.unknown == tool.chain
+    assert free.to_dict()["mass"] is None
+    assert math.isnan(tool_force(unknown, posture, tool).weakest)
     weak = replace(robot)
     vars(weak)["effort_limits"] = np.full(4, 1e-3)
     held = worst_postures(weak, posture, tool)

@@ -144,13 +144,17 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
 
 
 @pytest.mark.slow
-def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
+def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
     robot = with_efforts(load("v3"), np.inf)
     limit = payload_limit(robot)
     assert limit.motors.mass == math.inf
     assert limit.motors.failure is Failure.NOTHING
-    assert limit.unlimited == robot.joint_names
+    assert limit.unknown_limits == robot.joint_names
     assert limit.binding == "servos"
+    assert limit.code == "unknown"
+    assert math.isnan(limit.mass)
+    assert limit.at_most == limit.servos.mass
+    assert not limit.passed
 
 
 @pytest.mark.slow

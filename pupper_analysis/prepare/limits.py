@@ -1,0 +1,98 @@
+"""Torque limits in verdicts: motors without torque, and motors whose limit no file states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.efforts import EffortCode, EffortLimit, EffortStatement
+from pupper_analysis.robot.alike import sibling_joints
+from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityCompensation
+
+
+def driven_limits(robot: Robot) -> list[EffortLimit]:
+    """Return the torque limits of the joints that have a motor or need one: no mimic followers."""
+    following = () if robot.closure is None else robot.closure.following.tolist()
+    return [limit for index, limit in enumerate(robot.efforts) if index not in following]
+
+
+def describe_null_efforts(robot: Robot) -> Diagnostic | None:
+    """Describe the motors without torque, with the value of the other file or a sibling limb.
+
+    Returns:
+        The description; None if each motor has torque, or an unknown limit.
+    """
+    null = [limit for limit in driven_limits(robot) if limit.without_torque]
+    if not null or null[0].origin is None:
+        return None
+    origin = null[0].origin
+    low, high = origin.stated
+    twins = [(limit.joint, limit.positive_statement) for limit in null]
+    twin = next(((joint, other) for joint, other in twins if other is not None), None)
+    return diagnose(
+        "motors-without-torque",
+        joints=[limit.joint for limit in null],
+        file=origin.file,
+        attribute=origin.attribute,
+        value=f"{high:g}" if origin.attribute == "effort" else f"{low:g} {high:g}",
+        negative=null[0].code is EffortCode.NEGATIVE,
+        **_remedy(twin or _sibling_limit(robot, null)),
+    )
+
+
+def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
+    """Return the fields of a message that name the limit of another file or limb."""
+    if found is None:
+        return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
+    joint, statement = found
+    return {
+        "other": Quantity(statement.least, "N m"),
+        "other_file": statement.file,
+        "other_name": joint,
+        "other_attribute": statement.attribute,
+    }
+
+
+def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
+    """Return the limit of a joint in the same place of a limb that is alike; None without one."""
+    limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
+    for limit in null:
+        for name in siblings.get(limit.joint, ()):
+            origin = limits[name].origin
+            if limits[name].code is EffortCode.STATED and origin is not None:
+                return name, origin
+    return None
+
+
+def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
+    """Return True if a motor without torque has to hold more than rounding."""
+    needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
+    least = MIN_TORQUE_PER_MASS * robot.total_mass
+    return any(needed[one.joint] > least for one in driven_limits(robot) if one.without_torque)
+
+
+def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
+    """Describe the motors whose limit no file states, with the largest torque that they need.
+
+    Returns:
+        The description; None if each motor that has to hold more than rounding has a limit.
+    """
+    needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
+    least = MIN_TORQUE_PER_MASS * robot.total_mass
+    unknown = [one.joint for one in driven_limits(robot) if one.code is EffortCode.UNKNOWN]
+    if not any(needed[joint] > least for joint in unknown):
+        return None
+    aside = free_joints(robot)  # they carry no foot
+    unknown = [joint for joint in unknown if joint not in aside or needed[joint] > least]
+    hardest = max(unknown, key=needed.__getitem__)
+    return diagnose(
+        "torque-limits-unknown",
+        joints=unknown,
+        count=len(unknown),
+        torque=Quantity(float(needed[hardest]), "N m"),
+        hardest=hardest,
+    )
