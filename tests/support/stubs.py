@@ -227,12 +227,17 @@ def pushes(shift: float) -> Stub:
     )
 
 
+KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None}
+
+
 def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
     verdict = judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.LASTS)
-    return Stub(name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict)
+    return Stub(
+        name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict, **KNOWN
+    )
 
 
 STAND: Any = Stub(
@@ -271,7 +276,7 @@ def stance(**changes: Any) -> Any:
     return Stub(**{**fields, **changes})
 
 
-def loaded(*unlimited: str) -> Any:
+def loaded(*unknown: str) -> Any:
     none = Stub(mass=math.inf, failure=Failure.NOTHING, where=())
     bounds = {
         "servos": Stub(mass=1.239, failure=Failure.BUCKLING, where=("knee",)),
@@ -282,7 +287,7 @@ def loaded(*unlimited: str) -> Any:
     trial = Stub(mass=1.177, duration=12.0, failure=None)
     return Stub(
         name="stub",
-        passed=True,
+        passed=not unknown,
         stand=Stub(**{**vars(STAND), **SUNK}),
         offset=np.array([-0.0123, 0.0045]),
         point=np.array([0.011, -0.022, 0.083]),
@@ -291,7 +296,9 @@ def loaded(*unlimited: str) -> Any:
         where=("knee",),
         failure=Failure.BUCKLING,
         bounds=bounds,
-        unlimited=unlimited,
+        at_most=1.239,
+        unknown_limits=unknown,
+        torque_of={"hip": 1.0, "knee": -2.0},
         joint_torques=(1.0, 2.0),
         continuous=(),
         trial=trial,
@@ -460,7 +467,7 @@ _REPORTS: dict[str, tuple[str, Callable[[], Report]]] = {
     "stance": ("stand", lambda: _alone(tool("stand.document").stance_document(stance()))),
     "payload": (
         "payload",
-        lambda: _alone(tool("payload.document").payload_document(loaded("hip"))),
+        lambda: _alone(tool("payload.document").payload_document(loaded())),
     ),
     "best": ("best", lambda: _alone(tool("best.document").best_document(best()))),
     "workspace": (

@@ -9,5 +9,8 @@ from tests.support.stubs import loaded
 
 def test_motors_without_a_limit_are_named() -> None:
     text = " ".join(printed(payload_document(loaded("hip", "knee"))))
-    assert "Motors without effort limit, which set no payload: 2 (hip, knee)." in text
-    assert "Motors without" not in " ".join(printed(payload_document(loaded())))
+    assert text.startswith("UNKNOWN stub")
+    said = "Motors whose torque limit no file states, which these bounds leave out: 2 (hip, knee)."
+    assert said in text
+    assert "all else allows 1.23 kg, with which the motors must give up to 2 N m (knee)" in text
+    assert "Motors whose" not in " ".join(printed(payload_document(loaded())))

@@ -211,7 +211,9 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
         falls = mass > nudged
         return SimpleNamespace(failure=Failure.TIPPING if falls else None, where=("FL",))
 
-    return payload._simulated(most, lambda mass: SimpleNamespace(passed=mass <= verdict), tried)  # type: ignore[arg-type,return-value]
+    return payload._simulated(
+        most, lambda mass: SimpleNamespace(passed=mass <= verdict, code=""), tried
+    )  # type: ignore[arg-type,return-value]
 
 
 @pytest.mark.parametrize("most", [39.0, 9.0, 3.3])

@@ -27,6 +27,16 @@ def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     assert "weakest" not in text
 
 
+def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
+    one = pushed("one", 0.0, 0.00311)
+    one.unknown_limits, one.peak_torques = ("knee",), np.array([9.0, 4.32])
+    text = " ".join(printed(push_document(one)))
+    assert "largest push UNKNOWN without torque limits" in text
+    assert "withstands 0.43 N s at 240°, its weakest direction" in text
+    assert "up to 4.32 N m (knee)" in text
+    assert "weakest at" not in text
+
+
 def test_limits_are_drawn_over_the_direction_once_around() -> None:
     limits, rigid = push_plot({"one": pushes(0.0)}, "one").series
     np.testing.assert_allclose(limits.x, [0.0, 120.0, 240.0, 360.0])
