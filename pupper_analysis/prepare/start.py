@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.additions import Start
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints
+from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import limbs_aside
