@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -109,13 +110,14 @@ def read_config(path: Path) -> GuardConfig:
     """Reads it.
 
     Raises:
-        ModelError: If it cannot be read, or says what is not valid; it tells what would be.
+        ModelError: If it cannot be read, or contains an invalid key or value. The message states
+            the line and the valid keys or values.
     """
     try:
-        _, values = read_toml(path)
+        text, values = read_toml(path)
     except InputError as error:
         raise ModelError(source_name(path, error.line), error.cause) from error
-    return _Reader(path, values).config()
+    return _Reader(path, text, values).config()
 
 
 _WILD: Final = "*?["
@@ -163,35 +165,84 @@ _KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], "disab
 """{key whose value is a table: which keys that may have}; of others any."""
 
 
-class _Reader:
-    """Reads one file, and refuses what it does not know."""
+Key = tuple[str | int, ...]
+"""Path of a value in a TOML file: names of keys, and indices (from 0) in arrays of tables."""
 
-    def __init__(self, path: Path, values: dict[str, Any]) -> None:
+
+def line_of_key(text: str, key: Key) -> int | None:
+    """Return the line, from 1, of the TOML statement that defines a key; None if none does.
+
+    The file is parsed from its beginning to the end of each line that ends a statement. The first
+    statement after which the key exists defines it.
+    """
+    start = None
+    lines = text.split("\n")
+    for number, line in enumerate(lines, start=1):
+        if start is None and line.strip() and not line.lstrip().startswith("#"):
+            start = number
+        try:
+            values = tomllib.loads("\n".join(lines[:number]))
+        except tomllib.TOMLDecodeError:
+            continue  # inside a statement
+        if _contains(values, key):
+            return start
+        start = None
+    return None
+
+
+def _contains(values: Any, key: Key) -> bool:
+    """Return whether nested tables and arrays contain a path."""
+    for part in key:
+        if isinstance(part, int):
+            if not isinstance(values, list) or len(values) <= part:
+                return False
+        elif not isinstance(values, dict) or part not in values:
+            return False
+        values = values[part]
+    return True
+
+
+class _Reader:
+    """Reader of one configuration file, which refuses unknown keys and invalid values."""
+
+    def __init__(self, path: Path, text: str, values: dict[str, Any]) -> None:
         self.path, self.folder, self.top = path, path.parent, values
+        self._text, self._entry = text, 0  # the index of the [[pair]] that is read
+
+    def error(self, key: Key, message: Diagnostic) -> ModelError:
+        """Return an error that names the line of a key."""
+        return ModelError(source_name(self.path, line_of_key(self._text, key)), message)
+
+    def own(self, *key: str) -> Key:
+        """Return the path of a key of the current [[pair]], or of the file's top if only there."""
+        own: Key = ("pair", self._entry, *key)
+        return own if _contains(self.top, own) else key
 
     def config(self) -> GuardConfig:
-        self.check(self.top, "", _TOP)
+        self.check(self.top, (), _TOP)
         entries = self.top.get("pair", [])
         if not entries:
             raise ModelError(self.path, diagnose("config-without-pair"))
         pairs: dict[str, GuardedPair] = {}
-        for entry in entries:
+        for self._entry, entry in enumerate(entries):
             for pair in self.pairs(entry):
                 if pair.name in pairs:
-                    raise ModelError(self.path, diagnose("pair-twice", pair=pair.name))
+                    raise self.error(self.own("name"), diagnose("pair-twice", pair=pair.name))
                 pairs[pair.name] = pair
         stated = self.top.get("fail-on", str(Severity.ERROR))
         try:
             fail_on = Severity(stated)
         except ValueError:
             severities = diagnose("one-of", names=[str(each) for each in Severity])
-            raise self.invalid("fail-on", stated, severities) from None
+            raise self.invalid(("fail-on",), stated, severities) from None
         baseline = self.folder / self.top.get("baseline", BASELINE)
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
-        self.check(entry, "pair", {**_PAIR, **dict.fromkeys(offering("guard"), _NAMES)})
+        self.check(
+            entry, ("pair", self._entry), {**_PAIR, **dict.fromkeys(offering("guard"), _NAMES)}
+        )
         patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
         if not any(char in text for text in patterns.values() for char in _WILD):
             yield self.pair(entry)
@@ -199,7 +250,7 @@ class _Reader:
         if len(patterns) == 2 and any(text.count("*") != 1 or "?" in text or "[" in text
                                       for text in patterns.values()):  # fmt: skip
             valid = Term("one * in each, which stands for the same in both")
-            raise self.invalid("urdf", patterns["urdf"], valid)
+            raise self.invalid(self.own("urdf"), patterns["urdf"], valid)
         found: dict[str, dict[str, str]] = {}
         for kind, pattern in patterns.items():
             for file in self.matches(pattern, kind):
@@ -219,16 +270,19 @@ class _Reader:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
             paths = sorted(path for path in files if not is_part(path))
         except (NotImplementedError, ValueError) as error:
-            raise self.invalid(key, pattern, Term("a pattern relative to this file")) from error
+            valid = Term("a pattern relative to this file")
+            raise self.invalid(self.own(key), pattern, valid) from error
         if not paths:
-            raise ModelError(self.path, diagnose("no-file-matches", key=key, pattern=pattern))
+            message = diagnose("no-file-matches", key=key, pattern=pattern)
+            raise self.error(self.own(key), message)
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any]) -> GuardedPair:
         if "name" not in entry:
-            raise ModelError(self.path, diagnose("pair-without-name"))
+            raise self.error(("pair", self._entry), diagnose("pair-without-name"))
         if not {"urdf", "mjcf"} & entry.keys():
-            raise ModelError(self.path, diagnose("pair-without-file", pair=entry["name"]))
+            message = diagnose("pair-without-file", pair=entry["name"])
+            raise self.error(("pair", self._entry), message)
         urdf, mjcf = (self.file(kind, entry[kind]) if kind in entry else None
                       for kind in ("urdf", "mjcf"))  # fmt: skip
         both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _IN_TABLES}
@@ -254,39 +308,38 @@ class _Reader:
         """Returns a file; of a tool that guards also a folder, or FILE:NAME."""
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
         if not (is_input(path) or (key not in _PAIR and (path.is_dir() or source.is_file()))):
-            raise ModelError(self.path, diagnose("pair-file-missing", key=key, file=text))
+            message = diagnose("pair-file-missing", key=key, file=text)
+            raise self.error(self.own(key), message)
         return path
 
     def package(self, name: str, folder: str) -> Path:
         if not (self.folder / folder).is_dir():
-            raise self.invalid(name, folder, _IN_TABLES["packages"].valid)
+            raise self.invalid(self.own("packages", name), folder, _IN_TABLES["packages"].valid)
         return self.folder / folder
 
-    def check(self, table: dict[str, Any], within: str, valid: Mapping[str, _Kind]) -> None:
-        """Refuses keys and values that are not valid, also in the tables of a table."""
+    def check(self, table: dict[str, Any], within: Key, valid: Mapping[str, _Kind]) -> None:
+        """Refuse invalid keys and values of a table, and of the tables in it."""
         for key, value in table.items():
             if key not in valid:
-                raise self.unknown(key, within, valid)
+                raise self.unknown((*within, key), valid)
             if not valid[key].check(value):
-                raise self.invalid(key, value, valid[key].valid)
+                raise self.invalid((*within, key), value, valid[key].valid)
             for name, one in value.items() if key in _IN_TABLES else ():
                 if name not in _KEYS.get(key, value):
-                    inside = f"{within}.{key}".strip(".")
-                    raise self.unknown(name, inside, _KEYS[key], rule=key == "disable")
+                    raise self.unknown((*within, key, name), _KEYS[key], rule=key == "disable")
                 if not _IN_TABLES[key].check(one):
-                    raise self.invalid(name, one, _IN_TABLES[key].valid)
+                    raise self.invalid((*within, key, name), one, _IN_TABLES[key].valid)
 
-    def unknown(
-        self, key: str, within: str, valid: Iterable[str], *, rule: bool = False
-    ) -> ModelError:
-        message = diagnose(
-            "rule-unknown" if rule else "key-unknown", key=key, within=within, known=tuple(valid)
-        )
-        return ModelError(self.path, message)
+    def unknown(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
+        """Return the error of a key that is not valid at its place."""
+        within = ".".join(part for part in key[:-1] if isinstance(part, str))
+        code = "rule-unknown" if rule else "key-unknown"
+        return self.error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))
 
-    def invalid(self, key: str, value: object, valid: Term | Diagnostic) -> ModelError:
-        message = diagnose("setting-not-valid", key=key, value=repr(value), valid=valid)
-        return ModelError(self.path, message)
+    def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
+        """Return the error of a value that is not valid."""
+        message = diagnose("setting-not-valid", key=key[-1], value=repr(value), valid=valid)
+        return self.error(key, message)
 
 
 # The first `pupper-analysis.toml` of a repository: the models that its folders have.

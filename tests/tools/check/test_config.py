@@ -80,42 +80,67 @@ strict = false
 
 
 REFUSED = {
-    "an unknown key": ('bas = "x"\n' + LEAST, "no key 'bas'; valid: baseline, fail-on"),
-    "one of a pair": (LEAST + 'foot = "x"\n', "no key 'foot' in pair; valid: name, urdf"),
-    "an inline table": (LEAST + "tolerances = { mas = 1 }\n", "in pair.tolerances; valid: mass"),
-    "a table above": ("[tolerances]\nmas = 1\n" + LEAST, "no key 'mas' in tolerances"),
-    "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", "no rule of the audit 'mass'"),
-    "no reason": (LEAST + "[pair.disable]\ngravity-unusual = ' '\n", "give the reason, in quotes"),
-    "a reason that is none": (LEAST + "[disable]\ngravity-unusual = true\n", "give the reason"),
-    "a missing file": (LEAST.replace("a.urdf", "c.urdf"), "there is no such file"),
-    "no name": ('[[pair]]\nurdf = "a.urdf"\n', "needs a name"),
-    "no model": ('[[pair]]\nname = "a"\n', "needs a urdf, an mjcf, or both"),
-    "a name twice": (LEAST + LEAST, "'a' is there twice"),
-    "no severity": ('fail-on = "bad"\n' + LEAST, "one of error, warning, note"),
-    "no number": (LEAST + "tolerances.mass = 'x'\n", "a positive number"),
-    "a negative one": (LEAST + "tolerances.mass = -1\n", "a positive number"),
-    "a huge one": (LEAST + f"tolerances.mass = 1{'0' * 400}\n", "a positive number"),
-    "a switch as one": (LEAST + "tolerances.mass = true\n", "a positive number"),
-    "no switch": (LEAST + "strict = 1\n", "true or false"),
-    "feet": (LEAST + "feet = 'FL'\n", "a list of names"),
-    "a folder": (LEAST + "packages.x = 'nowhere'\n", "a folder that exists"),
-    "a mapping": (LEAST + "map.x = 1\n", "the name in the MJCF"),
-    "no tables": ("pair = 1\n", "tables that begin with [[pair]]"),
-    "a table that is none": (LEAST + "map = 1\n", "give a table"),
-    "an empty text": (LEAST + 'mjcf = ""\n', "a text, in quotes"),
-    "no TOML": (LEAST + "mjcf = \n", ":4: not a TOML file"),
-    "nothing": ("# nothing\n", "it has no [[pair]]"),
+    "an unknown key": ('bas = "x"\n' + LEAST, 1, "no key 'bas'; valid: baseline, fail-on"),
+    "one of a pair": (LEAST + 'foot = "x"\n', 4, "no key 'foot' in pair; valid: name, urdf"),
+    "of the second pair": (
+        LEAST + '[[pair]]\nname = "b"\nurdf = "b.urdf"\n\n# well\nfeed = []\n',
+        9,
+        "no key 'feed' in pair",
+    ),
+    "an inline table": (LEAST + "tolerances = { mas = 1 }\n", 4, "in pair.tolerances; valid: mass"),
+    "a table": (LEAST + "[pair.tolerances]\nmass = 1\nmas = 1\n", 6, "no key 'mas'"),
+    "after a long text": (
+        'baseline = """\\\n  [[pair]] # not\n  x.toml"""\n\n' + LEAST + "strct = true\n",
+        8,
+        "no key 'strct'",
+    ),
+    "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", 5, "no rule of the audit 'mass'"),
+    "no reason": (
+        LEAST + "[pair.disable]\ngravity-unusual = ' '\n",
+        5,
+        "give the reason, in quotes",
+    ),
+    "a reason that is none": (LEAST + "[disable]\ngravity-unusual = true\n", 5, "give the reason"),
+    "a missing file": (LEAST.replace("a.urdf", "c.urdf"), 3, "there is no such file"),
+    "a missing MJCF": (LEAST + 'mjcf = "no.xml"\n', 4, "mjcf = 'no.xml'"),
+    "no name": ('\n[[pair]]\nurdf = "a.urdf"\n', 2, "needs a name"),
+    "no model": ('[[pair]]\nname = "a"\n', 1, "needs a urdf, an mjcf, or both"),
+    "a name twice": (LEAST + LEAST, 5, "'a' is there twice"),
+    "no severity": ('fail-on = "bad"\n' + LEAST, 1, "one of error, warning, note"),
+    "no number": (LEAST + "tolerances.mass = 'x'\n", 4, "a positive number"),
+    "a negative one": (LEAST + "tolerances.mass = -1\n", 4, "a positive number"),
+    "an infinite one": (LEAST + "tolerances.mass = inf\n", 4, "a positive number"),
+    "a switch as one": (LEAST + "tolerances.mass = true\n", 4, "a positive number"),
+    "no switch": (LEAST + "strict = 1\n", 4, "true or false"),
+    "no switch above": ("strict = 'yes'\n" + LEAST, 1, "true or false"),
+    "feet": (LEAST + "feet = 'FL'\n", 4, "a list of names"),
+    "a folder": (LEAST + "packages.x = 'nowhere'\n", 4, "a folder that exists"),
+    "a mapping": (LEAST + "map.x = 1\n", 4, "the name in the MJCF"),
+    "no tables": ("pair = 1\n", 1, "tables that begin with [[pair]]"),
+    "a table that is none": (LEAST + "map = 1\n", 4, "give a table"),
+    "an empty text": (LEAST + 'mjcf = ""\n', 4, "a text, in quotes"),
+    "no TOML": (LEAST + "mjcf = \n", 4, "not a TOML file"),
+    "a table above": ("[tolerances]\nmas = 1\n" + LEAST, 2, "no key 'mas' in tolerances"),
+    "a huge one": (LEAST + f"tolerances.mass = 1{'0' * 400}\n", 4, "a positive number"),
+    "no file of a pattern": (LEAST.replace("a.urdf", "no/*.urdf"), 3, "no file matches"),
 }
 
 
-@pytest.mark.parametrize(("text", "said"), REFUSED.values(), ids=REFUSED)
-def test_a_wrong_config_is_refused(folder: Path, text: str, said: str) -> None:
+@pytest.mark.parametrize(("text", "line", "said"), REFUSED.values(), ids=REFUSED)
+def test_an_invalid_config_is_refused_with_its_line(
+    folder: Path, text: str, line: int, said: str
+) -> None:
     path = written(folder, text)
     with pytest.raises(ModelError) as caught:
         read_config(path)
     assert said in str(caught.value)
-    assert str(caught.value).startswith(f"{path}:")
+    assert str(caught.value).startswith(f"{path}:{line}: ")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_a_config_without_pairs_is_refused(folder: Path) -> None:
+    with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
+        read_config(written(folder, "# nothing\n"))
 
 
 def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
