@@ -106,12 +106,14 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 
 
 def ground_geom(model: mujoco.MjModel) -> int | None:
-    """Return the id of the first plane that is fixed to the world; None if there is none."""
-    for geom in range(model.ngeom):
-        is_plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value
-        if is_plane and model.body_weldid[model.geom_bodyid[geom]] == 0:
-            return geom
-    return None
+    """Return the id of the ground plane; None if no plane is fixed to the world.
+
+    Planes that can touch something come first: a wall whose contacts are disabled is no ground.
+    """
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))
+    touching = planes[(model.geom_contype[planes] | model.geom_conaffinity[planes]) != 0]
+    return next(iter([*touching.tolist(), *planes.tolist()]), None)
 
 
 def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
+    Quantity,
     Term,
     diagnose,
 )
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
@@ -103,14 +104,31 @@ def _is_level_at_zero(floor: mujoco.MjsGeom) -> bool:
 def _level_floor(
     spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom]
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
-    """Return the floor; if no plane is level at z = 0, replace the first by a level plane.
+    """Return the floor; if no plane is level at z = 0, replace one plane by a level plane.
 
+    The replaced plane is the first that is level at another height, or the first if none is level.
     The list ``floors`` is reordered so that the result is its first element.
+
+    Returns:
+        The floor, and a diagnostic with the tilt and height of the replaced plane. There is no
+        diagnostic if neither differs.
     """
     level_index = next((i for i, floor in enumerate(floors) if _is_level_at_zero(floor)), None)
-    floors.insert(0, floors.pop(level_index or 0))
     if level_index is not None:
+        floors.insert(0, floors.pop(level_index))
         return floors[0], []
+    cosines, heights = _compiled_planes(spec, floors)
+    level = [1 - cosine < _LEVEL_ATOL for cosine in cosines]
+    chosen = level.index(True) if any(level) else 0
+    floors.insert(0, floors.pop(chosen))
+    tilted, raised = not level[chosen], abs(heights[chosen]) >= _LEVEL_ATOL
+    tilt = float(np.arccos(np.clip(cosines[chosen], -1.0, 1.0)))
+    note = diagnose(
+        "floor-laid-level",
+        tilt=Quantity(tilt, "rad") if tilted else None,
+        height=Quantity(heights[chosen], "m") if raised else None,
+        both=tilted and raised,
+    )
     old, new = floors[0], spec.worldbody.add_geom()
     for word in (*GEOM_CONTACT_WORDS, "type", "size", "material", "rgba"):
         setattr(new, word, getattr(old, word))
@@ -118,7 +136,22 @@ def _level_floor(
     spec.delete(old)
     new.name = name
     floors[0] = new
-    return new, [diagnose("floor-laid-level")]
+    return new, [note] if tilted or raised else []
+
+
+def _compiled_planes(
+    spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
+) -> tuple[list[float], list[float]]:
+    """Return the cosine of the tilt of each plane, and its height above the world's origin [m]."""
+    numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
+    copied = spec.copy()
+    copied.compiler.discardvisual = False  # removing geoms would change their order
+    with silence_mujoco():
+        model = copied.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    geoms = [copied.geoms[number].id for number in numbers]
+    return data.geom_xmat[geoms, 8].tolist(), data.geom_xpos[geoms, 2].tolist()
 
 
 def _disable_scenery(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:

@@ -44,24 +44,39 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "floor",
+    ("floor", "said"),
     [
-        f'<body name="ground">{PLANE}/></body>',
-        f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>',
-        f'{PLANE} pos="0.2 0 0.05"/>',
-        f'{PLANE} euler="0 0.1 0"/>',
-        f'<frame euler="0 0 0.5">{PLANE}/></frame>',
+        (f'<body name="ground">{PLANE}/></body>', None),
+        (f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>', "tilted by 90"),
+        (f'{PLANE} pos="0.2 0 0.05"/>', "at z = 50 mm"),
+        (f'{PLANE} euler="0 0.1 0"/>', "tilted by 5.73 deg"),
+        (f'{PLANE} euler="0 0 1.5"/>', None),
+        (f'<frame euler="0 0 0.5">{PLANE}/></frame>', None),
     ],
 )
-def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str) -> None:
-    """A stand on it, and one on a slope, are those on the plane at home, to rounding."""
+def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
+    tmp_path: Path, floor: str, said: str | None
+) -> None:
+    """Reference: the stands on the plane at z = 0. A note names tilt and height that differ."""
     robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
-    assert [LEVEL in {note.code for note in one.notes} for one in (robot, plain)] == [True, False]
+    messages = [str(note) for note in robot.notes if note.code == LEVEL]
+    assert bool(messages) == (said is not None)
+    assert all((said or "") in message for message in messages)
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
         seen, known = (stands(one, **task) for one in (robot, plain))
         assert seen.joint_torques == pytest.approx(known.joint_torques, abs=1e-6)
         assert robot.contacts == plain.contacts
+
+
+def test_the_level_plane_is_the_floor_if_a_wall_comes_first(tmp_path: Path) -> None:
+    """The friction of the feet is that of the plane at z = 50 mm, not that of the wall."""
+    wall = '<geom type="plane" size="0 0 1" pos="-2 0 0" euler="0 1.57 0" friction="2.5"/>'
+    robot = loaded(scene(tmp_path, wall + f'{PLANE} pos="0.2 0 0.05"/>'))
+    (message,) = [str(note) for note in robot.notes if note.code == LEVEL]
+    assert "at z = 50 mm" in message
+    assert "tilted" not in message
+    assert all(one.sliding_friction < 2.5 for one in robot.contacts.values())
 
 
 @pytest.mark.slow
