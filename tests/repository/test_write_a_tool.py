@@ -129,3 +129,26 @@ def test_a_reader_of_the_guide_is_short_and_what_it_reads_is_compared(tmp_path: 
     assert re.search(r"effort of joint leg_front_r_2: 4.5 .* 3 N m", said)
     said = run(None, tmp_path, *words, status=2)
     assert "motors.limits: it is of no kind that is read" in said
+
+
+METRICS = """
+def measure_margin(design):
+    return float(design.stand.com_margin)
+
+
+METRICS = {"own_margin": {"function": measure_margin, "unit": "m"}}
+"""
+
+
+def test_a_metric_without_a_meaning_is_listed_by_its_name(tmp_path: Path) -> None:
+    """``study --list-metrics`` ended in KeyError as soon as such a package was installed."""
+    stated = tomllib.loads(PARTS["pyproject.toml"])
+    data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
+    files = {name: PARTS[name] for one in ("*.py", *data) for name in fnmatch.filter(PARTS, one)}
+    files |= {"metrics.py": METRICS}
+    site = tmp_path / "site"
+    site.mkdir()
+    install(site, "inertia_tool", files, PARTS["pyproject.toml"])
+    printed = run(site, tmp_path, "study", "--list-metrics")
+    assert re.search(r"own_margin\W+m\W+own_margin", printed)
+    assert "com_margin" in printed

@@ -214,11 +214,19 @@ def duration_text(seconds: float) -> str:
     return f"{whole / 3600:.1f} h"
 
 
+def _meaning_of(metric: str) -> doc.Words:
+    """Return the meaning of a metric from the catalogue; without an entry, its name."""
+    try:
+        return text(text_key(metric))
+    except KeyError:
+        return doc.Name(metric)
+
+
 def metrics_document() -> doc.Document:
-    """Returns what can be measured of a design: names, units, meanings."""
+    """Return the metrics of a study as a table: name, unit, meaning."""
     rows = tuple(
-        (doc.Name(one.name), doc.Name(one.unit), text(text_key(one.name)))
-        for one in METRICS.values()
+        (doc.Name(metric.name), doc.Name(metric.unit), _meaning_of(metric.name))
+        for metric in METRICS.values()
     )
     columns = (_left("metric"), _left("unit"), _left("meaning"))
     table = doc.Table(text("what-can-be-measured"), columns, rows)

@@ -164,7 +164,7 @@ class Metric:
 
 
 def text_key(metric: str) -> str:
-    """Returns under which key the catalogue says what a metric of the package is."""
+    """Return the key of a metric's meaning in the catalogue. Metrics of other packages may have none."""
     return f"metric-{metric.replace('_', '-')}"
 
 
