@@ -164,7 +164,7 @@ class Metric:
 
 
 def text_key(metric: str) -> str:
-    """Return the key of a metric's meaning in the catalogue. Metrics of other packages may have none."""
+    """Return the catalogue key of a metric's meaning, which other packages may omit."""
     return f"metric-{metric.replace('_', '-')}"
 
 
