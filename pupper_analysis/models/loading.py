@@ -21,6 +21,7 @@ from pupper_analysis.models.places import NO_LINE, Place, refusal_at
 from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.xacro_declarations import remove_declarations
 from pupper_analysis.models.xml import parse_file_text, parse_xml
 
 
@@ -130,6 +131,8 @@ def kind_of(path: Path) -> str | None:
         return "urdf"
     try:
         _, root = parse_xml(path)
+        if root.tag == "robot":
+            remove_declarations(path, root, lambda _: None)
     except ModelError:
         return None
     if root.tag == "robot":

@@ -29,6 +29,7 @@ from pupper_analysis.models.places import (
 )
 from pupper_analysis.models.published import existing_file, folders_of_package
 from pupper_analysis.models.urdf_tree import UNSTATED_LIMITS, UrdfJoint, UrdfTree
+from pupper_analysis.models.xacro_declarations import remove_declarations
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, parse_xml, to_text
 
 
@@ -171,9 +172,11 @@ def urdf_from(
         raise refusal_at(path, root, diagnose("robot-without-name"))
     if root.get("version") not in (None, "1", "1.0"):
         raise refusal_at(path, root, diagnose("version-unknown", version=root.get("version")))
+    found = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})))
+    notes = remove_declarations(path, root, found.resolve_mesh)
     completed = complete_limits(root)
-    notes = [] if completed is None else [completed]
-    rewritten = bool(notes)
+    notes += [] if completed is None else [completed]
+    rewritten = bool(notes) or text[:1].isspace()  # engines read no XML behind a blank line
     materials = distinct_children(path, root, "material")
     links = distinct_children(path, root, "link")
     joints = distinct_children(path, root, "joint")

@@ -37,6 +37,12 @@ LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 NUMBER_PATTERN: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """Number in a model file: decimal or double of XML Schema, without infinity and NaN."""
 
+XACRO_PREFIX: Final = "xacro"
+"""Namespace prefix of xacro elements, by convention of ROS."""
+
+_LATE_DECLARATION: Final = re.compile(rb"(?:\A|(?<=\A\xef\xbb\xbf))\s+<\?xml\s[^>]*\?>")
+"""XML declaration behind white space, such as a blank first line; XML permits nothing before it."""
+
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
 
@@ -54,15 +60,19 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
 def parse_file_text(path: Path, text: str) -> etree._Element:
     """Parse the text of a file; return the root element without comments and default namespace.
 
+    White space in front of an XML declaration is accepted. Xacro elements of a ``<robot>`` stay in
+    the tree; ``xacro_declarations`` removes or refuses them.
+
     Raises:
-        ModelError: If the text has a DOCTYPE, is not well-formed, uses xacro, or exceeds a limit.
+        ModelError: If the text has a DOCTYPE, is not well-formed, exceeds a limit, or uses xacro in
+            another file than a URDF.
     """
     if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1
         raise refuse_file(Place(path, line), diagnose("doctype-refused"))
     parser = _make_parser()
     try:
-        root = etree.fromstring(text.encode(), parser)
+        root = etree.fromstring(blank_late_declaration(text.encode()), parser)
     except etree.XMLSyntaxError as error:
         errors = parser.error_log
         line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
@@ -81,7 +91,7 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
         if depth > MAX_DEPTH:
             raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
         name = etree.QName(element)
-        if element.prefix == "xacro":
+        if element.prefix == XACRO_PREFIX and root.tag != "robot":
             raise refusal_at(path, element, diagnose("file-is-xacro"))
         if name.namespace and element.prefix is None:
             element.tag = name.localname
@@ -90,6 +100,14 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
             Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS)
         )
     return root
+
+
+def blank_late_declaration(data: bytes) -> bytes:
+    """Replace an XML declaration behind white space by blanks: no byte and no line moves.
+
+    The parsers know the encoding.
+    """
+    return _LATE_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.tools import offering
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
+from pupper_analysis.models.xml import blank_late_declaration
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
 
@@ -99,9 +100,8 @@ def is_part(path: Path) -> bool:
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        return bool(
-            etree.fromstring(read_input(path, MAX_TEXT_BYTES), parser).tag == "mujocoinclude"
-        )
+        data = blank_late_declaration(read_input(path, MAX_TEXT_BYTES))
+        return bool(etree.fromstring(data, parser).tag == "mujocoinclude")
     except (etree.XMLSyntaxError, InputError):
         return False  # what is wrong with it is said when it is checked
 
