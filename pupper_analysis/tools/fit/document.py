@@ -102,6 +102,8 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
         yield text("nothing-held-out", after=f"{math.degrees(fit.fitted):.3f}")
     if math.isfinite(fit.repeatability):
         yield text("repeatability-is", own=f"{math.degrees(fit.repeatability):.3f}")
+    else:
+        yield text("repeatability-unknown")
 
 
 def _joints(fit: MotionFit) -> doc.BarPlot:

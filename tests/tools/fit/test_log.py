@@ -160,3 +160,24 @@ def test_an_encoders_quantum_is_found_to_its_digits_in_a_file(bits: int) -> None
     values = np.round(quantum * np.round(moved / quantum), 7)
     assert column_quantum(values) == pytest.approx(quantum, rel=2e-3)
     assert column_quantum(moved + 1e-3 * random.normal(size=2000)) == 0.0
+
+
+def test_uneven_sampling_intervals_are_reported() -> None:
+    """Every other sample is 4 ms late, as from a second clock; 2 % of a scheduler are normal."""
+    good, random = log(), np.random.default_rng(2)
+    late = good.time + 0.004 * (np.arange(len(good.time)) % 2)
+    found = inspect_log(arm(), replace(good, time=late))
+    assert "log-intervals-uneven" in {one.code for one in found}
+    shaken = good.time + 0.005 * 0.02 * random.normal(size=len(good.time))
+    found = inspect_log(arm(), replace(good, time=shaken))
+    assert "log-intervals-uneven" not in {one.code for one in found}
+
+
+def test_a_joint_whose_position_precedes_its_command_is_reported() -> None:
+    """The columns of one joint of two are exchanged; with both the log would be refused."""
+    good = log()
+    command, position = good.command.copy(), good.position.copy()
+    command[:, 0], position[:, 0] = good.position[:, 0], good.command[:, 0]
+    found = inspect_log(arm(), replace(good, command=command, position=position))
+    (told,) = [one for one in found if one.code == "position-leads-command"]
+    assert told.values["joints"] == ("shoulder",)

@@ -47,6 +47,10 @@ _OWN, _OTHERS = 0.5, 0.9
 that other's. A servo that lags by a third of a period still has 0.5; of joints that are commanded
 alike both are high."""
 
+_MAX_INTERVAL_DEVIATION = 0.3
+"""Standard deviation of the sampling intervals, as a share of their median, above which a log has
+uneven intervals. Measured: 0.01 to 0.1 with a scheduler that is late."""
+
 _SLOWEST = 0.1
 """s between samples: servos answer in less, and of a walk of 2 Hz five samples a step are left."""
 
@@ -105,6 +109,9 @@ def _clock(log: Log) -> Iterator[Diagnostic]:
     gaps = steps > _GAP * log.interval
     if (count := int(gaps.sum()) - len(jumps)) > 0:
         yield diagnose("log-samples-missing", count=count, interval=interval, longest=longest)
+    deviation = float(steps[~gaps].std() / log.interval)
+    if deviation > _MAX_INTERVAL_DEVIATION:
+        yield diagnose("log-intervals-uneven", deviation=Quantity(deviation, "1"))
 
 
 def _of_other_commands(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
@@ -151,6 +158,8 @@ def _swapped(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
             backwards.append(robot.joint_names[index])
     if len(backwards) > len(moving) / 2:
         yield diagnose("command-and-position-swapped", joints=backwards)
+    elif backwards:
+        yield diagnose("position-leads-command", joints=backwards)
 
 
 def find_degrees(
