@@ -1,4 +1,4 @@
-"""Make an MJCF of a URDF, or back."""
+"""Convert a URDF to an MJCF, or back."""
 
 from pupper_analysis.base.exports import exports_of
 

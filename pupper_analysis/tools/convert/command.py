@@ -1,4 +1,4 @@
-"""``pupper-analysis convert``: a URDF as an MJCF that stands, and back."""
+"""``pupper-analysis convert``: write an MJCF for a URDF, or a URDF for an MJCF."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
-_ALWAYS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
-_OF_AN_MJCF = {
+_COMMON_OPTIONS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
+_MJCF_OPTIONS = {
     *("feet", "fixed_base", "armature", "repair_inertia", "copy_meshes"),
 }
-_USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
-"""{ending of the output: what is used to make such a file}."""
+_USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIONS}
+"""Parameters of the command that are used, for each suffix of the output file."""
 
 
 @shared.command("convert")
@@ -75,12 +75,12 @@ def command(
     style: str,
     everything: bool,
 ) -> None:
-    """Make an MJCF of a URDF, ready for simulation; or a URDF of an MJCF.
+    """Convert a URDF to an MJCF that is ready for simulation, or an MJCF to a URDF.
 
-    Every number of the URDF is kept. A floor, a free joint, feet, servos, a keyframe of the stand
-    and an IMU are added, and listed, as are the values that the new format cannot express. The new
-    file is then verified: it is cross-checked with its source, and its robot stands for 12 s in
-    simulation.
+    All numbers of a URDF are kept. A floor, a free joint, feet, servos, a keyframe of the stand
+    and an IMU are added. The output lists the additions, and values that the new format cannot
+    express. The new file is then cross-checked with its source, and its robot is simulated for
+    12 s.
 
     \b
     Examples:
@@ -89,14 +89,14 @@ def command(
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
       pupper-analysis convert robot.xml -o new.urdf
 
-    Exit status: 0 both files agree and the robot stands, 1 they do not or it falls (the file is
-    written all the same), 2 bad input.
+    Exit status: 0 both files agree and the robot stands, 1 otherwise (the file is written
+    nevertheless), 2 invalid input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.urdf_file import read_urdf
     from pupper_analysis.tools.convert.model import convert_model
 
-    if output.suffix.lower() in _USES:
-        refuse_unused(output.suffix.lower(), _USES)
+    if output.suffix.lower() in _USED_OPTIONS:
+        refuse_unused(output.suffix.lower(), _USED_OPTIONS)
     folders = shared.package_folders(packages)
     named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
@@ -104,7 +104,7 @@ def command(
     if armature:
         joints = read_urdf(source, folders).tree.joints.values()
         moving = [joint.name for joint in joints if not joint.is_fixed]
-        rotors = _by_pattern(armature, moving)
+        rotors = _assign_by_pattern(armature, moving)
     with shared.show_progress("converting, and standing it for 12 s"):
         result = convert_model(
             source,
@@ -122,8 +122,8 @@ def command(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
-    """Returns {joint: value} of [JOINTS=]VALUE; the last that fits a joint counts."""
+def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
+    """Parse [JOINTS=]VALUE into a value per joint. The last matching pattern applies."""
     values = {}
     for text in texts:
         pattern, value = shared.parse_number_assignment(

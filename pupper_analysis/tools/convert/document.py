@@ -1,4 +1,4 @@
-"""The document of a conversion: what was added and left out, and the proof."""
+"""Document of a conversion: additions, losses, and the verification of the new file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pupper_analysis.tools.convert.model import Conversion
 
 @build_document.register(Conversion)
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
-    """Returns what became of a conversion; see ``build``."""
+    """Create the document of a conversion; see ``build_document``."""
     blocks = []
     if conversion.not_converted:
         left = tuple(map(doc.tell, conversion.not_converted))
@@ -26,7 +26,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         passed=conversion.passed,
         verdict=text(_verdict(conversion)),
         failures=tuple(map(doc.tell, conversion.failures)),
-        findings=tuple(_proof(conversion)),
+        findings=tuple(_describe_checks(conversion)),
         notes=tuple(map(doc.tell, conversion.notes)),
     )
 
@@ -41,26 +41,26 @@ def _name(path: str) -> doc.Name:
     return doc.Name(Path(path).name)
 
 
-def _proof(conversion: Conversion) -> Iterable[doc.Words]:
-    """Says how near the new file is to the source, and whether its robot stands."""
+def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
+    """Describe the deviation from the source, the simulated stand, and the keyframe run."""
     compared = conversion.comparison
-    near = text(
+    deviation = text(
         "differences-from-source-count",
         source=doc.Name(conversion.source),
         count=len(compared.differences),
         worst=f"{max(compared.deviations.values()):.1e}",
     )
     if repairs := len(conversion.repairs):
-        near = text("near-repaired-inertials-count", near=near, count=repairs)
-    yield near
-    stood = conversion.verification
-    if stood is not None:
+        deviation = text("near-repaired-inertials-count", near=deviation, count=repairs)
+    yield deviation
+    run = conversion.verification
+    if run is not None:
         yield text(
-            "stands-for-seconds" if stood.passed else "does-not-stand-for-seconds",
-            seconds=f"{stood.duration:g}",
-            height=f"{stood.base_height:.4f}",
-            torque=f"{stood.torque_error:.1e}",
-        ).marked("good" if stood.passed else "bad")
+            "stands-for-seconds" if run.passed else "does-not-stand-for-seconds",
+            seconds=f"{run.duration:g}",
+            height=f"{run.base_height:.4f}",
+            torque=f"{run.torque_error:.1e}",
+        ).marked("good" if run.passed else "bad")
     kept = conversion.kept
     if kept is not None and not kept.failures and (least := kept.stability.least_damped):
         yield text(

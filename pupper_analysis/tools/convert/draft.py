@@ -1,6 +1,8 @@
-"""New files that are not written yet: the MJCF of a URDF, the URDF of an MJCF.
+"""Text of converted model files, before they are written.
 
-The MJCF has feet, servos, a floor and a keyframe in which it stands.
+`mjcf_draft` converts a URDF to an MJCF, and adds a floor, feet, servos and a keyframe in which the
+robot stands. `urdf_draft` converts an MJCF to a URDF. Both list the quantities that the new format
+cannot express.
 """
 
 from __future__ import annotations
@@ -45,26 +47,27 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 Array = NDArray[np.float64]
 
-_READ = ("link", "joint", "material")
-"""What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
+_CONVERTED_TAGS = ("link", "joint", "material")
+"""Children of ``<robot>`` that are converted. Other tags (``<transmission>``, ``<gazebo>``,
+``<mujoco>`` ...) belong to other programs."""
 
 
 @dataclass(frozen=True)
 class ConversionDraft:
-    """A new model file that is not written yet.
+    """A converted model file before it is written.
 
     Attributes:
-        text: Its XML, for the folder it is meant for.
-        meshes: {file to be written beside it: its content}.
-        notes: What was added, or assumed.
-        not_converted: What the new format cannot say, or what was left out.
-        repairs: Inertials that were repaired.
-        urdf: The URDF with them, if the draft is of one: what the new file is proven against.
-        stands: Whether it is a robot that shall stand.
-        failure: Why it does not, if that is known already.
-        lost: What it cannot do without, and lacks.
-        on_balls: The joints whose feet touch with balls in the place of their meshes, as is
-            reported.
+        text: XML text. Mesh paths are relative to the folder of the output file.
+        meshes: Mesh files to be written beside the output file, with their contents.
+        notes: Additions and assumptions.
+        not_converted: Quantities that the new format cannot express, and omitted elements.
+        repairs: Repaired inertials.
+        urdf: Source URDF with repaired inertials, with which a new MJCF is compared. None for a new
+            URDF.
+        stands: True if the robot has a free base, so that the stand must be verified.
+        failure: Reason why the robot does not stand, if it is already known.
+        lost: Missing parts that make the conversion fail, for example collision meshes.
+        on_balls: Joints whose feet touch with balls that replace meshes; a note reports them.
     """
 
     text: str
@@ -81,26 +84,26 @@ class ConversionDraft:
 
 @dataclass(frozen=True, eq=False)
 class NewMjcf(MjcfXml):
-    """An MJCF that is made of a URDF: what it can be given for a simulation, as `SpecTree` can."""
+    """XML tree of a new MJCF, with the same additions for simulation as `SpecTree`."""
 
     @property
     def joints(self) -> list[etree._Element]:
-        """All hinges and slides."""
+        """All hinge and slide joints."""
         return list(self.section("worldbody").iter("joint"))
 
     @property
     def touches(self) -> bool:
-        """Whether it has shapes of its robot that touch."""
+        """Whether the robot has collision shapes."""
         return any(geom.get("class") == COLLISION for geom in self.geoms)
 
     def remove_empty_sections(self) -> None:
-        """Takes out sections that state nothing."""
+        """Remove sections without content, except ``<worldbody>``."""
         for node in list(self.root):
             if node.tag != "worldbody" and not len(node) and not node.attrib:
                 self.root.remove(node)
 
     def set_options(self, values: Mapping[str, Number]) -> None:
-        """States attributes of ``<option>``."""
+        """Set attributes of ``<option>``."""
         option = self.root.find("option")
         if option is None:
             option = etree.Element("option")
@@ -108,7 +111,7 @@ class NewMjcf(MjcfXml):
         option.attrib.update({name: text_of(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
-        """Adds light, a floor and its look."""
+        """Add a light, and a floor with its material."""
         asset, world = self.section("asset"), self.section("worldbody")
         add_element(
             asset, "texture", name=FLOOR_NAME, type="2d", builtin="checker", width="256",
@@ -128,7 +131,7 @@ class NewMjcf(MjcfXml):
         world.insert(1, etree.Element("geom", floor))
 
     def add_imu(self, body: str, site: str) -> None:
-        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
+        """Add the sensors of an IMU at a site. A missing site is added at the body's origin."""
         if all(node.get("name") != site for node in self.root.iter("site")):
             add_element(self.body(body), "site", name=site)
         sensors = self.section("sensor")
@@ -143,7 +146,7 @@ class NewMjcf(MjcfXml):
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Adds a position servo at a joint, of its name."""
+        """Add a position servo with the name of its joint."""
         add_element(
             self.section("actuator"),
             "position",
@@ -155,11 +158,11 @@ class NewMjcf(MjcfXml):
         )
 
     def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
+        """Exclude contact between two bodies."""
         add_element(self.section("contact"), "exclude", body1=one, body2=two)
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
+        """Disable all contacts of the named geoms."""
         for geom in self.geoms:
             if geom.get("name") in geoms:
                 geom.set("contype", "0")
@@ -173,7 +176,7 @@ class NewMjcf(MjcfXml):
         place: ArrayLike,
         like: str | None = None,  # noqa: ARG002 - a URDF states nothing of contacts
     ) -> None:
-        """Adds a sphere that touches, as all its shapes do, and weighs nothing."""
+        """Add a collision sphere without mass to a body."""
         add_element(
             self.body(body),
             "geom",
@@ -186,12 +189,12 @@ class NewMjcf(MjcfXml):
 
     @property
     def home(self) -> list[float] | None:
-        """The positions of its keyframe; None if it has none."""
+        """``qpos`` of the keyframe; None without a keyframe."""
         key = self.root.find("keyframe/key")
         return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Adds the keyframe to start from."""
+        """Add the keyframe `HOME_KEYFRAME`."""
         key = add_element(
             self.section("keyframe"), "key", name=HOME_KEYFRAME, qpos=write_numbers(qpos)
         )
@@ -200,29 +203,30 @@ class NewMjcf(MjcfXml):
 
 
 def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
-    """Makes the MJCF of a URDF.
+    """Convert a URDF to an MJCF.
 
     Args:
-        urdf: The file.
-        output: Where the MJCF shall be: the paths of its meshes start there.
-        options: What the URDF does not say.
+        urdf: Source file.
+        output: Path of the MJCF, to which mesh paths are relative.
+        options: Properties that a URDF cannot state.
 
     Raises:
-        ModelError: If MuJoCo cannot have the robot, or it does not stand.
+        ModelError: If MuJoCo cannot represent the robot, or feet are named with which the robot
+            cannot be built.
     """
-    said = None if options.fixed_base is None else not options.fixed_base
-    bare = BareMjcf.of(urdf, output, options, free=said)
+    free = None if options.fixed_base is None else not options.fixed_base
+    bare = BareMjcf.of(urdf, output, options, free=free)
     mjcf, meshes = NewMjcf(bare.mjcf.root), bare.meshes
-    left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
+    left = [*bare.bodies.notes, *meshes.notes, *_list_losses_in_mjcf(urdf)]
     notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
     if bare.free:
         notes += [diagnose("free-joint-added", subject=("body", bare.bodies.root))]
-        found, failure, on_balls = _put_stand(bare, options)
+        found, failure, on_balls = _add_stand(bare, options)
         notes = [*dict.fromkeys((*notes, *found)), _add_imu(mjcf, bare.bodies)]
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
-        notes += _put_held(bare, options)
-    notes += _unstated(mjcf)
+        notes += _add_servos_of_fixed_base(bare, options)
+    notes += _list_unstated_numbers(mjcf)
     meshes.write(mjcf.section("asset"))
     mjcf.remove_empty_sections()
     put_defaults(mjcf.root)
@@ -241,9 +245,9 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
     )
 
 
-def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
-    """Tells what else no MJCF, or none of this package's, has from the URDF."""
-    some = []
+def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
+    """List velocity limits, textures and elements of a URDF that the new MJCF does not contain."""
+    losses = []
     speeds = [
         float(limit.get("velocity"))
         for joint in urdf.tree.joints.values()
@@ -252,22 +256,22 @@ def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
     ]
     if speeds:
         limits = describe_span(speeds, "rad/s")
-        some.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
+        losses.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
     textured = len(list(urdf.root.iter("texture")))
     if textured:
-        some.append(diagnose("textures-left", count=textured))
-    others = Counter(str(node.tag) for node in urdf.root if node.tag not in _READ)
-    left = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
-    return some + left
+        losses.append(diagnose("textures-left", count=textured))
+    others = Counter(str(node.tag) for node in urdf.root if node.tag not in _CONVERTED_TAGS)
+    elements = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
+    return losses + elements
 
 
-def _put_stand(
+def _add_stand(
     bare: BareMjcf, options: MjcfOptions
 ) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
-    """Adds what `load_robot` finds out: feet, servos, start pose.
+    """Add the ground, feet, servos and start pose that `load_robot` determines.
 
     Returns:
-        Its notes, why the robot does not stand, if so, and the joints whose feet are balls now.
+        Notes; the reason if the robot does not stand; the joints whose feet were replaced by balls.
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:
@@ -276,7 +280,8 @@ def _put_stand(
         if options.feet is not None:
             raise
         put_all(ground_of_urdf(), mjcf)
-        messages = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
+        messages = [addition.reason for addition in ground_of_urdf()]
+        messages += _add_servos_of_fixed_base(bare, options)
         _lift_base(mjcf, bodies, bare.file().model)
         problem = diagnose("does-not-stand", missing=meshes.missing, problem=error.cause)
         return messages, problem, frozenset()
@@ -286,50 +291,56 @@ def _put_stand(
     except PupperAnalysisError as error:
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-        added = tuple(each for each in added if not isinstance(each, Start))
-    own = Bare.of(bare.file().model, robot)
-    put_all([_in_own_frame(each, own, robot) for each in added], mjcf)
-    _lift_base(mjcf, bodies, own.model)
+        added = tuple(addition for addition in added if not isinstance(addition, Start))
+    published = Bare.of(bare.file().model, robot)
+    put_all([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
+    _lift_base(mjcf, bodies, published.model)
     messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
-    return messages, failure, _joints_on_balls(robot)
+    return messages, failure, _find_joints_on_balls(robot)
 
 
-def _joints_on_balls(robot: Robot) -> frozenset[str]:
-    """Returns the joints that move the bodies to which balls were added in the place of shapes."""
+def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
+    """Find the joints of bodies whose shapes were replaced by balls."""
     model = robot.mj_model
-    balls = [each for each in robot.description.added if isinstance(each, Ball)]
+    balls = [addition for addition in robot.description.added if isinstance(addition, Ball)]
     bodies = {int(model.body_weldid[model.body(ball.body).id]) for ball in balls}
     return frozenset(
         name for name in robot.joint_names if int(model.jnt_bodyid[model.joint(name).id]) in bodies
     )
 
 
-def _in_own_frame(added: Addition, own: Bare, robot: Robot) -> Addition:
-    """Returns what is added as the new file has it, whose base's frame may lie below its feet."""
-    if not isinstance(added, Start):
-        return added
-    there = mujoco.MjData(robot.mj_model)
-    there.qpos[:] = added.qpos
-    placed = place_as(own, robot, there)
-    return added if placed is None else replace(added, qpos=tuple(placed.qpos.tolist()))
+def _convert_start_pose(addition: Addition, published: Bare, robot: Robot) -> Addition:
+    """Express a start pose in the coordinates of the new file; return other additions unchanged.
+
+    The frame of the base in the new file may be below the feet, where `load_robot` moves it.
+    """
+    if not isinstance(addition, Start):
+        return addition
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = addition.qpos
+    placed = place_as(published, robot, data)
+    return addition if placed is None else replace(addition, qpos=tuple(placed.qpos.tolist()))
 
 
-def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
-    """Adds the servos of a robot that is held; returns what was added."""
+def _add_servos_of_fixed_base(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
+    """Add the servos of a robot with a fixed base, and return a note for each addition."""
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
         return [diagnose("nothing-moves")]
-    robot = _freed(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
-    # What hangs from the world needs no ground, and no pose of its base.
-    added = [each for each in robot.description.added if not isinstance(each, Floor | Start)]
+    robot = _free_legged_robot(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
+    # A robot that hangs from the world needs neither a ground nor a pose of its base.
+    added = [
+        addition for addition in robot.description.added if not isinstance(addition, Floor | Start)
+    ]
     put_all(added, mjcf)
-    return list(dict.fromkeys(each.reason for each in added))
+    return list(dict.fromkeys(addition.reason for addition in added))
 
 
-def _freed(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
-    """Returns a robot on legs that its URDF ties to the link "world", as ``load_robot`` frees it.
+def _free_legged_robot(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
+    """Load a legged robot, whose URDF fixes it to the link "world", with a free base.
 
-    Its servos are those with which it stands, as ``stand`` of either file answers.
+    The servos are then those with which the robot stands. None if the caller specifies the base,
+    the root link has another name, or the robot does not stand (an arm, a hand).
     """
     if options.fixed_base is not None or bare.bodies.root != WORLD:
         return None
@@ -337,29 +348,33 @@ def _freed(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
         robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
         solve_stand_on_soft_ground(robot)
     except PupperAnalysisError:
-        return None  # an arm, a hand
+        return None
     return robot
 
 
-def _unstated(mjcf: NewMjcf) -> list[Diagnostic]:
-    """Tells which joints have neither armature nor damping: a URDF states no armature."""
+def _list_unstated_numbers(mjcf: NewMjcf) -> list[Diagnostic]:
+    """Count joints without armature and joints without damping."""
     joints = mjcf.joints
-    still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
-    messages = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
-    if undamped:
-        messages.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
-    return messages
+    counts = {
+        attribute: sum(joint.get(attribute) is None for joint in joints)
+        for attribute in ("armature", "damping")
+    }
+    return [
+        diagnose(f"{attribute}-unstated", count=count, joints=len(joints))
+        for attribute, count in counts.items()
+        if count
+    ]
 
 
-_KEY_DIGITS = 6
-"""Decimals of the base's height: a micrometre."""
+_HEIGHT_DECIMALS = 6
+"""Decimals of the height of the base [m] in a new file: one micrometre."""
 
 
 def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
-    """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
+    """Add an IMU at the link with "imu" in its name, otherwise at the origin of the base.
 
     Returns:
-        What was added.
+        Note about the addition.
     """
     named = sorted(
         (name for name in bodies.frames if "imu" in name.lower()),
@@ -370,14 +385,15 @@ def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
 
 
 def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
-    """Puts the base where nothing is in the ground, with all joints at zero or as it stands.
+    """Raise the base so that no collision shape is below the ground at zero joint positions.
 
-    A simulation that is begun without the keyframe would throw it up by what is in the ground.
+    A simulation that starts without the keyframe would otherwise throw the robot upward. The base
+    is at least as high as in the keyframe.
 
     Args:
-        mjcf: The MJCF, with its keyframe if it has one.
-        bodies: What is known of the URDF.
-        model: What MuJoCo compiles of it, so far.
+        mjcf: New MJCF, with its keyframe if it has one.
+        bodies: Bodies of the URDF.
+        model: Compiled model of the new MJCF so far.
     """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -392,24 +408,28 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
     if home is not None:
         heights.append(float(home[2]))
     if heights and max(heights) > 0:
-        height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_KEY_DIGITS}f}")])
+        height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_HEIGHT_DECIMALS}f}")])
         mjcf.body(bodies.root).set("pos", height)
 
 
-_SHARED = {
+_DEFAULT_ATTRIBUTES = {
     "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),
     "position": ("kp", "kv", "forcerange"),
 }
-"""Attributes that several elements of a kind may share."""
+"""Attributes that ``put_defaults`` moves into the top default class, for each element type."""
 
 
 def put_defaults(root: etree._Element) -> None:
-    """Moves what more than half of a kind share into the top default, if all have some of it."""
+    """Move common attribute values into the top default class.
+
+    A value is moved if all elements of the type have the attribute, and more than half of them have
+    this value.
+    """
     top = root.find("default")
     assert top is not None
-    for tag, attributes in _SHARED.items():
+    for tag, attributes in _DEFAULT_ATTRIBUTES.items():
         elements = [found for found in root.iter(tag) if found.getparent().tag != "default"]
-        common = _common(elements, attributes) if len(elements) > 1 else {}
+        common = _find_common_values(elements, attributes) if len(elements) > 1 else {}
         if common:
             top.insert(len(top.findall("joint")), etree.Element(tag, common))
         for element in elements:
@@ -418,8 +438,10 @@ def put_defaults(root: etree._Element) -> None:
                     del element.attrib[name]
 
 
-def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> dict[str, str]:
-    """Returns {attribute: its value in most elements}, of attributes that all of them have."""
+def _find_common_values(
+    elements: Sequence[etree._Element], attributes: Sequence[str]
+) -> dict[str, str]:
+    """Find the value that more than half of the elements have, for attributes that all have."""
     common = {}
     for name in attributes:
         values = Counter(element.get(name) for element in elements)
@@ -431,40 +453,37 @@ def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> di
     return common
 
 
-# An MJCF as a URDF.
-
-
 def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
-    """Makes the URDF of an MJCF.
+    """Convert an MJCF to a URDF.
 
     Args:
-        file: The MJCF.
-        output: Where the URDF shall be: the paths of its meshes start there.
+        file: Source file.
+        output: Path of the URDF, to which mesh paths are relative.
 
     Raises:
-        ModelError: If a URDF cannot have the robot.
+        ModelError: If a URDF cannot represent the robot.
     """
     bare = BareUrdf.of(file, output)
-    left = [*bare.left, *_not_in_urdf(bare.model, bare.bodies)]
-    left += _lost_numbers(bare.model, bare.bodies)
-    gone, why = file.lacking, diagnose("no-such-mesh-file")
-    lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
+    left = [*bare.left, *_list_losses_in_urdf(bare.model, bare.bodies)]
+    left += _list_lost_contact_numbers(bare.model, bare.bodies)
+    missing, why = file.lacking, diagnose("no-such-mesh-file")
+    lost = [diagnose("collision-meshes-lost", files=missing, why=why)] if missing else []
     return ConversionDraft(bare.text, {}, bare.notes, tuple(left), lost=tuple(lost))
 
 
-def _not_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
-    """Tells what else a URDF cannot say, and what is around the robot and on it.
+def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
+    """List elements and values of an MJCF that the URDF does not contain.
 
     Args:
-        model: The model.
-        robot: The bodies that are links.
+        model: Compiled model of the MJCF.
+        robot: Ids of the bodies that become links.
     """
     moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
-    some: list[Diagnostic] = []
+    losses: list[Diagnostic] = []
     if model.dof_armature[dofs].any():
         values = describe_span(model.dof_armature[dofs], "kg m^2")
-        some.append(diagnose("armature-not-in-urdf", armature=values))
+        losses.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
     resisting = model.dof_damping + model.dof_frictionloss + model.dof_armature
     others = [body for body in range(1, model.nbody) if body not in robot]
@@ -488,49 +507,58 @@ def _not_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnosti
         (bool(model.opt.density or model.opt.viscosity), "fluid around the robot"),
     ):
         if count:
-            some.append(diagnose("not-in-urdf", what=Term(what), count=int(count)))
+            losses.append(diagnose("not-in-urdf", what=Term(what), count=int(count)))
     if others:
         names = [model.body(body).name or f"{body}" for body in others]
-        some.append(diagnose("bodies-not-carried", bodies=names))
+        losses.append(diagnose("bodies-not-carried", bodies=names))
     if not np.allclose(model.opt.gravity, DOWN):
-        some.append(diagnose("gravity-not-in-urdf", gravity=model.opt.gravity))
-    return some
+        losses.append(diagnose("gravity-not-in-urdf", gravity=model.opt.gravity))
+    return losses
 
 
-def _lost_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
-    """Lists what an MJCF states of contacts and of MuJoCo's options, and a URDF cannot.
+def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
+    """List contact parameters and options that differ from MuJoCo's defaults.
 
     Args:
-        model: The model.
-        robot: The bodies that are links.
+        model: Compiled model of the MJCF.
+        robot: Ids of the bodies that become links.
     """
-    touching = [g for g in sorted(touching_geoms(model)) if int(model.geom_bodyid[g]) in robot]
-    some = []
-    for tag, rows in (("geom", touching), ("option", [0])):
-        for word, values in _stated_numbers(model, tag, rows).items():
+    geoms = [
+        geom for geom in sorted(touching_geoms(model)) if int(model.geom_bodyid[geom]) in robot
+    ]
+    losses = []
+    for tag, rows in (("geom", geoms), ("option", [0])):
+        for attribute, values in _find_changed_values(model, tag, rows).items():
             distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
             if tag == "geom":
-                given: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
-                some.append(diagnose("contact-number-not-in-urdf", what=word, **given))
+                arguments: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
+                losses.append(diagnose("contact-number-not-in-urdf", what=attribute, **arguments))
             else:
-                some.append(diagnose("option-not-in-urdf", what=word, values=tuple(distinct)))
-    return some
+                losses.append(
+                    diagnose("option-not-in-urdf", what=attribute, values=tuple(distinct))
+                )
+    return losses
 
 
-def _stated_numbers(model: mujoco.MjModel, tag: str, rows: Iterable[int]) -> dict[str, list[Value]]:
-    """Returns {word: the values that elements have of it} where they are not MuJoCo's defaults.
+def _find_changed_values(
+    model: mujoco.MjModel, tag: str, rows: Iterable[int]
+) -> dict[str, list[Value]]:
+    """Find attribute values that differ from MuJoCo's defaults.
 
     Args:
-        model: What MuJoCo compiles.
+        model: Compiled model.
         tag: ``geom`` or ``option``.
-        rows: Which geoms; of options, ``[0]``.
+        rows: Ids of geoms; ``[0]`` for options.
+
+    Returns:
+        For each attribute with such values, the values.
     """
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
     )
-    usual, found = element_values(default, tag, 0), dict[str, list[Value]]()
+    defaults, changed = element_values(default, tag, 0), dict[str, list[Value]]()
     for row in rows:
-        for word, value in element_values(model, tag, row).items():
-            if value != usual[word]:
-                found.setdefault(word, []).append(value)
-    return found
+        for attribute, value in element_values(model, tag, row).items():
+            if value != defaults[attribute]:
+                changed.setdefault(attribute, []).append(value)
+    return changed

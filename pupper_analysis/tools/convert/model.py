@@ -1,4 +1,8 @@
-"""Converts a model file into the other format, and proves that both agree."""
+"""Conversion of a model file to the other format, with verification.
+
+`convert_model` writes the new file, compares it with the source, simulates the stand of the robot
+and, for a new MJCF, the file itself from its keyframe.
+"""
 
 from __future__ import annotations
 
@@ -56,41 +60,38 @@ def convert_model(
     packages: Mapping[str, Path] | None = None,
     force: bool = False,
 ) -> Conversion:
-    """Converts a URDF into an MJCF, or an MJCF into a URDF.
+    """Convert a URDF to an MJCF, or an MJCF to a URDF, and verify the new file.
 
-    Of an MJCF the URDF has what MuJoCo compiles it to; what no URDF can say is ``not_converted``.
-
-    All that a URDF states is kept, number by number: masses, products of inertia, frames, limits,
-    damping, friction, effort limits as force ranges, mimic joints as equalities, shapes for
-    collision and for looks apart, scales of meshes. What a simulation needs besides is added: a
-    floor and a free joint, feet, position servos, pairs of bodies that overlap where they stand, a
-    keyframe ``home`` with the commands that hold it, an IMU. The new file is proven before the call
-    returns: cross-checked with the source, its robot stood for 12 s and nudged, and the file itself
-    simulated from its keyframe.
+    A new MJCF keeps all numbers of the URDF: masses, products of inertia, frames, limits, damping,
+    friction, effort limits (as force ranges), mimic joints (as equalities), collision and visual
+    shapes, mesh scales. Additions for simulation: a floor, a free joint, feet, position servos,
+    contact exclusions of bodies that overlap in the stand, a keyframe ``home`` with the commands
+    that hold it, an IMU. A new URDF contains the numbers that MuJoCo compiles from the MJCF.
+    Quantities that the new format cannot express are listed in ``not_converted``.
 
     Args:
-        source: Path of the URDF, or of the MJCF; then only ``output``, ``packages`` and ``force``
-            are for it.
+        source: Path of the URDF or MJCF. For an MJCF, only ``output``, ``packages`` and ``force``
+            may be passed in addition.
         output: Path of the new file.
-        feet: The feet's links, or {foot: link}; by default they are found, as by ``load_robot``.
-        fixed_base: Whether the base is fixed in the world; by default a base with two limbs or more
-            is free, unless it is called ``world``.
-        armature: {joint: rotor inertia (kg m^2)}, which no URDF states.
-        repair_inertia: Give links that move, and whose inertia no body can have, the nearest that
-            one can, and a gram to those without mass; by default they are refused.
-        copy_meshes: Copy all meshes to a folder ``NAME_meshes`` beside the new file; by default it
-            names them where they are, relative to itself.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-        force: Replace the output, and meshes, if they exist; never what is read.
+        feet: Links of the feet, or the link for each foot name. Default: detected as by
+            ``load_robot``.
+        fixed_base: Fix the base in the world. Default: False for a base with two or more limbs that
+            is not named ``world``.
+        armature: Rotor inertia [kg m^2] for each joint.
+        repair_inertia: Replace physically impossible inertias of moving links by the nearest
+            possible ones, and masses of zero by 1 g. Default: such links are refused.
+        copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
+            new file contains relative paths to the existing meshes.
+        packages: Folder of each ROS package, for ``package://`` paths.
+        force: Replace existing outputs. Input files are never replaced.
 
     Returns:
-        What was written, and the proof.
+        Written files, notes, and the results of the verification.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
-        ModelError: If the source cannot be read, or the other format cannot have the robot.
-        OutputError: If the output or a mesh exists, is one of the files that are read, or cannot be
-            written.
+        ConfigurationError: If an argument is out of range.
+        ModelError: If the source cannot be read, or the other format cannot represent the robot.
+        OutputError: If the output or a mesh exists, is an input file, or cannot be written.
     """
     source, output = Path(source), Path(output)
     note_input(source)
@@ -110,7 +111,7 @@ def convert_model(
         draft = mjcf_draft(file, output, options)
         urdf, mjcf = source, output
     else:
-        _refuse_given(options, source)
+        _refuse_mjcf_options(options, source)
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
         if draft.failure is None:
@@ -153,18 +154,17 @@ def convert_model(
     )
 
 
-def _refuse_given(options: MjcfOptions, source: Path) -> None:
-    """Refuses what only a new MJCF can have."""
+def _refuse_mjcf_options(options: MjcfOptions, source: Path) -> None:
+    """Raise an error if an option of new MJCFs is passed for a new URDF."""
     for field in fields(options):
         if getattr(options, field.name) != field.default:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
 
 
 def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
-    """Yields what makes the files disagree, but for what the notes tell.
+    """Yield the differences between source and new file that the notes do not explain.
 
-    Inertials that were repaired, of which the comparison proves that they explain all that is left,
-    and feet on balls in the place of their meshes.
+    Repaired inertials and feet whose meshes were replaced by balls are explained by notes.
     """
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
@@ -177,22 +177,24 @@ def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterato
 
 @dataclass(frozen=True, eq=False)
 class Conversion(Result):
-    """What became of a conversion.
+    """Result of a conversion.
 
     Attributes:
-        source: The file that was converted.
-        output: The new file.
-        written: All files that were written.
-        notes: What was added that the source does not say, or assumed.
-        not_converted: What the new format cannot say, or what was left out.
-        repairs: Inertials that no body can have, and what was written in their places.
-        comparison: The new file against the source.
-        verification: The simulated stand, 12 s long; None where there is none to be simulated.
-        kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
-        failures: Why the new file is not what it shall be: it disagrees with the source beyond what
-            is ``not_converted``, its robot does not stand, or it lost what touches.
-        agree: Whether both files agree, but for what was repaired.
-        passed: Whether they agree, and the robot stands if it is one that shall.
+        source: Path of the source file.
+        output: Path of the new file.
+        written: Paths of all written files.
+        notes: Additions and assumptions.
+        not_converted: Quantities that the new format cannot express, and omitted elements.
+        repairs: Physically impossible inertials, with the written values.
+        comparison: Comparison of the new file with the source.
+        verification: Simulation of the stand for 12 s. None if the base is fixed, or the robot is
+            known not to stand.
+        kept: Simulation of a new MJCF from its keyframe, with a nudge. None for a new URDF, and in
+            the cases of ``verification``.
+        failures: Reasons for a negative result: unexplained differences from the source, a robot
+            that does not stand, lost collision meshes.
+        agree: True if both files agree, except for repaired inertials and replaced feet.
+        passed: True if there are no failures.
     """
 
     source: str
@@ -211,13 +213,13 @@ class Conversion(Result):
 
 @dataclass(frozen=True, eq=False)
 class KeyframeRun(Result):
-    """What an MJCF does from its own keyframe when it is nudged.
+    """Simulation of an MJCF from its first keyframe, with a nudge.
 
     Attributes:
-        keyframe: Its name.
-        stability: Of where it settles.
-        nudge: What becomes of a nudge that is given at once.
-        failures: Why it does not stay there.
+        keyframe: Name of the keyframe.
+        stability: Stability of the simulation step at the keyframe.
+        nudge: Response to a nudge at the start.
+        failures: Reasons why the robot does not return to rest.
     """
 
     keyframe: str
