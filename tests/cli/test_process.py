@@ -194,6 +194,33 @@ def test_no_result_is_written_after_a_signal(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+BUSY = """
+import click, concurrent.futures, sys, time
+from pupper_analysis import __main__, cli
+@click.command()
+def busy():
+    pool = concurrent.futures.ThreadPoolExecutor()
+    pool.submit(time.sleep, 60)
+    print("busy", flush=True)
+    time.sleep(60)
+cli.find_command = lambda name: busy
+__main__.main("busy")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_command_whose_threads_compute(number: signal.Signals) -> None:
+    """Python waits for the threads of its pools, here for a minute."""
+    process = start(sys.executable, "-c", BUSY)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "busy\n"
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert err == {15: "terminated\n", 2: "interrupted\n"}[int(number)]
+
+
 # ------------------------------------------------------------------------------------- errors
 
 

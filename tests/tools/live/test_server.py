@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit
@@ -10,6 +11,9 @@ from urllib.parse import urlsplit
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.cli import GARBAGE
+from pupper_analysis.tools.live import server
+from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve
 from pupper_analysis.tools.live.server import Page
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
@@ -52,3 +56,20 @@ def test_who_waited_until_it_is_closed_gets_no_session(
     page._opened(object())
     assert made == []
     assert page.sessions == {}
+
+
+def test_a_served_page_collects_garbage_as_python_does(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commands postpone it: each action of a browser left 60 KB of cycles, for hours."""
+    found: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(server, "serve", lambda *_, **__: found.append(gc.get_threshold()))
+    before = gc.get_threshold()
+    gc.set_threshold(*GARBAGE)
+    try:
+        _serve(page, "127.0.0.1", browser=False)
+        assert gc.get_freeze_count() > 0
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(*before)
+    assert found == [PYTHON_THRESHOLDS]
