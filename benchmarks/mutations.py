@@ -21,7 +21,6 @@ import random
 import shutil
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,14 +30,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "pupper_analysis"
 
-MAX_TEST_FILES = 6
-"""Upper bound of test files that count as near to a module. Chosen: about a minute of processor."""
+MAX_TEST_FILES = 3
+"""Upper bound of test files that count as near to a module. Chosen: seconds of processor."""
 
-TIMEOUT_FACTOR = 10.0
-"""Factor of the duration without a fault. A run that takes longer is stopped: fault detected."""
-
-MIN_TIMEOUT = 120.0
-"""Lower bound of that limit [s]: an interpreter starts in up to 20 s on a busy machine."""
+TIMEOUT = 600.0
+"""Duration [s] after which a run is stopped; the fault then counts as detected, since it does not
+end. Near tests take 5 to 60 s."""
 
 COLUMNS = ("file", "line", "kind", "before", "after", "outcome", "detected_by")
 
@@ -266,34 +263,28 @@ class Bench:
             if (ROOT / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
-        self._durations: dict[tuple[str, ...], float | None] = {}
+        self._passing: dict[tuple[str, ...], bool] = {}
 
-    def duration_without_fault(self, arguments: Sequence[str]) -> float | None:
-        """Return the duration [s] of tests that pass without a fault; None if they fail."""
+    def passes(self, arguments: Sequence[str]) -> bool:
+        """Return whether tests pass without a fault; they run once for each selection."""
         key = tuple(arguments)
-        if key not in self._durations:
-            begin = time.monotonic()
-            passed = self._run(arguments, None) == ""
-            self._durations[key] = time.monotonic() - begin if passed else None
-        return self._durations[key]
+        if key not in self._passing:
+            self._passing[key] = self._run(arguments) == ""
+        return self._passing[key]
 
-    def detecting_test(self, fault: Fault, arguments: Sequence[str]) -> str | None:
-        """Return the first test that fails with a fault, or "timeout"; None if all pass."""
-        duration = self.duration_without_fault(arguments)
-        if duration is None:
-            return None
+    def detecting_test(self, fault: Fault, arguments: Sequence[str]) -> str:
+        """Return the first test that fails with a fault, "timeout", or "" if all pass."""
         path = self.folder / fault.file
         source = path.read_text(encoding="utf-8")
         end = fault.start + len(fault.before)
         assert source[fault.start : end] == fault.before
         path.write_text(source[: fault.start] + fault.after + source[end:], encoding="utf-8")
         try:
-            failed = self._run(arguments, max(MIN_TIMEOUT, TIMEOUT_FACTOR * duration))
+            return self._run(arguments)
         finally:
             path.write_text(source, encoding="utf-8")
-        return failed or None
 
-    def _run(self, arguments: Sequence[str], seconds: float | None) -> str:
+    def _run(self, arguments: Sequence[str]) -> str:
         """Run tests until one fails; return its name, "timeout", or "" if all pass."""
         command = [sys.executable, "-B", "-m", "pytest", "-n", "0", "-x", "-q", "--tb=no", "-rfE"]
         environment = {**os.environ, "PYTHONPATH": str(self.folder)}
@@ -304,7 +295,7 @@ class Bench:
                 env=environment,
                 capture_output=True,
                 text=True,
-                timeout=seconds,
+                timeout=TIMEOUT,
                 check=False,
             )
         except subprocess.TimeoutExpired:
@@ -315,25 +306,33 @@ class Bench:
         return next((line.split()[1] for line in failed), f"exit status {done.returncode}")
 
 
-def run_fault(bench: Bench, fault: Fault, *, quick_tier: bool) -> tuple[str, str]:
+def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[str, str]:
     """Return the outcome of a fault, and the test that detects it.
 
-    The outcome is ``killed``, ``survived``, or ``untested`` if the tests fail without the fault or
-    there are none.
+    The outcome is ``killed``, ``survived``, or ``untested`` if the tests fail without the fault,
+    too, or there are none.
+
+    Args:
+        bench: The copy.
+        fault: The fault.
+        tiers: Any of ``near`` (quick tests near to the module), ``slow`` (slow tests near to it)
+            and ``quick`` (all quick tests), in the order in which they run.
     """
     module = Path(fault.file).relative_to(PACKAGE)
     near = [
         str(path.relative_to(bench.folder)) for path in near_tests(module, bench.folder / "tests")
     ]
-    steps = [["-m", "not slow", *near], ["-m", "slow", *near]] if near else []
-    if quick_tier:
-        steps.append(["-m", "not slow", "tests"])
-    tested = False
-    for arguments in steps:
-        tested |= bench.duration_without_fault(arguments) is not None
-        if found := bench.detecting_test(fault, arguments):
-            return "killed", found
-    return ("survived" if tested else "untested"), ""
+    selections = {"near": ["-m", "not slow", *near], "slow": ["-m", "slow", *near],
+                  "quick": ["-m", "not slow", "tests"]}  # fmt: skip
+    outcome = "untested"
+    for tier in tiers:
+        if not near and tier != "quick":
+            continue
+        if not (failed := bench.detecting_test(fault, selections[tier])):
+            outcome = "survived"
+        elif bench.passes(selections[tier]):
+            return "killed", failed
+    return outcome, ""
 
 
 def main() -> int:
@@ -342,7 +341,10 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200, help="number of faults (200)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice (1)")
     parser.add_argument("--csv", type=Path, default=ROOT / "build/mutations.csv")
-    parser.add_argument("--quick-tier", action="store_true", help="run the quick tier, too")
+    parser.add_argument(
+        "--tiers", nargs="+", choices=("near", "slow", "quick"), default=("near", "slow", "quick"),
+        help="tests that run, in this order",
+    )  # fmt: skip
     parser.add_argument("--folder", type=Path, default=ROOT / "build/mutations")
     parser.add_argument("modules", nargs="*", help="beginnings of paths, e.g. statics robot/fall")
     given = parser.parse_args()
@@ -358,7 +360,7 @@ def main() -> int:
         key = fault.file, str(fault.line), fault.before, fault.after
         if key in known:
             continue
-        outcome, detected_by = run_fault(bench, fault, quick_tier=given.quick_tier)
+        outcome, detected_by = run_fault(bench, fault, tiers=given.tiers)
         values = fault.file, fault.line, fault.kind, fault.before, fault.after, outcome, detected_by
         rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
         write_rows(given.csv, rows)

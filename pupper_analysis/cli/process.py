@@ -115,9 +115,11 @@ class ProcessEnding:
 
     Attributes:
         signal: Its number.
+        caught: Whether the exception that it became has arrived where the process ends.
     """
 
     signal: int = 0
+    caught: bool = False
 
     @property
     def status(self) -> int:
@@ -127,6 +129,9 @@ class ProcessEnding:
     def __str__(self) -> str:
         return "interrupted" if self.signal == signal.SIGINT else "terminated"
 
+
+AGAIN = 0.3
+"""After so many seconds a signal is an exception once more, if the first was swallowed."""
 
 _now: list[ProcessEnding] = []
 
@@ -155,7 +160,18 @@ def ending_signals() -> Iterator[ProcessEnding]:
         if ending.signal:
             os._exit(128 + number)
         ending.signal = number
+        if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
+            before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
+            signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
         raise Ended
+
+    def again(_number: int, _frame: FrameType | None) -> None:
+        """Raises it once more, unless it is on its way: a library's callback has swallowed it."""
+        handled = sys.exc_info()[1]
+        while handled is not None and not isinstance(handled, Ended):
+            handled = handled.__context__
+        if handled is None and not ending.caught:
+            raise Ended
 
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -168,6 +184,9 @@ def ending_signals() -> Iterator[ProcessEnding]:
     try:
         yield ending
     finally:
+        ending.caught = True
+        if getattr(signal, "SIGALRM", None) in before:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         _now.pop()
         for number, handler in before.items():
             signal.signal(number, handler)

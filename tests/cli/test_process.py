@@ -94,7 +94,7 @@ def test_results_are_written_where_standard_output_fails(
 @pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     process = start(
-        *COMMAND, "workspace", "v3", "--json", "out.json", "--report", "out.html", cwd=tmp_path
+        *COMMAND, "workspace", "v3", "--json", "out.json", "--figure", "out.png", cwd=tmp_path
     )
     assert process.stdout is not None
     process.stdout.close()
@@ -281,3 +281,31 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert 'raise ZeroDivisionError("of' in err
+
+
+def test_a_signal_that_a_library_swallows_is_raised_again() -> None:
+    code = """
+        import os, signal, time
+        from pupper_analysis.cli.process import Ended, ending_signals
+
+        swallowed = 0
+        with ending_signals() as ending:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                swallowed += 1
+            try:
+                try:
+                    time.sleep(30)
+                finally:
+                    time.sleep(1)  # what is tidied up is not disturbed
+                    swallowed += 1
+            except Ended:
+                ending.caught = True
+                swallowed += 1
+        time.sleep(1)  # nor what comes after
+        print(swallowed)
+    """
+    process = start(sys.executable, "-c", textwrap.dedent(code))
+    assert process.communicate(timeout=25) == ("3\n", "")
+    assert process.returncode == 0
