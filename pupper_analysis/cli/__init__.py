@@ -111,8 +111,10 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
             try:
                 status = _status(command, given, debug=debug)
             except (Ended, KeyboardInterrupt):
+                ending.caught = True
                 ending.signal = ending.signal or 2
             except BaseException:
+                ending.caught = True
                 if not ending.signal:
                     raise
         if ending.signal:

@@ -115,7 +115,7 @@ class ProcessEnding:
 
     Attributes:
         signal: Its number.
-        caught: Whether the exception that it became has arrived where the process ends.
+        caught: Whether the exception `Ended` has reached the code that ends the process.
     """
 
     signal: int = 0
@@ -130,8 +130,8 @@ class ProcessEnding:
         return "interrupted" if self.signal == signal.SIGINT else "terminated"
 
 
-AGAIN = 0.3
-"""After so many seconds a signal is an exception once more, if the first was swallowed."""
+RAISE_INTERVAL = 0.3
+"""Time [s] after which `Ended` is raised again if a callback has suppressed it. Chosen."""
 
 _now: list[ProcessEnding] = []
 
@@ -162,11 +162,11 @@ def ending_signals() -> Iterator[ProcessEnding]:
         ending.signal = number
         if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
             before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
-            signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
+            signal.setitimer(signal.ITIMER_REAL, RAISE_INTERVAL, RAISE_INTERVAL)
         raise Ended
 
     def again(_number: int, _frame: FrameType | None) -> None:
-        """Raises it once more, unless it is on its way: a library's callback has swallowed it."""
+        """Raise `Ended` again, unless it is being handled or has been caught."""
         handled = sys.exc_info()[1]
         while handled is not None and not isinstance(handled, Ended):
             handled = handled.__context__

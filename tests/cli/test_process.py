@@ -94,7 +94,7 @@ def test_results_are_written_where_standard_output_fails(
 @pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     process = start(
-        *COMMAND, "workspace", "v3", "--json", "out.json", "--figure", "out.png", cwd=tmp_path
+        *COMMAND, "workspace", "v3", "--json", "out.json", "--report", "out.html", cwd=tmp_path
     )
     assert process.stdout is not None
     process.stdout.close()
@@ -283,7 +283,9 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert 'raise ZeroDivisionError("of' in err
 
 
-def test_a_signal_that_a_library_swallows_is_raised_again() -> None:
+@pytest.mark.slow
+def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
+    """The exception is suppressed once; clean-up code and later code are not interrupted."""
     code = """
         import os, signal, time
         from pupper_analysis.cli.process import Ended, ending_signals
