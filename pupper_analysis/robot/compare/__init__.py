@@ -1,1 +1,1 @@
-"""Two files of one robot in both engines, and what makes them disagree."""
+"""Comparison of two files of one robot in both engines, and explanation of the differences."""

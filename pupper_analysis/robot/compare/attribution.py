@@ -1,7 +1,9 @@
-"""Which numbers make two models disagree: each difference, its effect, and that none is missing.
+"""Explanation of the deviation between two models: each difference with its effect on the dynamics.
 
-And the rotors' inertia, of which a URDF has none: what it does, and where it differs from that of
-its mirror image.
+Input: a robot with two models. Output: an ``Explanation``. Method: the multibody trees are compared
+value by value, and elements that only an MJCF can contain are listed. The effect of each difference
+is evaluated alone. Finally, all values of the MJCF are written into the URDF's tree, which must
+then behave as the MJCF without the listed elements; the remaining deviation is the residual.
 """
 
 from __future__ import annotations
@@ -45,14 +47,12 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-EXPLAINED = 1e-9
-"""What may be left, relative to a quantity's scale, when all differences are taken away.
+MAX_RESIDUAL = 1e-9
+"""Maximum residual of a complete explanation, relative to the scale of a quantity. Two engines in
+double precision agree to about 1e-13; for accelerations see `_compute_residual`."""
 
-Two engines of double precision agree to some 1e-13; accelerations likewise, in the forces that make
-them (see `_left`).
-"""
-
-_STATES = 10  # at which each difference is weighed
+_NUM_STATES = 10
+"""Number of states at which the effect of each difference is evaluated."""
 
 
 def explain_differences(
@@ -65,23 +65,21 @@ def explain_differences(
     conventions: Conventions | None = None,
     unstated: Mapping[str, Collection[str]] | None = None,
 ) -> Explanation:
-    """Finds every number in which a robot's URDF and MJCF differ, and proves that none is missing.
+    """Return all differences between the URDF and the MJCF of a robot, with their effects.
 
-    The parameters of both models are compared body by body, and what the MJCF alone can state is
-    found. Each difference is put into the URDF's model alone (or into a MuJoCo model that has
-    nothing else that a URDF cannot state), to see its effect. Then all are put into the URDF's
-    model, made of its numbers as Pinocchio reads them, and it must behave as MuJoCo's model of the
-    MJCF, as it is but for what was found that a URDF cannot state.
+    Values of both trees are compared body by body, and elements that only the MJCF can contain are
+    listed. The effect of each difference is evaluated by applying it alone to the URDF's model, or
+    to a MuJoCo model without other such elements. Finally, all differences are applied to the
+    URDF's model, which must behave as the MJCF without the listed elements.
 
     Args:
         robot: The robot.
-        tolerances: What counts as a difference; for files of 5 to 6 digits by default.
-        reference: The MJCF as it is; by default the robot's MuJoCo model.
-        mimics: The joints that follow others in the URDF.
-        alignment: The MJCF's tree in the URDF's link frames, if known.
-        conventions: In what the URDF's coordinates were, before it was given the MJCF's.
-        unstated: {damping or friction: joints for which the URDF does not state it, and was given
-            the MJCF's}, as it is given the armature.
+        tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
+        reference: Unmodified MJCF; by default the MuJoCo model of the robot.
+        mimics: Mimic joints of the URDF.
+        alignment: Tree of the MJCF in the link frames of the URDF; computed by default.
+        conventions: Original conventions of the URDF, relative to the MJCF.
+        unstated: {damping or friction: joints with the MJCF's value, because the URDF has none}.
     """
     tolerances = tolerances or Tolerances()
     reference = reference or Reference(
@@ -92,79 +90,88 @@ def explain_differences(
         first = replace(first, gravity=np.array(DOWN))
     alignment = alignment or align_robot(robot, tolerances)
     second = replace(alignment.values, gravity=raw.gravity)
-    found = mjcf_only_effects(reference)
-    coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
-    found = [extra for extra in found if extra not in coupled]
-    states = random_states(robot, affordable_states(robot, _STATES), seed=0)
+    mjcf_only = mjcf_only_effects(reference)
+    coupled, uncoupled = split_mimics(mjcf_only, reference, mimics or {}, tolerances.limit)
+    mjcf_only = [extra for extra in mjcf_only if extra not in coupled]
+    states = random_states(robot, affordable_states(robot, _NUM_STATES), seed=0)
     behaviour = Behaviour(robot, states)
     urdf = behaviour(first)
-    mujoco_sees = MujocoBehaviour(robot, reference, states, alignment.moved)
-    mjcf = mujoco_sees(without_effects(reference.model, coupled))
-    bare = without_effects(reference.model, [*found, *coupled])
-    stripped = mujoco_sees(bare)
-    judge = RelativeError(urdf, mjcf)
+    evaluate_mujoco = MujocoBehaviour(robot, reference, states, alignment.moved)
+    mjcf = evaluate_mujoco(without_effects(reference.model, coupled))
+    reduced_model = without_effects(reference.model, [*mjcf_only, *coupled])
+    reduced = evaluate_mujoco(reduced_model)
+    relative_error = RelativeError(urdf, mjcf)
     differences = []
-    for convention, undone in convention_changes(conventions or Conventions(), first):
-        effects = judge.effects(urdf, behaviour(undone))
+    for convention, original in convention_changes(conventions or Conventions(), first):
+        effects = relative_error.effects(urdf, behaviour(original))
         differences.append(replace(convention, effects=effects))
     for change in changes_between(first, second, tolerances):
         effects = {}
         if change.felt:
-            effects = judge.effects(urdf, behaviour(change.apply(first, second)))
+            effects = relative_error.effects(urdf, behaviour(change.apply(first, second)))
         differences.append(change.difference(effects))
-    differences += armature_differences(first, behaviour, judge)
-    whole = as_it_is(reference.model)
-    for extra in found:
-        extra.switch(bare, whole)
-        effects = judge.effects(stripped, mujoco_sees(bare)) if extra.slots else {}
-        extra.switch(bare, None)
+    differences += armature_differences(first, behaviour, relative_error)
+    full_model = as_it_is(reference.model)
+    for extra in mjcf_only:
+        extra.switch(reduced_model, full_model)
+        effects = (
+            relative_error.effects(reduced, evaluate_mujoco(reduced_model)) if extra.slots else {}
+        )
+        extra.switch(reduced_model, None)
         differences.append(extra.difference(effects))
-    differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
+    differences += [_report_mimic(name, (mimics or {})[name]) for name in uncoupled]
     patched = behaviour(apply_changes(first, second))
-    left = _left(judge, patched, stripped)
+    residual = _compute_residual(relative_error, patched, reduced)
     differences.sort(key=lambda difference: difference.rank)
     return Explanation(
         differences=tuple(differences),
-        deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
-        residual=left,
-        complete=all(value <= EXPLAINED for value in left.values()),
-        notes=tuple(_given_notes({"armature": robot.joint_names, **(unstated or {})}, first)),
+        deviations={name: relative_error.relative(name, urdf[name], mjcf[name]) for name in urdf},
+        residual=residual,
+        complete=all(value <= MAX_RESIDUAL for value in residual.values()),
+        notes=tuple(
+            _report_copied_values({"armature": robot.joint_names, **(unstated or {})}, first)
+        ),
     )
 
 
-def _left(
-    judge: RelativeError, patched: Mapping[str, Array], stripped: Mapping[str, Array]
+def _compute_residual(
+    relative_error: RelativeError, patched: Mapping[str, Array], reduced: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Returns {quantity: by how much two evaluations deviate, relative to its scale}.
+    """Return {quantity: deviation between two evaluations, relative to its scale}.
 
-    Accelerations are forces divided by inertias, and what rounding does to them grows with the mass
-    matrix's condition number (a link of 1e-6 kg at the end of an arm: 1e8). A solver is as good as
-    its backward error: where the forces that make them, M (a1 - a2), deviate by rounding, relative
-    to the greatest of those, that is how far they do. A force that was overlooked is one in full.
+    For accelerations, the rounding error grows with the condition number of the mass matrix (1e8
+    for a link of 1e-6 kg at the end of an arm). If the deviation of the forces M (a1 - a2) is below
+    ``MAX_RESIDUAL``, relative to the largest force, this deviation is used: the backward error of
+    the linear solver. A missing force exceeds this bound.
     """
-    left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
+    residual = {
+        name: relative_error.relative(name, patched[name], reduced[name]) for name in patched
+    }
     mass, name = patched["mass matrix"], "forward dynamics"
     accelerations = patched[name]
-    between = np.abs(np.einsum("nij,nj->ni", mass, accelerations - stripped[name])).max()
+    force_deviation = np.abs(np.einsum("nij,nj->ni", mass, accelerations - reduced[name])).max()
     forces = np.abs(np.einsum("nij,nj->ni", mass, accelerations)).max()
-    if between <= EXPLAINED * forces:
-        left[name] = min(left[name], float(between / max(forces, 1e-300)))
-    return left
+    if force_deviation <= MAX_RESIDUAL * forces:
+        residual[name] = min(residual[name], float(force_deviation / max(forces, 1e-300)))
+    return residual
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Puts the MJCF's link frames to the URDF's."""
+    """Return the MJCF's tree of a robot in the link frames of the URDF."""
     urdf, mjcf = kinematic_trees(robot)
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
-    last = model.body_jntadr + model.body_jntnum - 1
-    # MuJoCo tells the axes of a body, which later joints turn.
-    still = [j for j in joints if last[model.jnt_bodyid[j]] != j]
-    return align_frames(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
+    last_joint = model.body_jntadr + model.body_jntnum - 1
+    # MuJoCo reports the axes of the body, which later joints of the body rotate.
+    not_last_joints = [joint for joint in joints if last_joint[model.jnt_bodyid[joint]] != joint]
+    return align_frames(
+        mjcf, urdf, tolerances, {model.joint(joint).name for joint in not_last_joints}
+    )
 
 
-def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
-    leader, multiplier, offset = said
+def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
+    """Return the difference for a mimic joint without an equality in the MJCF."""
+    leader, multiplier, offset = mimic
     message = diagnose(
         "mimic-without-equality",
         subject=("joint", name),
@@ -172,16 +179,16 @@ def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
         multiplier=multiplier,
         offset=offset,
     )
-    return Difference("mimic", name, said, None, "", message, {})
+    return Difference("mimic", name, mimic, None, "", message, {})
 
 
 def armature_differences(
-    values: MultibodyTree, behaviour: Behaviour, judge: RelativeError
+    values: MultibodyTree, behaviour: Behaviour, relative_error: RelativeError
 ) -> Iterator[Difference]:
-    """Yields armatures of no rotor, and unlike those of mirror images: a URDF can state neither.
+    """Yield an armature of the free joint, and armatures that differ from the mirror image's.
 
-    Before a free joint there is no rotor: the armature of a default class has reached it, and adds
-    to the base's mass in every direction what weighs nothing.
+    A URDF cannot specify armature. The armature of a free joint usually comes from a default class,
+    and adds inertia without weight to the base.
     """
     if values.base_armature:
         value = values.base_armature
@@ -189,41 +196,53 @@ def armature_differences(
         message = diagnose(
             "free-joint-armature", subject=("body", values.base), armature=Quantity(value, unit)
         )
-        effects = judge.effects(behaviour(replace(values, base_armature=0.0)), judge.one)
+        effects = relative_error.effects(
+            behaviour(replace(values, base_armature=0.0)), relative_error.one
+        )
         yield Difference("armature", values.base, None, value, unit, message, effects)
     stated = {name: joint.armature for name, joint in values.joints.items()}
-    often = Counter(stated.values())
+    frequency = Counter(stated.values())
     for pair in unlike_pairs(mirror_pairs(values.joints), stated):
-        name, like = sorted(pair, key=lambda one: often[stated[one]])  # the rarer is the odd one
-        joint = replace(values.joints[name], armature=stated[like])
-        alone = behaviour(replace(values, joints={**values.joints, name: joint}))
+        # The rarer value is considered wrong.
+        name, reference_joint = sorted(pair, key=lambda joint_name: frequency[stated[joint_name]])
+        joint = replace(values.joints[name], armature=stated[reference_joint])
+        symmetric = behaviour(replace(values, joints={**values.joints, name: joint}))
         unit = "kg" if joint.slides else "kg m^2"
         message = diagnose(
             "armature-unlike-mirror-image",
             subject=("joint", name),
             armature=Quantity(stated[name], unit),
-            like=like,
-            usual=Quantity(stated[like], unit),
+            like=reference_joint,
+            usual=Quantity(stated[reference_joint], unit),
         )
-        effects = judge.effects(judge.one, alone)
+        effects = relative_error.effects(relative_error.one, symmetric)
         yield Difference("armature", name, None, stated[name], unit, message, effects)
 
 
-_GIVEN = {
+_COPIED_CODES = {
     "armature": "armature-of-the-mjcf-alone",
     "damping": "damping-of-the-mjcf-alone",
     "friction": "friction-of-the-mjcf-alone",
 }
-_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
+_COPIED_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
 
 
-def _given_notes(
-    given: Mapping[str, Collection[str]], values: MultibodyTree
+def _report_copied_values(
+    copied: Mapping[str, Collection[str]], values: MultibodyTree
 ) -> Iterator[Diagnostic]:
-    """Yields what the URDF was given of the MJCF's."""
-    for kind in _GIVEN:
-        own = [float(getattr(values.joints[name], kind)) for name in given.get(kind, ())]
-        if any(own):
-            least, greatest = (Quantity(f(own), _UNITS[kind]) for f in (min, max))
-            more = greatest if greatest != least else None
-            yield diagnose(_GIVEN[kind], least=least, greatest=more, count=len(own))
+    """Yield diagnostics of values that the URDF got from the MJCF."""
+    for kind in _COPIED_CODES:
+        values_of_joints = [
+            float(getattr(values.joints[name], kind)) for name in copied.get(kind, ())
+        ]
+        if any(values_of_joints):
+            minimum, maximum = (
+                Quantity(function(values_of_joints), _COPIED_UNITS[kind]) for function in (min, max)
+            )
+            differing_maximum = maximum if maximum != minimum else None
+            yield diagnose(
+                _COPIED_CODES[kind],
+                least=minimum,
+                greatest=differing_maximum,
+                count=len(values_of_joints),
+            )

@@ -1,4 +1,7 @@
-"""What differences are judged by: the quantities of a model at many states, in both engines."""
+"""Quantities for the comparison of models, evaluated at many random states.
+
+Quantities: mass matrix, gravity, bias forces, CoM, forward dynamics, positions of joints and feet.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class MujocoBehaviour:
-    """Evaluates the same quantities as `Behaviour` in MuJoCo, of models that differ in numbers."""
+    """Evaluation of the quantities for MuJoCo models that differ only in parameters."""
 
     def __init__(
         self,
@@ -30,14 +33,14 @@ class MujocoBehaviour:
         states: States,
         moved: Mapping[str, Array],
     ) -> None:
-        """Looks up what all evaluations share: thousands of names, in a large robot.
+        """Look up the ids that all evaluations share.
 
         Args:
             robot: The robot.
-            reference: Names the elements of the models.
-            states: The states.
-            moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's
-                axes}.
+            reference: Model with the names of the elements.
+            states: States of the evaluation.
+            moved: {joint: displacement (3,) [m] of the evaluated point from MuJoCo's anchor, in the
+                axes of the body}.
         """
         model, names = reference.model, reference.names
         self._reference, self._states, self._name = reference, states, robot.name
@@ -47,19 +50,19 @@ class MujocoBehaviour:
         self._joints = [names.joint(name).id for name in robot.joint_names]
         self._slides = model.jnt_type[self._joints] == JointKind.SLIDE
         self._coordinates = model.jnt_qposadr[self._joints]
-        self._members = _members(robot, reference)
+        self._is_robot_body = _is_robot_body(robot, reference)
         frames = {**robot.description.contact_points, **robot.description.frames}
         self._frames = [frame for _, frame in frames.values()]
-        self._local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
+        self._local_offsets = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
 
     def __call__(self, model: mujoco.MjModel) -> dict[str, Array]:
-        """Evaluates a model with the elements of the reference, at all states."""
+        """Return {quantity: values at all states} of a model with the elements of the reference."""
         data, joints = mujoco.MjData(model), self._joints
         places = [foot_site(self._reference.names, frame, self._name) for frame in self._frames]
         carriers = [body for body, _ in places]
         positions = np.array([position for _, position in places])
         public = self._convention.qvel_index
-        weights = np.where(self._members, self._reference.model.body_mass, 0.0)
+        weights = np.where(self._is_robot_body, self._reference.model.body_mass, 0.0)
         full = np.zeros((model.nv, model.nv))
         rows: dict[str, list[Array]] = {}
         states = zip(self._states.qpos, self._states.qvel, self._states.torques, strict=True)
@@ -72,8 +75,10 @@ class MujocoBehaviour:
             data.qfrc_applied[self._dofs] = torques
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, full)
-            # MuJoCo's anchor of a slide is where it is at rest.
-            anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, self._local)
+            # MuJoCo's anchor of a slide is its position at qpos0.
+            anchors = data.xanchor[joints] + offsets_in_world(
+                model, data, joints, self._local_offsets
+            )
             slid = data.qpos[self._coordinates] - model.qpos0[self._coordinates]
             slid = np.where(self._slides, slid, 0.0)
             result = {
@@ -95,18 +100,21 @@ class MujocoBehaviour:
 def offsets_in_world(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
 ) -> Array:
-    """Turns vectors (n, 3) in the axes of the joints' bodies to the world's axes."""
+    """Return vectors (n, 3) in the axes of the joints' bodies, expressed in world axes.
+
+    For a hinge, only the component along the axis is used.
+    """
     bodies = data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3)
-    # Of a hinge they are along its axis, and later joints of its body do not turn that.
+    # The vector of a hinge is parallel to its axis, which later joints of the body do not rotate.
     along = np.sum(local * model.jnt_axis[joints], axis=1)[:, None] * data.xaxis[joints]
     hinges = model.jnt_type[joints] == JointKind.HINGE
     return np.where(hinges[:, None], along, np.einsum("nij,nj->ni", bodies, local))
 
 
-def _members(robot: Robot, reference: Reference) -> list[bool]:
-    """Returns which bodies (nbody,) of the reference are the robot's.
+def _is_robot_body(robot: Robot, reference: Reference) -> list[bool]:
+    """Return a mask (nbody,) of the bodies of the reference that belong to the robot.
 
-    On a fixed base all that is static counts, as in `pinocchio_from_mujoco`.
+    For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.
     """
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
@@ -118,44 +126,44 @@ def _members(robot: Robot, reference: Reference) -> list[bool]:
 
 
 class Behaviour:
-    """Evaluates trees of parameters of one robot, all at the same states, in MuJoCo.
+    """Evaluation of the quantities for multibody trees of one robot, in MuJoCo.
 
-    A model of one structure serves all trees that differ in numbers alone. Whether Pinocchio makes
-    the same of them, who asks both engines shows (``tools/crosscheck``).
+    Trees with the same structure share a MuJoCo model. ``tools/crosscheck`` compares with
+    Pinocchio.
 
     Attributes:
-        states: The states.
+        states: States of the evaluation.
     """
 
     def __init__(self, robot: Robot, states: States) -> None:
-        """Keeps what the evaluations share."""
+        """Store robot and states."""
         self.states, self._robot = states, robot
         self._tree: MujocoTree | None = None
-        self._in_tree: MujocoBehaviour | None = None
+        self._evaluate_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluates the quantities that differences are judged by, at all states."""
-        if self._tree is None or self._in_tree is None or not self._tree.fits(values):
+        """Return {quantity: values at all states} of a tree."""
+        if self._tree is None or self._evaluate_tree is None or not self._tree.fits(values):
             self._tree = MujocoTree(values)
             model = self._tree.model
             frames = {name: (name, name) for name in values.frames}
             description = replace(self._robot.description, contact_points={}, frames=frames)
             robot = replace(self._robot, description=description, mj_model=model)
             reference = Reference(model, model, robot.joint_names, self._tree.base)
-            self._in_tree = MujocoBehaviour(robot, reference, self.states, {})
+            self._evaluate_tree = MujocoBehaviour(robot, reference, self.states, {})
         else:
             self._tree.take(values)
-        return self._in_tree(self._tree.model)
+        return self._evaluate_tree(self._tree.model)
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States and motor torques.
+    """States and joint torques.
 
     Attributes:
-        qpos: (n, nq).
-        qvel: (n, nv).
-        torques: (n, nu) (N m).
+        qpos: Configurations (n, nq).
+        qvel: Velocities (n, nv).
+        torques: Torques (n, nu) [N m, N].
     """
 
     qpos: Array
@@ -163,29 +171,28 @@ class States:
     torques: Array
 
 
-_LARGEST_ANGLE = 1e3
-"""rad or m. Files state limits like 1e16 for none; such an angle has no digit after the point."""
+_MAX_ANGLE = 1e3
+"""Maximum absolute joint position [rad, m] of a state. Some files use limits such as 1e16 for
+unlimited joints, for which doubles have no fractional digits."""
 
-_STRONG = 1e6
-"""N m or N. Likewise."""
+_MAX_EFFORT = 1e6
+"""Maximum absolute torque of a state [N m, N], because some files use huge limits."""
 
 
 def random_states(robot: Robot, count: int, seed: int) -> States:
-    """Draws states: joints inside their limits, the base anywhere, with velocities and torques."""
+    """Return random states: joints within limits, torques within efforts, arbitrary base."""
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
-    # A file may have them the wrong way round; that is for the comparison to find.
-    ends = np.clip(
-        [np.minimum(lower, upper), np.maximum(lower, upper)], -_LARGEST_ANGLE, _LARGEST_ANGLE
-    )
-    qpos = rng.uniform(ends[0], ends[1], (count, robot.nu))
+    # Limits may be exchanged in a file, which the comparison reports.
+    limits = np.clip([np.minimum(lower, upper), np.maximum(lower, upper)], -_MAX_ANGLE, _MAX_ANGLE)
+    qpos = rng.uniform(limits[0], limits[1], (count, robot.nu))
     if robot.floating:
         quaternion = rng.normal(size=(count, 4))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         qpos = np.concatenate([rng.uniform(-1, 1, (count, 3)), quaternion, qpos], axis=1)
     efforts = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
-    efforts = np.clip(efforts, -_STRONG, _STRONG)
+    efforts = np.clip(efforts, -_MAX_EFFORT, _MAX_EFFORT)
     return States(
         qpos=qpos,
         qvel=rng.normal(size=(count, robot.nv)),
@@ -193,30 +200,28 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     )
 
 
-MOST_IN_PINOCCHIO: Final = 200
-"""Degrees of freedom of the largest robot whose engines are compared in Pinocchio, too.
+MAX_PINOCCHIO_NV: Final = 200
+"""Maximum degrees of freedom of a robot that is also compared in Pinocchio.
 
-Pinocchio's data hold four tensors of second derivatives, nv x nv x nv each, that nothing here asks
-for: 32 nv^3 bytes, 0.26 GB at 200 and 256 GB at 2000, and as long as it takes to write them.
+Pinocchio's data contain four tensors of second derivatives (nv, nv, nv), which are not needed: 32
+nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
 """
 
-_STATES: Final = 80e6
-"""Bytes of the mass matrices of all states (nv x nv each), one evaluation's; there are five.
+_MAX_STATE_BYTES: Final = 80e6
+"""Maximum size of the mass matrices of all states in one of the five evaluations [bytes]. A robot
+with 306 degrees of freedom is compared at 106 states, one with 1000 at 10."""
 
-A robot of 306 degrees of freedom is compared at 106 states, one of 1000 at 10.
-"""
-
-_LEAST_STATES: Final = 2
-"""States at which a robot of any size is compared: one may happen to be singular."""
+_MIN_STATES: Final = 2
+"""Minimum number of states; a single state might be singular."""
 
 
 def is_large(robot: Robot) -> bool:
-    """Says whether a robot is too large for Pinocchio's data."""
-    return robot.nv > MOST_IN_PINOCCHIO
+    """Return True if a robot is too large for Pinocchio's data."""
+    return robot.nv > MAX_PINOCCHIO_NV
 
 
 def affordable_states(robot: Robot, count: int) -> int:
-    """Returns at how many of so many states a robot is compared: all, unless it is large."""
+    """Return the number of states for a comparison: ``count``, or fewer for large robots."""
     if not is_large(robot):
         return count
-    return min(count, max(_LEAST_STATES, int(_STATES / (8 * robot.nv**2))))
+    return min(count, max(_MIN_STATES, int(_MAX_STATE_BYTES / (8 * robot.nv**2))))

@@ -1,11 +1,12 @@
-"""Compares any robot's URDF with its MJCF: whether they agree, and which number is to blame.
+"""Comparison of a robot's URDF with its MJCF: agreement, differences, and causes of differences.
 
-Where a robot is mounted is no difference of robots: for the comparison the URDF is put where the
-MJCF stands. But who loads the URDF as it is computes other torques, if that is tilted.
+The world pose of a fixed base is no difference: the URDF is moved to the base of the MJCF. A tilt
+of the base is reported, because it changes the torques for users of the unmodified URDF.
 
-What a foot stands on is part of the robot: a radius that is another one raises it, a shape that
-touches nothing lets it fall. What else touches, and a foot of another shape that stands as high (a
-ball for a mesh, say), is chosen otherwise in most pairs of files, and moves no stand.
+Collision shapes of feet are compared: another radius changes the height of the robot, and a missing
+shape lets it fall. Other collision shapes, and feet of another shape with the same height (such as
+a ball for a mesh), are not compared, because they differ in most pairs of files and do not change a
+stand.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.attribution import (
-    EXPLAINED,
+    MAX_RESIDUAL,
     align_robot,
     explain_differences,
 )
 from pupper_analysis.robot.compare.differences import (
-    CONVENTIONS,
-    FORMATS,
-    SERVO_GAINS,
+    CONVENTION_KINDS,
+    FORMAT_NAMES,
+    SERVO_GAIN_KINDS,
     Difference,
     Effect,
     Explanation,
@@ -70,23 +71,23 @@ from pupper_analysis.robot.shapes import may_touch
 
 Array = NDArray[np.float64]
 
-SAME_CONTACT = 2e-4
-"""m: surfaces that are no further apart are one. (Meshes are cut to a tenth of a millimetre, and
-files give radii as 0.02 for 19.95 mm.)"""
+CONTACT_HEIGHT_ATOL = 2e-4
+"""Tolerance of contact surfaces [m]. Meshes are accurate to a tenth of a millimetre, and files
+contain radii such as 0.02 for 19.95 mm."""
 
-_AS_LOW = 0.15
-"""Ends of limbs that are no higher than this above the lowest, in parts of the com's height above
-it, are feet: hands are higher."""
+_FOOT_HEIGHT_RTOL = 0.15
+"""Maximum height of the end of a limb above the lowest end, relative to the height of the CoM above
+the lowest end, for a foot. Hands are higher."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
-    """A shape in MuJoCo's world, as its robot begins.
+class _PlacedShape:
+    """Collision shape in MuJoCo's world at the initial pose.
 
     Attributes:
-        shape: As its file has it.
-        world: The same, placed in the world.
-        place: Returns where it is stated.
+        shape: Shape in the frame of its body.
+        world: Shape in the world frame.
+        place: Function that returns the location in the file.
     """
 
     shape: Shape
@@ -97,104 +98,120 @@ class _Placed:
 def compare_collisions(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, moved: Collection[str]
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compares what touches, in the pose in which the MJCF's robot begins.
+    """Compare the collision shapes of feet at the initial pose of the MJCF.
 
     Args:
-        matched: Both as one robot.
+        matched: Matched files.
         urdf: The URDF.
         mjcf: The MJCF.
-        moved: Joints (or the base) that are placed otherwise in the two files: what they carry
-            touches elsewhere for that reason, and is not compared.
+        moved: Joints (or the base) with different placements in the files. Shapes on these are not
+            compared.
 
     Returns:
-        Differences of feet, and a note where they are not compared.
+        Differences of feet, and a note if the shapes were not compared.
     """
-    meant = matched.conventions
-    one, two = read_urdf_model(urdf), read_mjcf_model(mjcf)
-    stated = any(shape.collides for link in one.links.values() for shape in link.shapes)
-    if two.mj_model is None or not stated or not two.mj_model.geom_bodyid.any():
-        return [], []  # one of them is of joints and masses alone
-    if meant.base is not None or meant.zeros:
+    conventions = matched.conventions
+    urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
+    has_collision_shapes = any(
+        shape.collides for link in urdf_model.links.values() for shape in link.shapes
+    )
+    if (
+        mjcf_model.mj_model is None
+        or not has_collision_shapes
+        or not mjcf_model.mj_model.geom_bodyid.any()
+    ):
+        return [], []  # a file has no collision shapes
+    if conventions.base is not None or conventions.zeros:
         return [], [diagnose("collisions-not-compared")]
     data = start_data(mjcf.model)
-    elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
+    moved_bodies = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
     ends = limb_ends(mjcf.model)
-    tried = {
-        name: _of_limb(name, matched, (one, urdf), (two, mjcf), data)
+    shapes_by_joint = {
+        name: _collect_limb_shapes(name, matched, (urdf_model, urdf), (mjcf_model, mjcf), data)
         for name, body in matched.mjcf_body.items()
-        if body in two.links
-        and elsewhere.isdisjoint((body, *two.ancestors(body)))
+        if body in mjcf_model.links
+        and moved_bodies.isdisjoint((body, *mjcf_model.ancestors(body)))
         and mjcf.model.body_weldid[mjcf.model.body(body).id] in ends
     }
-    limbs = {name: pair for name, pair in tried.items() if pair is not None}
-    feet = _feet(limbs, matched, data) if matched.robot.floating else []
-    return list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)), []
+    limbs = {name: pair for name, pair in shapes_by_joint.items() if pair is not None}
+    feet = _find_feet(limbs, matched, data) if matched.robot.floating else []
+    return list(_compare_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)), []
 
 
-Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]
-"""What touches of all that moves with a joint: in the URDF, in the MJCF."""
+Limb = tuple[tuple[_PlacedShape, ...], tuple[_PlacedShape, ...]]
+"""Collision shapes that move with a joint: in the URDF, in the MJCF."""
 
 
-def _of_limb(
+def _collect_limb_shapes(
     name: str,
     matched: Match,
     of_urdf: tuple[RobotModel, UrdfFile],
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> Limb | None:
-    """Returns what touches of all that moves with a joint; None where its extent is not known."""
-    (one, urdf_file), (two, mjcf_file) = of_urdf, of_mjcf
+    """Return the collision shapes that move with a joint; None if an extent is unknown."""
+    (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
-    ends = matched.mjcf_body.get(base), matched.urdf_link.get(base)
-    if not ({body, ends[0]} <= two.links.keys() and {link, ends[1]} <= one.links.keys()):
+    bases = matched.mjcf_body.get(base), matched.urdf_link.get(base)
+    if not (
+        {body, bases[0]} <= mjcf_model.links.keys() and {link, bases[1]} <= urdf_model.links.keys()
+    ):
         return None
     model = data.model
     carrier = model.body(body).id
-    # At zero angles, from the base's frame to the body's: in it the URDF's links are placed.
-    to_body = (two.links[str(ends[0])].pose.inverse() * two.links[body].pose).inverse()
-    to_base = one.links[str(ends[1])].pose.inverse()
-    place = Pose.of_body(data, carrier) * to_body * to_base
+    # Transformation from the frame of the base to that of the body, at zero angles.
+    to_body = (
+        mjcf_model.links[str(bases[0])].pose.inverse() * mjcf_model.links[body].pose
+    ).inverse()
+    to_base = urdf_model.links[str(bases[1])].pose.inverse()
+    link_origin_pose = Pose.of_body(data, carrier) * to_body * to_base
     urdf = tuple(
-        _Placed(
+        _PlacedShape(
             shape,
-            shape.placed_in(place * part.pose),
+            shape.placed_in(link_origin_pose * part.pose),
             partial(urdf_file.nth, part.name, "collision", number),
         )
-        for part in one.fixed_group(link)
+        for part in urdf_model.fixed_group(link)
         for number, shape in enumerate(shape for shape in part.shapes if shape.collides)
     )
     moving = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     mjcf = tuple(
-        _Placed(
+        _PlacedShape(
             shape := read_shape(model, geom),
             shape.placed_in(Pose.of_body(data, int(model.geom_bodyid[geom]))),
             partial(place_of_geom, mjcf_file, geom, "shape"),
         )
-        for geom in _touching_the_world(model)
+        for geom in _find_ground_geoms(model)
         if moving[geom]
     )
-    points = any(not any(one.shape.size) and one.shape.kind != "mesh" for one in urdf)
-    if points or any(
+    has_point = any(
+        not any(urdf_model.shape.size) and urdf_model.shape.kind != "mesh" for urdf_model in urdf
+    )
+    if has_point or any(
         placed.world.support(COMPARISON_DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)
     ):
         return None
     return urdf, mjcf
 
 
-def _touching_the_world(model: mujoco.MjModel) -> list[int]:
-    """Returns the geoms that can touch what stands in the world; of a world that is empty, all."""
+def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
+    """Return the geoms that can collide with geoms of the world, or all if there are none."""
     ids = sorted(touching_geoms(model))
-    world = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
-    if not world:
+    world_geoms = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
+    if not world_geoms:
         return ids
-    return [geom for geom in ids if any(may_touch(model, geom, other) for other in world)]
+    return [
+        geom
+        for geom in ids
+        if any(may_touch(model, geom, world_geom) for world_geom in world_geoms)
+    ]
 
 
-def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
-    """Returns the joints that move the feet: the ends of limbs that are as low as the lowest."""
+def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
+    """Return the joints that move feet: limbs whose ends are about as low as the lowest."""
     model = data.model
     ends = {
-        name: min(float(-one.world.support(_DOWN)[0]) for one in (*urdf, *mjcf))  # type: ignore[index]
+        name: min(float(-placed.world.support(_DOWN_DIRECTION)[0]) for placed in (*urdf, *mjcf))  # type: ignore[index]
         for name, (urdf, mjcf) in limbs.items()
         if urdf or mjcf
     }
@@ -202,36 +219,45 @@ def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> lis
         return []
     lowest = min(ends.values())
     base = model.body(matched.mjcf_body[matched.robot.base]).id
-    above = float(data.subtree_com[base][2]) - lowest
-    return [name for name, height in ends.items() if height - lowest <= _AS_LOW * above]
+    com_height = float(data.subtree_com[base][2]) - lowest
+    return [
+        name for name, height in ends.items() if height - lowest <= _FOOT_HEIGHT_RTOL * com_height
+    ]
 
 
-_DOWN = np.array([[0.0, 0.0, -1.0]])
+_DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
 
 
-def _of_feet(
+def _compare_feet(
     feet: Mapping[str, Limb], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
 ) -> Iterator[Difference]:
-    for name, (one, two) in feet.items():
-        subject, sides = ("joint", name), (_lowest(one), _lowest(two))
-        here, there = sides[0][2], sides[1][2]
+    """Yield differences of the shapes of feet: existence, and height of the lowest point."""
+    for name, (urdf_shapes, mjcf_shapes) in feet.items():
+        subject, sides = (
+            ("joint", name),
+            (_find_lowest_shape(urdf_shapes), _find_lowest_shape(mjcf_shapes)),
+        )
+        urdf_lowest, mjcf_lowest = sides[0][2], sides[1][2]
         link, body = matched.urdf_link[name], matched.mjcf_body[name]
-        stated = mjcf.place("body", body) if there is None else there.place()
-        at = ((urdf.place("link", link) if here is None else here.place()).path, stated.path)
-        both = {"one": sides[0][1], "two": sides[1][1], **FORMATS.named}
-        if not (one and two):
-            message = diagnose("foot-touches-in-one-file", subject=subject, **both)
-            found = [None if not side else "there" for side in (one, two)]
-            yield Difference("collision", name, found[0], found[1], "", message, {}, *at)
+        mjcf_place = mjcf.place("body", body) if mjcf_lowest is None else mjcf_lowest.place()
+        places = (
+            (urdf.place("link", link) if urdf_lowest is None else urdf_lowest.place()).path,
+            mjcf_place.path,
+        )
+        values = {"one": sides[0][1], "two": sides[1][1], **FORMAT_NAMES.named}
+        if not (urdf_shapes and mjcf_shapes):
+            message = diagnose("foot-touches-in-one-file", subject=subject, **values)
+            presence = [None if not shapes else "there" for shapes in (urdf_shapes, mjcf_shapes)]
+            yield Difference("collision", name, presence[0], presence[1], "", message, {}, *places)
             continue
-        lower = sides[0][0] - sides[1][0]  # of the MJCF's
-        if abs(lower) > SAME_CONTACT:
+        lower = sides[0][0] - sides[1][0]  # positive if the MJCF's foot is lower
+        if abs(lower) > CONTACT_HEIGHT_ATOL:
             message = diagnose(
                 "foot-surface-differs",
                 subject=subject,
                 lower=Quantity(lower, "m") if lower > 0 else None,
                 higher=Quantity(-lower, "m") if lower < 0 else None,
-                **both,
+                **values,
             )
             effects = {"contact surface": Effect(abs(lower), abs(lower), math.inf)}
             yield Difference(
@@ -242,43 +268,45 @@ def _of_feet(
                 "m",
                 message,
                 effects,
-                *at,
+                *places,
             )
 
 
-def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term, _Placed | None]:
-    """Returns the height (m) of the lowest point of shapes, and the shape that has it."""
+def _find_lowest_shape(
+    shapes: Sequence[_PlacedShape],
+) -> tuple[float, Diagnostic | Term, _PlacedShape | None]:
+    """Return the lowest height [m] of shapes, the description of its shape, and the shape."""
     if not shapes:
         return math.nan, Term("none"), None
-    heights = [float(-shape.world.support(_DOWN)[0]) for shape in shapes]  # type: ignore[index]
-    first = int(np.argmin(heights))
-    return heights[first], shapes[first].shape.diagnostic, shapes[first]
+    heights = [float(-shape.world.support(_DOWN_DIRECTION)[0]) for shape in shapes]  # type: ignore[index]
+    index = int(np.argmin(heights))
+    return heights[index], shapes[index].shape.diagnostic, shapes[index]
 
 
 def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Diagnostic | None:
-    """Says how the base of the MJCF is tilted against the URDF's; None if it is not.
+    """Return a diagnostic of the tilt of a fixed base between the files; None if there is none.
 
     Args:
-        matched: The files.
-        urdf: The URDF as it is.
-        tolerances: What counts as a difference.
+        matched: Matched files.
+        urdf: Root element of the unmodified URDF.
+        tolerances: Tolerances of the comparison.
     """
     robot = matched.robot
     if robot.floating:
         return None
-    stands = base_pose(robot).rotation
+    mjcf_rotation = base_pose(robot).rotation
     if matched.conventions.base is not None:
-        stands = stands @ matched.conventions.base.rotation
-    turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
-    down, gravity = turn @ DOWN, kinematic_trees(robot)[1].gravity
+        mjcf_rotation = mjcf_rotation @ matched.conventions.base.rotation
+    relative_rotation = mjcf_rotation @ _rotation_in_root(urdf, matched.urdf_link[robot.base]).T
+    down, gravity = relative_rotation @ DOWN, kinematic_trees(robot)[1].gravity
     tilt = math.atan2(float(np.linalg.norm(np.cross(down, gravity))), float(down @ gravity))
     if not gravity.any() or tilt <= tolerances.rotation:
         return None
     return diagnose("base-tilted", subject=("body", robot.mj_base), tilt=Quantity(tilt, "rad"))
 
 
-def _in_root(urdf: etree._Element, link: str) -> Array:
-    """Returns the axes (3, 3) of a link on fixed joints, as seen from the URDF's root."""
+def _rotation_in_root(urdf: etree._Element, link: str) -> Array:
+    """Return the rotation (3, 3) from a link on fixed joints to the axes of the root link."""
     axes = np.eye(3)
     for joint in UrdfTree(urdf).chain(link):
         axes = joint.origin.rotation @ axes
@@ -338,17 +366,19 @@ class FilesCompared(Tabular):
 
     @property
     def unexplained(self) -> list[list[Difference]]:
-        """The differences that no cause explains, those of one kind and the same values in one."""
-        explained = {number for cause in self.causes for number in cause.differences}
+        """Differences without a cause, grouped by kind and values."""
+        explained = {index for cause in self.causes for index in cause.differences}
         groups: dict[tuple[str, str, str], list[Difference]] = {}
-        for number, one in enumerate(self.differences):
-            if number not in explained:
-                groups.setdefault((one.kind, str(one.urdf), str(one.mjcf)), []).append(one)
+        for index, difference in enumerate(self.differences):
+            if index not in explained:
+                groups.setdefault(
+                    (difference.kind, str(difference.urdf), str(difference.mjcf)), []
+                ).append(difference)
         return list(groups.values())
 
     @property
     def first_to_mend(self) -> Diagnostic:
-        """What is to be mended first."""
+        """Diagnostic of the most important problem, or of the agreement."""
         causes, groups = self.causes, self.unexplained
         if causes and causes[0].leads:
             return causes[0].diagnostic
@@ -371,13 +401,13 @@ class FilesCompared(Tabular):
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Two files that were compared.
+    """Compared files.
 
     Attributes:
-        result: How they differ.
-        matched: Both as one robot.
-        explanation: Every number in which they differ, and the proof that none is missing.
-        sources: Where the numbers of both stand.
+        result: Differences.
+        matched: Matched files.
+        explanation: All differences, with their effects and the residual.
+        sources: Locations of the values in both files.
     """
 
     result: FilesCompared
@@ -397,18 +427,18 @@ def compare_files(
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
 ) -> Compared:
-    """Compares a URDF with an MJCF of the same robot, and explains how they differ.
+    """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
-    The arguments are those of ``compare_models``, which cross-checks both engines, too.
+    The arguments are those of ``compare_models``, which also cross-checks both engines.
 
     Raises:
-        ModelError: If a file cannot be read, or the two cannot be matched.
-        MissingPackageError: If what reads the format of one is not installed.
+        ModelError: If a file cannot be read, or the files cannot be matched.
+        MissingPackageError: If the reader of a format is not installed.
         UnknownNameError: If a name is not in its file.
-        ConfigurationError: If an argument is out of its range.
+        ConfigurationError: If an argument is out of range.
     """
     tolerances = tolerances or Tolerances()
-    urdf_file, mjcf_file = _first(urdf, packages), _second(mjcf)
+    urdf_file, mjcf_file = _read_first_file(urdf, packages), _read_second_file(mjcf)
     matched = match_models(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
@@ -427,16 +457,20 @@ def compare_files(
         conventions=matched.conventions,
         unstated=matched.unstated,
     )
-    names_too = matched.guessed if strict_names else {}
+    renamed_joints = matched.guessed if strict_names else {}
     sources = matched.sources(urdf_file, mjcf_file)
-    servos = _servo_gains(matched, urdf_file, mjcf_file, tolerances)
-    renamed = (_name(*pair) for pair in names_too.items())
-    found = (*explanation.differences, *renamed, *servos)
-    placed = tuple(_placed(found, sources, urdf_file, mjcf_file))
-    touching, untold = _touching(matched, urdf_file, mjcf_file, placed)
-    differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
+    servos = _compare_servo_gains(matched, urdf_file, mjcf_file, tolerances)
+    name_differences = (_report_name(*pair) for pair in renamed_joints.items())
+    unplaced = (*explanation.differences, *name_differences, *servos)
+    located = tuple(_add_places(unplaced, sources, urdf_file, mjcf_file))
+    contact_differences, contact_notes = _compare_ground_contact(
+        matched, urdf_file, mjcf_file, located
+    )
+    differences = tuple(
+        sorted((*located, *contact_differences), key=lambda difference: difference.rank)
+    )
     unmatched = matched.only_urdf or matched.only_mjcf
-    objections = (*_legs_without_base(matched), *_objections(explanation, tolerances))
+    objections = (*_legs_without_base(matched), *_find_objections(explanation, tolerances))
     if mount is not None and strict_names:
         objections = (*objections, mount)
     result = FilesCompared(
@@ -451,147 +485,167 @@ def compare_files(
         notes=(
             *matched.notes,
             *explanation.notes,
-            *untold,
+            *contact_notes,
         ),
         differences=differences,
-        causes=_causes(
-            robot, alignment.values, differences, tolerances, _weighed_by_geoms(mjcf_file)
+        causes=_find_causes(
+            robot, alignment.values, differences, tolerances, _bodies_with_geom_mass(mjcf_file)
         ),
         deviations=explanation.deviations,
         residual=explanation.residual,
-        explained=_explained(explanation),
+        explained=_explained_fraction(explanation),
         complete=explanation.complete,
         mount=mount,
         objections=objections,
         agree=not (differences or unmatched or objections),
-        same_robot=not (_mechanical(differences) or unmatched or objections),
+        same_robot=not (_has_mechanical_difference(differences) or unmatched or objections),
     )
     return Compared(result, matched, explanation, sources)
 
 
-def _causes(*of: object) -> tuple[PatternCause, ...]:
-    """Returns what several differences come from at once: ``find_causes`` of tools' ``causes.py``.
+def _find_causes(*of: object) -> tuple[PatternCause, ...]:
+    """Return common causes of several differences, from the first tool with ``causes.py``.
 
     Args:
-        *of: The robot, the MJCF's tree in the URDF's link frames, all differences, what counts as
-            one, and the MJCF's bodies that take their mass from their geoms.
+        *of: Robot, tree of the MJCF in the URDF's link frames, all differences, tolerances, and
+            bodies of the MJCF whose mass is computed from geoms.
     """
     modules = (import_module(f"{package}.causes") for package in offering("causes").values())
     return next((tuple(module.find_causes(*of)) for module in modules), ())
 
 
-def _weighed_by_geoms(mjcf: MjcfFile) -> set[str]:
-    """Returns the bodies that take their mass from their geoms."""
+def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
+    """Return the bodies whose mass is computed from their geoms."""
     spec = mjcf.spec
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
 
 def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
-    """Yields that an MJCF lacks the base of its legs; that of an arm has no effect."""
-    left = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
+    """Yield a diagnostic if the MJCF lacks the mass of a base with legs.
+
+    The missing mass of the base of an arm has no effect.
+    """
+    notes = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
     legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]
-    if left and len(legs) > 1:
-        yield diagnose("base-of-legs-left-out", mass=left[0].values["mass"], joints=legs)
+    if notes and len(legs) > 1:
+        yield diagnose("base-of-legs-left-out", mass=notes[0].values["mass"], joints=legs)
 
 
-def _touching(
+def _compare_ground_contact(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, found: Iterable[Difference]
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compares what the robot stands on; other formats' shapes are not read for that."""
+    """Compare the collision shapes of feet, unless a file was converted from another format."""
     if urdf.stands_for or mjcf.stands_for:
         return [], []
-    moved = {difference.element for difference in found if difference.kind in _PLACED}
+    moved = {difference.element for difference in found if difference.kind in _DISPLACING_KINDS}
     return compare_collisions(matched, urdf, mjcf, moved)
 
 
-_PLACED = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
-"""Kinds of differences after which what a joint carries is elsewhere."""
+_DISPLACING_KINDS = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
+"""Kinds of differences that displace the bodies on a joint."""
 
 
-def _first(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:
-    """Reads the first file: a URDF, or what stands for one."""
+def _read_first_file(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:
+    """Read the first file: a URDF, or a file that is converted to a URDF."""
     reader = reader_of(Path(path))
     return read_urdf(path, packages) if reader is None else reader.read_as_urdf(Path(path))
 
 
-def _second(path: str | Path) -> MjcfFile:
-    """Reads the second file: an MJCF, or what stands for one."""
+def _read_second_file(path: str | Path) -> MjcfFile:
+    """Read the second file: an MJCF, or a file that is converted to an MJCF."""
     reader = reader_of(Path(path))
     return read_mjcf(path) if reader is None else reader.read_as_mjcf(Path(path))
 
 
-def _mechanical(differences: Iterable[Difference]) -> bool:
-    """Tells whether any difference is more than one of coordinates."""
-    return any(difference.kind not in CONVENTIONS for difference in differences)
+def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
+    """Return True if a difference concerns more than coordinates."""
+    return any(difference.kind not in CONVENTION_KINDS for difference in differences)
 
 
-def _placed(
+def _add_places(
     differences: Iterable[Difference],
     sources: tuple[Sources, Sources],
     urdf: UrdfFile,
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
-    """Yields differences with where they stand, and in the names of what stands for the files."""
-    others = {
+    """Yield the differences with locations, and with the names of the original formats."""
+    format_names = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
         if file.stands_for
     }
-    for one in differences:
-        here, there = (source.place(one.kind, one.element).path for source in sources)
-        told = with_names_of_models(one.diagnostic, others)
-        yield replace(one, diagnostic=told, urdf_place=here, mjcf_place=there)
+    for difference in differences:
+        urdf_place, mjcf_place = (
+            source.place(difference.kind, difference.element).path for source in sources
+        )
+        diagnostic = with_names_of_models(difference.diagnostic, format_names)
+        yield replace(
+            difference, diagnostic=diagnostic, urdf_place=urdf_place, mjcf_place=mjcf_place
+        )
 
 
-def _explained(explanation: Explanation) -> float:
-    """Returns the share of the worst deviation that is explained."""
-    worst, left = (max(each.values()) for each in (explanation.deviations, explanation.residual))
-    if worst <= EXPLAINED:
-        return 1.0 if left <= EXPLAINED else 0.0
-    return max(0.0, 1.0 - left / worst) if math.isfinite(left) else 0.0
+def _explained_fraction(explanation: Explanation) -> float:
+    """Return the explained fraction of the largest deviation."""
+    worst, residual = (
+        max(values.values()) for values in (explanation.deviations, explanation.residual)
+    )
+    if worst <= MAX_RESIDUAL:
+        return 1.0 if residual <= MAX_RESIDUAL else 0.0
+    return max(0.0, 1.0 - residual / worst) if math.isfinite(residual) else 0.0
 
 
-def _name(urdf: str, mjcf: str) -> Difference:
+def _report_name(urdf: str, mjcf: str) -> Difference:
+    """Return the difference of joints with different names."""
     message = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
     return Difference("name", mjcf, urdf, mjcf, "", message, {})
 
 
-def _servo_gains(
+def _compare_servo_gains(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
 ) -> Iterator[Difference]:
-    """Yields gains of servos that both files state and that differ; a URDF states none."""
+    """Yield the differences of servo gains, if the first file has another format with gains."""
     if urdf.gains is None:
         return
-    theirs = own_servos(matched.robot) if mjcf.gains is None else mjcf.gains
+    mjcf_gains = own_servos(matched.robot) if mjcf.gains is None else mjcf.gains
     joints = kinematic_trees(matched.robot)[0].joints
     for name in matched.robot.joint_names:
-        mine = urdf.gains.get(matched.urdf_joint[name])
-        if mine is None or name not in theirs:
+        urdf_gains = urdf.gains.get(matched.urdf_joint[name])
+        if urdf_gains is None or name not in mjcf_gains:
             continue
         units = (("N m/rad", "N m s/rad"), ("N/m", "N s/m"))[joints[name].slides]
-        for kind, one, two, unit in zip(SERVO_GAINS, mine, theirs[name], units, strict=True):
-            if abs(two - one) > tolerances.damping * max(abs(one), abs(two)):
-                said = {"what": Term(kind), "guess": in_degrees(one, two)}
+        for kind, urdf_gain, mjcf_gain, unit in zip(
+            SERVO_GAIN_KINDS, urdf_gains, mjcf_gains[name], units, strict=True
+        ):
+            if abs(mjcf_gain - urdf_gain) > tolerances.damping * max(
+                abs(urdf_gain), abs(mjcf_gain)
+            ):
+                details = {"what": Term(kind), "guess": in_degrees(urdf_gain, mjcf_gain)}
                 code, subject = "joint-number-differs", ("joint", name)
-                change = change_of(code, kind, subject, (one, two), unit, FORMATS, said)
+                change = change_of(
+                    code, kind, subject, (urdf_gain, mjcf_gain), unit, FORMAT_NAMES, details
+                )
                 yield change.difference({})
 
 
-def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
-    """Yields what keeps two files from agreeing although they may have no difference."""
-    left = {name: value for name, value in explanation.residual.items() if value > EXPLAINED}
-    if left:
-        name = max(left, key=lambda quantity: left[quantity])
+def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
+    """Yield reasons against agreement other than differences.
+
+    Reasons: an unexplained residual, or a total deviation above the largest tolerance although all
+    differences are within the tolerances.
+    """
+    residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
+    if residual:
+        name = max(residual, key=lambda quantity: residual[quantity])
         yield diagnose(
             "deviation-unexplained",
             subject=("quantity", name),
-            left=left[name],
+            left=residual[name],
             what=Term(name),
         )
         return
-    if _mechanical(explanation.differences):
+    if _has_mechanical_difference(explanation.differences):
         return
-    # Who lets a mass differ by 1e-2 lets what follows from it differ as much.
+    # A tolerance of 1e-2 for masses also permits resulting deviations of 1e-2.
     allowed = max(getattr(tolerances, kind) for kind in _DYNAMIC_KINDS)
     for name, value in explanation.deviations.items():
         if value > allowed:
@@ -605,4 +659,4 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Di
 
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
-"""Kinds of tolerance that the dynamics feel."""
+"""Kinds of tolerances that affect the dynamics."""

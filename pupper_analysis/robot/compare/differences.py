@@ -1,6 +1,8 @@
-"""Which numbers of two models differ, what a comparison finds of them, and their words.
+"""Differences between two multibody trees: detection, ranking, effects and messages.
 
-Words: what the two models are called, and guesses at the mistake behind a difference.
+``changes_between`` yields the differences of two trees; each can be applied to the first tree.
+``RelativeError`` evaluates their effects. Messages include probable causes, such as degrees instead
+of radians.
 """
 
 from __future__ import annotations
@@ -42,12 +44,12 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
-OF_INERTIALS = ("mass", "com", "inertia")
-OF_BODIES_AND_PLACES = (*OF_INERTIALS, "position", "rotation", "axis", "frame")
-LIMITS = ("lower limit", "upper limit", "effort")
-SERVO_GAINS = ("servo stiffness", "servo damping")
+INERTIAL_KINDS = ("mass", "com", "inertia")
+GEOMETRY_KINDS = (*INERTIAL_KINDS, "position", "rotation", "axis", "frame")
+LIMIT_KINDS = ("lower limit", "upper limit", "effort")
+SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
 
-ORDER = (
+KIND_ORDER = (
     "compiler",
     "joint",
     "name",
@@ -56,12 +58,12 @@ ORDER = (
     "base frame",
     "zero",
     "gravity",
-    *OF_BODIES_AND_PLACES,
+    *GEOMETRY_KINDS,
     "damping",
     "armature",
-    *LIMITS,
+    *LIMIT_KINDS,
     "velocity",
-    *SERVO_GAINS,
+    *SERVO_GAIN_KINDS,
     "friction",
     "mimic",
     "spring",
@@ -81,16 +83,19 @@ ORDER = (
     "option",
     "key",
 )
-"""All kinds: those of equal effect are listed in this order."""
+"""All kinds. Differences of equal effect are listed in this order."""
 
-CONVENTIONS = ("base frame", "zero")
-"""Kinds of difference after which the two are still one robot, in other coordinates."""
+CONVENTION_KINDS = ("base frame", "zero")
+"""Kinds of differences in coordinates only, for the same robot."""
 
-_STRUCTURE = ("compiler", "joint", "name", "type", "parent", *CONVENTIONS, "gravity")
-_LEAST_EFFECT = 1e-3  # least relative effect that goes before limits and efforts
-_SCREW = 0.01  # likewise of a body's mass
-_MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
-_FELT = (*_MAIN, "bias forces", "forward dynamics")
+_STRUCTURE_KINDS = ("compiler", "joint", "name", "type", "parent", *CONVENTION_KINDS, "gravity")
+_MIN_RELATIVE_EFFECT = 1e-3
+"""Minimum relative effect of a difference that is ranked before limits and efforts."""
+
+_MIN_RELATIVE_MASS = 0.01
+"""Minimum relative difference of a body's mass that is ranked before limits and efforts."""
+_MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
+_RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,7 @@ class Effect(Result):
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What two sides state of one thing.
+    """Values of two files for one property.
 
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
@@ -139,11 +144,11 @@ class Stated:
 
     @property
     def message(self) -> str:
-        """The difference in a sentence."""
+        """Message in English."""
         return str(self.diagnostic)
 
     def difference(self, effects: dict[str, Effect]) -> Difference:
-        """Returns it as a result, with what it does."""
+        """Return the difference as a result, with its effects."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -167,46 +172,53 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """What a user must mend first, first: by tier, then by effect, then by kind."""
-        kind = ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
-        return self.tier, -self._felt, -self.weight[1], kind, ORDER.index(self.kind)
+        """Sort key by urgency of the repair: tier, effect, kind."""
+        kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
+        return (
+            self.tier,
+            -self._max_ranked_effect,
+            -self.weight[1],
+            kind,
+            KIND_ORDER.index(self.kind),
+        )
 
     @property
     def weight(self) -> tuple[float, float]:
-        """How much the dynamics feel it.
+        """Largest relative effects on the dynamics.
 
-        The greatest relative effect on mass matrix, gravity and positions; then on any quantity.
-        Both are 0 for what the dynamics do not feel.
+        First on mass matrix, gravity and positions, then on any quantity; 0 without an effect.
         """
-        main = [self.effects[name].relative for name in _MAIN if name in self.effects]
-        every = [effect.relative for effect in self.effects.values()]
-        return max(main, default=0.0), max(every, default=0.0)
+        main = [self.effects[name].relative for name in _MAIN_QUANTITIES if name in self.effects]
+        all_effects = [effect.relative for effect in self.effects.values()]
+        return max(main, default=0.0), max(all_effects, default=0.0)
 
     @property
-    def _felt(self) -> float:
-        """The greatest relative effect on forces, accelerations and places: one scale for all."""
-        felt = (self.effects[name].relative for name in _FELT if name in self.effects)
-        return max(felt, default=0.0)
+    def _max_ranked_effect(self) -> float:
+        """Largest relative effect on forces, accelerations and positions."""
+        effects = (
+            self.effects[name].relative for name in _RANKED_QUANTITIES if name in self.effects
+        )
+        return max(effects, default=0.0)
 
     @property
-    def _share_of_mass(self) -> float:
-        one, two = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
-        return abs(two - one) / max(abs(one), abs(two), 1e-300)
+    def _relative_mass_difference(self) -> float:
+        """Difference of the masses, relative to the larger."""
+        first, second = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
+        return abs(second - first) / max(abs(first), abs(second), 1e-300)
 
     @property
     def tier(self) -> int:
-        """What differences are sorted by first: what a user must mend.
+        """Tier of urgency.
 
-        0 is a structure or a convention that is another; then what forces, accelerations or places
-        feel by a thousandth or more, and a body's mass by a hundredth; limits and efforts; the
-        rest.
+        0: structure or convention. 1: relative effect of at least ``_MIN_RELATIVE_EFFECT``, or mass
+        difference of at least ``_MIN_RELATIVE_MASS``. 2: limits and efforts. 3: others.
         """
-        if self.kind in _STRUCTURE:
+        if self.kind in _STRUCTURE_KINDS:
             return 0
-        screw = self.kind == "mass" and self._share_of_mass >= _SCREW
-        if max(self.weight) >= _LEAST_EFFECT or screw:
+        is_mass = self.kind == "mass" and self._relative_mass_difference >= _MIN_RELATIVE_MASS
+        if max(self.weight) >= _MIN_RELATIVE_EFFECT or is_mass:
             return 1
-        return 2 if self.kind in LIMITS else 3
+        return 2 if self.kind in LIMIT_KINDS else 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,15 +238,15 @@ class PatternCause(Result):
 
     @property
     def message(self) -> str:
-        """What it is, in a sentence."""
+        """Message in English."""
         return str(self.diagnostic)
 
     @property
     def leads(self) -> bool:
-        """Whether it is reported before all else.
+        """Whether the cause is reported first.
 
-        So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
-        said of what the motors hold is false by the gear.
+        This applies to efforts at another side of the gear: these do not affect the dynamics, but
+        all results about motors are wrong by the gear ratio.
         """
         return self.kind == "gears"
 
@@ -262,56 +274,56 @@ class Explanation(Result):
 
 @dataclass(frozen=True, eq=False)
 class RelativeError:
-    """Weighs deviations against the quantities of the first model, and against the whole.
+    """Deviations relative to the scale of the quantities, and to the total deviation.
 
     Attributes:
-        one: The first model's; of a URDF and an MJCF, the URDF's.
-        two: The second's.
+        one: Quantities of the first model (URDF).
+        two: Quantities of the second model (MJCF).
     """
 
     one: Mapping[str, Array]
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Returns the greatest absolute value of a quantity.
+        """Return the largest absolute value of a quantity.
 
-        Gravity may be nearly zero (of joints that are all upright): then it is what a thousandth of
-        the robot would weigh.
+        Lower bound for gravity and bias forces, which may be nearly zero (all joints upright): 1e-3
+        g times the largest element of the mass matrix.
         """
-        least = 1e-300
+        lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
-            least = 1e-3 * EARTH * self.scale("mass matrix")
-        # With a negative mass MuJoCo has no numbers of the first.
-        told = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
-        return max(float(np.abs(told).max()), least)
+            lower_bound = 1e-3 * EARTH * self.scale("mass matrix")
+        # With a negative mass, MuJoCo returns NaN for the first model.
+        values = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
+        return max(float(np.abs(values).max()), lower_bound)
 
-    def relative(self, name: str, one: Array, two: Array) -> float:
-        """Returns the worst deviation, relative to the scale; infinite if it is no number."""
+    def relative(self, name: str, first: Array, second: Array) -> float:
+        """Return the largest deviation relative to the scale; infinite for NaN."""
         with np.errstate(all="ignore"):
-            deviation = float(np.abs(one - two).max())
-        # What is no number differs from everything.
+            deviation = float(np.abs(first - second).max())
+
         return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
 
     def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
-        """Returns what has changed between two evaluations, but for rounding."""
-        found = {}
+        """Return {quantity: effect} of the changes between two evaluations, except rounding."""
+        effects = {}
         for name, values in after.items():
             relative = self.relative(name, values, before[name])
             if relative > 1e-12:  # rounding
                 total = self.relative(name, self.one[name], self.two[name])
-                # Of what is rounding, nothing is a share.
-                share = relative / total if 1e-9 < total < math.inf else math.inf
-                found[name] = Effect(relative * self.scale(name), relative, share)
-        return found
+                # The fraction is undefined if the total is a rounding error.
+                fraction = relative / total if 1e-9 < total < math.inf else math.inf
+                effects[name] = Effect(relative * self.scale(name), relative, fraction)
+        return effects
 
 
 def about_kind(kind: str) -> str:
-    """Returns what remarks of a kind are about, in a few words; by default that files differ."""
-    key = _ABOUT.get(kind, "about-difference")
+    """Return a short description of the remarks of a kind; by default, that the files differ."""
+    key = _ABOUT_KEYS.get(kind, "about-difference")
     return fill_template(phrase(key, "en"), {"kind": kind}, "en")
 
 
-_ABOUT = {
+_ABOUT_KEYS = {
     "part": "about-part",
     "cause": "about-cause",
     "joint": "about-joint",
@@ -324,12 +336,12 @@ _ABOUT = {
 
 @dataclass(frozen=True)
 class ModelNames:
-    """What two models are called that are compared.
+    """Names of two compared models.
 
     Attributes:
-        first: The first.
-        second: The second.
-        alike: Whether both are of one format, so that what one states the other could state, too.
+        first: Name of the first model.
+        second: Name of the second model.
+        alike: Whether both have the same format, and can specify the same properties.
     """
 
     first: Term
@@ -338,42 +350,42 @@ class ModelNames:
 
     @property
     def named(self) -> dict[str, Any]:
-        """Both names, as values of a diagnostic."""
+        """Both names as values of a diagnostic."""
         return {"first": self.first, "second": self.second}
 
 
-FORMATS = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
-"""A URDF and an MJCF."""
+FORMAT_NAMES = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
+"""Names of a URDF and an MJCF."""
 
-VERSIONS = ModelNames(Term("the old file"), Term("the new file"), alike=True)
-"""Two files of one format."""
+VERSION_NAMES = ModelNames(Term("the old file"), Term("the new file"), alike=True)
+"""Names of two files of one format."""
 
 
 def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
-    """Returns a difference with other names of the models, {name: other name}."""
+    """Return a message with other names of the models, {name: new name}."""
 
-    def renamed(value: Any) -> Any:
+    def replace_names(value: Any) -> Any:
         if isinstance(value, tuple):
-            return tuple(renamed(one) for one in value)
+            return tuple(replace_names(item) for item in value)
         if isinstance(value, Diagnostic):
             return with_names_of_models(value, names)
         return names.get(str(value), value) if isinstance(value, Term) else value
 
-    values = {key: renamed(value) for key, value in message.values.items()}
+    values = {key: replace_names(value) for key, value in message.values.items()}
     return replace(message, values=FrozenDict(values)) if names else message
 
 
-def number_pair(one: float, two: float, unit: str) -> dict[str, Any]:
-    """Returns the first's number and the second's, as values of a diagnostic."""
-    return {"one": describe_bound(one, unit), "two": describe_bound(two, unit)}
+def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
+    """Return both numbers as values of a diagnostic."""
+    return {"one": describe_bound(first, unit), "two": describe_bound(second, unit)}
 
 
-MANIFOLD = 10.0
-"""From so many times on a change is said as a factor: no one reads thousands of percent."""
+MIN_FACTOR = 10.0
+"""Minimum ratio that is reported as a factor instead of percent."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Returns the difference, or the mistake where the ratio is telling."""
+    """Return a description of the ratio, or a probable mistake; None if a value is zero."""
     if urdf == 0 or mjcf == 0:
         return None
     ratio = mjcf / urdf
@@ -385,13 +397,13 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
         return diagnose("guess-a-tenth")
     if math.isclose(ratio, -1.0, rel_tol=1e-3):
         return diagnose("guess-other-sign")
-    if ratio > MANIFOLD:
+    if ratio > MIN_FACTOR:
         return diagnose("relative-factor", times=ratio)
     return diagnose("relative-change", change=Quantity(ratio - 1, "1"))
 
 
 def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Guesses degrees for radians, where the ratio is theirs."""
+    """Return the guess that one value is in degrees, if the ratio is 57.3 within 1 %."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
     ratio = mjcf / urdf
@@ -401,30 +413,35 @@ def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
-    """Tells whether reading the MJCF's quaternion as (x, y, z, w) would end the difference."""
+    """Return the guess that the MJCF's quaternion is in the order (x, y, z, w), if this fits."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
-    # The file's four numbers were taken for (w, x, y, z); in another order they are (x, y, z, w).
+    # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
     quaternion = pin.Quaternion(np.array([w, x, y, z]))
     if np.allclose(quaternion.toRotationMatrix(), urdf, atol=1e-4):
         return diagnose("guess-quaternion-order")
     return None
 
 
-# Which numbers of two trees of parameters differ, and how to take each over.
+# Differences of two multibody trees.
 
 
 @dataclass(frozen=True, eq=False)
 class Change(Stated):
-    """A difference between two sets of parameters, and how to take it over."""
+    """Difference between two multibody trees, which can be applied to the first.
 
-    felt: bool = True  # by the dynamics
+    Attributes:
+        felt: Whether the difference affects the dynamics.
+    """
 
-    def apply(self, one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
-        """Returns the first robot with the second's value."""
-        return with_value_of(one, two, self.kind, self.element)
+    felt: bool = True
+
+    def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
+        """Return the first tree with the second tree's value."""
+        return with_value_of(first, second, self.kind, self.element)
 
 
-NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
+ZERO_TOLERANCES = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
+"""Tolerances that accept equal values only."""
 
 
 def change_of(
@@ -434,21 +451,34 @@ def change_of(
     values: tuple[Any, Any],
     unit: str,
     sides: ModelNames,
-    said: Mapping[str, Any] = FrozenDict(),
+    details: Mapping[str, Any] = FrozenDict(),
     *,
     element: str = "",
     shown: tuple[Any, Any] | None = None,
     felt: bool = True,
 ) -> Change:
-    """Returns a difference; its message has both values, or what is shown of them, and more."""
-    one, two = (_as_said(value, unit) for value in shown or values)
-    message = diagnose(code, subject=subject, one=one, two=two, **said, **sides.named)
-    named = element if subject is None else element or subject[1]
-    return Change(kind, named, *values, unit, message, felt=felt)
+    """Return a difference whose message contains both values.
+
+    Args:
+        code: Code of the message.
+        kind: Kind of the difference.
+        subject: Subject of the message.
+        values: Values of both models.
+        unit: Unit of the values.
+        sides: Names of the models.
+        details: Further values of the message.
+        element: Element, if it differs from the name of the subject.
+        shown: Values in the message, if they differ from ``values``.
+        felt: Whether the difference affects the dynamics.
+    """
+    first, second = (_format_value(value, unit) for value in shown or values)
+    message = diagnose(code, subject=subject, one=first, two=second, **details, **sides.named)
+    element_name = element if subject is None else element or subject[1]
+    return Change(kind, element_name, *values, unit, message, felt=felt)
 
 
-def _as_said(value: Any, unit: str) -> Any:
-    """Returns a value as a message has it: numbers with their unit, and words as they are."""
+def _format_value(value: Any, unit: str) -> Any:
+    """Return a value for a message: numbers with unit, texts unchanged."""
     if isinstance(value, str):
         return value
     if isinstance(value, np.ndarray):
@@ -457,90 +487,103 @@ def _as_said(value: Any, unit: str) -> Any:
 
 
 def changes_between(
-    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMATS
+    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMAT_NAMES
 ) -> Iterable[Change]:
-    """Yields the differences of two sets of parameters.
+    """Yield the differences of two trees.
 
     Args:
-        one: The first; of a URDF and an MJCF, the URDF's.
-        two: The second, with bodies, joints and frames of the same names.
-        tolerances: What counts as a difference.
-        sides: What the two are called.
+        one: First tree (URDF).
+        two: Second tree, with the same names of bodies, joints and frames.
+        tolerances: Tolerances of the comparison.
+        sides: Names of the models.
     """
     for name, body in one.bodies.items():
         yield from body_changes(name, body, two.bodies[name], tolerances, sides)
     for name, joint in one.joints.items():
-        yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
+        yield from _compare_joints(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
         code = "gravity-differs" if sides.alike else "gravity-stated"
-        pulls = one.gravity, two.gravity
-        yield change_of(code, "gravity", None, pulls, "m/s^2", sides, element="option")
-    free, damping = ("body", one.base), (one.base_damping, two.base_damping)
+        gravities = one.gravity, two.gravity
+        yield change_of(code, "gravity", None, gravities, "m/s^2", sides, element="option")
+    free_joint, damping = ("body", one.base), (one.base_damping, two.base_damping)
     if abs(damping[1] - damping[0]) > tolerances.damping * max(damping):
-        yield change_of("free-joint-damping-differs", "damping", free, damping, "N s/m", sides)
-    # A URDF is given the MJCF's: see `attribution.armature_differences`.
+        yield change_of(
+            "free-joint-damping-differs", "damping", free_joint, damping, "N s/m", sides
+        )
+    # Between formats, `attribution.armature_differences` reports armature.
     if sides.alike and two.base_armature != one.base_armature:
         armature, unit = (one.base_armature, two.base_armature), "kg and kg m^2"
-        yield change_of("free-joint-armature-differs", "armature", free, armature, unit, sides)
+        yield change_of(
+            "free-joint-armature-differs", "armature", free_joint, armature, unit, sides
+        )
     for name, (owner, position) in one.frames.items():
-        other_owner, other = two.frames[name]
-        apart, subject = float(np.linalg.norm(other - position)), ("frame", name)
+        other_owner, other_position = two.frames[name]
+        distance, subject = float(np.linalg.norm(other_position - position)), ("frame", name)
         if owner != other_owner:
-            code, places = "frame-on-other-body", (position, other)
+            code, places = "frame-on-other-body", (position, other_position)
             links = one.bodies[owner].link, two.bodies[other_owner].link
             yield change_of(code, "frame", subject, places, "m", sides, shown=links)
-        elif apart > tolerances.position:
-            far = {"distance": Quantity(apart, "m")}
-            yield change_of("frame-apart", "frame", subject, (position, other), "m", sides, far)
+        elif distance > tolerances.position:
+            details = {"distance": Quantity(distance, "m")}
+            yield change_of(
+                "frame-apart", "frame", subject, (position, other_position), "m", sides, details
+            )
 
 
 def apply_changes(
-    first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMATS
+    first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> MultibodyTree:
-    """Returns the first parameters with the second's value for every difference.
+    """Return the first tree with the second tree's value of each difference.
 
-    What is within the tolerance is taken over as well, so that only what was overlooked is left.
+    Differences within the tolerance are included, so that only undetected differences remain.
     """
     patched = first
-    for change in changes_between(first, second, NOTHING, sides):
+    for change in changes_between(first, second, ZERO_TOLERANCES, sides):
         patched = change.apply(patched, second)
     return patched
 
 
 def body_changes(
-    name: str, one: TreeBody, two: TreeBody, tolerances: Tolerances, sides: ModelNames = FORMATS
+    name: str,
+    one: TreeBody,
+    two: TreeBody,
+    tolerances: Tolerances,
+    sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
-    """Yields the differences of two bodies."""
+    """Yield the differences of two bodies."""
     body = ("link", one.link or two.link or name)
     mass = one.mass, two.mass
     if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):
         guess = {"guess": describe_ratio(*mass)}
         yield change_of("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
-    apart = float(np.linalg.norm(two.com - one.com))
-    if apart > tolerances.com:
-        coms, way = (one.com, two.com), {"distance": Quantity(apart, "m")}
-        yield change_of("com-differs", "com", body, coms, "m", sides, way, element=name)
-    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
-    differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
+    distance = float(np.linalg.norm(two.com - one.com))
+    if distance > tolerances.com:
+        coms, details = (one.com, two.com), {"distance": Quantity(distance, "m")}
+        yield change_of("com-differs", "com", body, coms, "m", sides, details, element=name)
+    scale = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
+    differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * scale
     if differs.any():
         entries = []
-        for label, place in INERTIA_ENTRIES.items():
-            a, b = float(one.inertia[place]), float(two.inertia[place])
-            if differs[place]:
-                both = {**number_pair(a, b, "kg m^2"), **sides.named}
+        for label, indices in INERTIA_ENTRIES.items():
+            first_value, second_value = float(one.inertia[indices]), float(two.inertia[indices])
+            if differs[indices]:
+                values = {**number_pair(first_value, second_value, "kg m^2"), **sides.named}
                 entries.append(
                     diagnose(
-                        "inertia-entry-differs", entry=label, guess=describe_ratio(a, b), **both
+                        "inertia-entry-differs",
+                        entry=label,
+                        guess=describe_ratio(first_value, second_value),
+                        **values,
                     )
                 )
         message = diagnose("inertia-differs", subject=body, entries=entries)
         yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", message)
 
 
-def _joint_changes(
+def _compare_joints(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
-    """Yields another parent, type, place or axis of a joint, and other numbers."""
+    """Yield the differences of two joints: parent, type, placement, axis and parameters."""
     subject = "joint", name
     if one.parent != two.parent:
         yield change_of("parent-differs", "parent", subject, (one.parent, two.parent), "", sides)
@@ -549,70 +592,77 @@ def _joint_changes(
         shown = Term(kinds[0]), Term(kinds[1])
         yield change_of("joint-type-differs", "type", subject, kinds, "", sides, shown=shown)
     places = one.position, two.position
-    apart = float(np.linalg.norm(two.position - one.position))
-    if apart > tolerances.position:
-        way = {"distance": Quantity(apart, "m")}
-        yield change_of("joint-position-differs", "position", subject, places, "m", sides, way)
-    turn = pin.log3(one.rotation.T @ two.rotation)
-    angle = float(np.linalg.norm(turn))
+    distance = float(np.linalg.norm(two.position - one.position))
+    if distance > tolerances.position:
+        details = {"distance": Quantity(distance, "m")}
+        yield change_of("joint-position-differs", "position", subject, places, "m", sides, details)
+    rotation_vector = pin.log3(one.rotation.T @ two.rotation)
+    angle = float(np.linalg.norm(rotation_vector))
     if angle > tolerances.rotation:
         message = diagnose(
             "joint-frame-turned",
             subject=subject,
             angle=Quantity(angle, "rad"),
-            axis=Vector.rounded(turn / angle),
-            about_its_axis=abs(float(turn @ one.axis)) > (1 - 1e-6) * angle,
+            axis=Vector.rounded(rotation_vector / angle),
+            about_its_axis=abs(float(rotation_vector @ one.axis)) > (1 - 1e-6) * angle,
             guess=quaternion_order(one.rotation, two.rotation),
         )
         yield Change("rotation", name, one.rotation, two.rotation, "1", message)
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         code = "axis-reversed" if between > math.pi - tolerances.axis else "axis-turned"
-        axes, how = (one.axis, two.axis), {"angle": Quantity(between, "rad")}
-        yield change_of(code, "axis", subject, axes, "1", sides, how)
-    yield from _joint_numbers(name, one, two, tolerances, sides)
+        axes, details = (one.axis, two.axis), {"angle": Quantity(between, "rad")}
+        yield change_of(code, "axis", subject, axes, "1", sides, details)
+    yield from _compare_joint_parameters(name, one, two, tolerances, sides)
 
 
-def _joint_numbers(
+def _compare_joint_parameters(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
-    """Yields other limits, damping and friction; and armature, where both can state it."""
+    """Yield the differences of the scalar parameters of two joints.
+
+    Parameters that only one format supports are compared only for two versions of a file.
+    """
     for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
-        a, b = float(getattr(one, field)), float(getattr(two, field))
+        first, second = float(getattr(one, field)), float(getattr(two, field))
         if not (sides.alike or attribute.in_both):
-            continue  # one of the formats has no words for it, and was given the other's
+            continue  # not supported by one format, which has the other's value
         tolerance = getattr(tolerances, attribute.tolerance)
-        if a == b or (
-            math.isfinite(a)
-            and math.isfinite(b)
-            and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if attribute.relative else 1.0)
+        if first == second or (
+            math.isfinite(first)
+            and math.isfinite(second)
+            and abs(second - first)
+            <= tolerance * (max(abs(first), abs(second)) if attribute.relative else 1.0)
         ):
             continue
-        if kind == "effort" and a == 0 and math.isinf(b) and not sides.alike:
+        if kind == "effort" and first == 0 and math.isinf(second) and not sides.alike:
             continue  # neither states one
-        endless = (
-            kind in ("lower limit", "upper limit") and one.slides and abs(a) >= MAX_SLIDE_POSITION
+        is_unlimited_slide = (
+            kind in ("lower limit", "upper limit")
+            and one.slides
+            and abs(first) >= MAX_SLIDE_POSITION
         )
-        if endless and math.isinf(b) and not sides.alike:
-            continue  # a URDF cannot state a slide without
-        guess = in_degrees(a, b)
-        if kind == "effort" and a == 0 and not sides.alike:
+        if is_unlimited_slide and math.isinf(second) and not sides.alike:
+            continue  # a URDF requires limits of a slide
+        guess = in_degrees(first, second)
+        if kind == "effort" and first == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")
-        code, said = "joint-number-differs", {"what": Term(kind), "guess": guess}
+        code, details = "joint-number-differs", {"what": Term(kind), "guess": guess}
         subject, felt = ("joint", name), attribute.felt
-        yield change_of(code, kind, subject, (a, b), unit, sides, said, felt=felt)
+        yield change_of(code, kind, subject, (first, second), unit, sides, details, felt=felt)
 
 
 def convention_changes(
-    found: Conventions, first: MultibodyTree, sides: ModelNames = FORMATS
+    found: Conventions, first: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
-    """Yields each convention as a difference, and the first robot without that change.
+    """Yield the differences of conventions, each with the first tree without the conversion.
 
     Args:
-        found: The conventions; of a fixed base that shows it, where its frame is is no difference.
-        first: The first robot, in the second's conventions.
-        sides: What the two are called.
+        found: Conventions. The displaced frame of a fixed base is no difference if ``shown`` is
+            set.
+        first: First tree, in the conventions of the second.
+        sides: Names of the models.
     """
     if found.base is not None and (first.floating or not found.shown):
         message = diagnose(

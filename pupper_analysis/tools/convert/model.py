@@ -34,7 +34,7 @@ from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import OF_INERTIALS
+from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
@@ -168,7 +168,7 @@ def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterato
     """
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
-        mended = difference.kind in OF_INERTIALS and difference.element in repaired
+        mended = difference.kind in INERTIAL_KINDS and difference.element in repaired
         on_ball = difference.kind == "collision" and difference.element in draft.on_balls
         if not (mended or on_ball):
             yield difference.diagnostic

@@ -31,7 +31,7 @@ from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
-    OF_INERTIALS,
+    INERTIAL_KINDS,
     Difference,
     PatternCause,
     body_changes,
@@ -512,7 +512,7 @@ def masses_of_geoms(case: PatternCase) -> Found:
         mover: [link.name for link in links if link.name in case.from_geoms]
         for mover, links in case.mjcf.items()
     }
-    found = {key for key in case.open if key[0] in OF_INERTIALS and made.get(key[1])}
+    found = {key for key in case.open if key[0] in INERTIAL_KINDS and made.get(key[1])}
     movers = list(dict.fromkeys(name for _, name in case.open if name in {n for _, n in found}))
     if found:
         urdf, mjcf = (
@@ -554,7 +554,7 @@ class _Slip:
 
 def other_links(case: PatternCase) -> Found:
     """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
-    differ = dict.fromkeys(name for kind, name in case.open if kind in OF_INERTIALS)
+    differ = dict.fromkeys(name for kind, name in case.open if kind in INERTIAL_KINDS)
     if not differ:
         return
     slips = [slip for name in differ if (slip := _slip(case, name)) is not None]
@@ -563,7 +563,7 @@ def other_links(case: PatternCase) -> Found:
         groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
     for (lacks, *_), group in groups.items():
         movers = {slip.mover for slip in group}
-        explained = {key for key in case.open if key[0] in OF_INERTIALS and key[1] in movers}
+        explained = {key for key in case.open if key[0] in INERTIAL_KINDS and key[1] in movers}
         if lacks:
             yield PatternFinding("links", _lacking(group), explained)
         else:
@@ -814,7 +814,7 @@ def find_causes(
         return ()
     first, raw = kinematic_trees(robot)
     keys = [(each.kind, each.element) for each in differences]
-    bodies = any(kind in OF_INERTIALS for kind, _ in keys)
+    bodies = any(kind in INERTIAL_KINDS for kind, _ in keys)
     urdf = urdf_links(robot) if bodies else {}
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)

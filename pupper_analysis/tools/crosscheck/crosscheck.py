@@ -59,7 +59,7 @@ from pupper_analysis.robot.compare.behaviour import (
     random_states,
 )
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import OF_INERTIALS, Difference, Explanation
+from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, Difference, Explanation
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
     mjcf_only_effects,
@@ -160,7 +160,7 @@ def compare_models(
 
 def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
     """Says of which links or bodies a mass, a com or an inertia is made, the heaviest first."""
-    if difference.kind not in OF_INERTIALS:
+    if difference.kind not in INERTIAL_KINDS:
         return ()
     made_of = []
     for file, sources in (("URDF", urdf), ("MJCF", mjcf)):

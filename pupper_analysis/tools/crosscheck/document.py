@@ -22,7 +22,7 @@ from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation
-from pupper_analysis.robot.compare.differences import MANIFOLD, Difference, about_kind
+from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
     EDGES,
@@ -67,8 +67,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
             what=Term(name),
             # Of what others undo it is more than the whole, which says nothing.
             share=Quantity(effect.share, "1") if effect.share <= _WHOLE else None,
-            relative=Quantity(effect.relative, "1") if effect.relative < MANIFOLD else None,
-            times=effect.relative if effect.relative >= MANIFOLD else None,
+            relative=Quantity(effect.relative, "1") if effect.relative < MIN_FACTOR else None,
+            times=effect.relative if effect.relative >= MIN_FACTOR else None,
         )
         for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
     ]

@@ -22,9 +22,9 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot.compare.attribution import EXPLAINED
+from pupper_analysis.robot.compare.attribution import MAX_RESIDUAL
 from pupper_analysis.robot.compare.differences import (
-    VERSIONS,
+    VERSION_NAMES,
     Difference,
     Effect,
     RelativeError,
@@ -182,7 +182,7 @@ class _Comparison:
             raise ModelError(self.sources[1].name, message)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]
-        for joints, where in ((gone, VERSIONS.first), (come, VERSIONS.second)):
+        for joints, where in ((gone, VERSION_NAMES.first), (come, VERSION_NAMES.second)):
             for name in joints:
                 old, new = ("there", None) if joints is gone else (None, "there")
                 message = diagnose("joint-in-one-version", subject=("joint", name), file=where)
@@ -199,7 +199,7 @@ class _Comparison:
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
-            both = {"one": Term(before), "two": Term(after), **VERSIONS.named}
+            both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.named}
             message = diagnose("base-type-differs", subject=("body", one.base), **both)
             self.differences.append(Difference("type", one.base, before, after, "", message, {}))
             one, two = replace(one, floating=True), replace(two, floating=True)
@@ -220,10 +220,10 @@ class _Comparison:
         trial = Trial(first)
         before, after = trial.behaviour(first), trial.behaviour(second)
         judge = RelativeError(before, after)
-        for convention, undone in convention_changes(meant, first, VERSIONS):
+        for convention, undone in convention_changes(meant, first, VERSION_NAMES):
             effects = judge.effects(before, trial.behaviour(undone))
             self.differences.append(replace(convention, effects=effects))
-        for change in changes_between(first, second, tolerances, VERSIONS):
+        for change in changes_between(first, second, tolerances, VERSION_NAMES):
             effects = {}
             if change.felt:
                 effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
@@ -243,7 +243,7 @@ class _Comparison:
                     combined = ()
             if self.differences or combined:
                 self.differences += changed_compiler(one, two)
-        patched = trial.behaviour(apply_changes(first, second, VERSIONS))
+        patched = trial.behaviour(apply_changes(first, second, VERSION_NAMES))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)
         self.differences.sort(key=lambda difference: difference.rank)
@@ -256,7 +256,7 @@ class _Comparison:
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
             residual=left,
-            complete=all(value <= EXPLAINED for value in left.values()),
+            complete=all(value <= MAX_RESIDUAL for value in left.values()),
             combined=combined,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
         )
@@ -275,7 +275,7 @@ class _Comparison:
                 both = {
                     "one": _stated_value(old, new),
                     "two": _stated_value(new, old),
-                    **VERSIONS.named,
+                    **VERSION_NAMES.named,
                 }
                 message = diagnose("element-differs", subject=(kind, element), **both)
                 yield Difference(kind, element, old, new, "", message, {})

@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.robot.compare.differences import MANIFOLD
+from pupper_analysis.robot.compare.differences import MIN_FACTOR
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
@@ -81,7 +81,7 @@ def _effects(change: ModelChange) -> doc.Text:
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
     listed = join_words(
         text("quantity-by-times", quantity=word(name), times=format_number(effect.relative, ".2g"))
-        if effect.relative >= MANIFOLD
+        if effect.relative >= MIN_FACTOR
         else text(
             "quantity-by-effect", quantity=word(name), effect=format_number(effect.relative, ".2g%")
         )
@@ -93,7 +93,7 @@ def _effects(change: ModelChange) -> doc.Text:
 def _percent(old: float, new: float) -> str:
     if not old or old == new:
         return ""
-    return f"{100 * (new / old - 1):+.3g} %" if new / old <= MANIFOLD else f"x {new / old:.3g}"
+    return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"
 
 
 def _torques(diff: ModelDiff) -> Iterable[doc.Block]:

@@ -45,7 +45,7 @@ from pupper_analysis.models.stated.mjcf import (
     touching_geoms,
 )
 from pupper_analysis.models.stated.model import UrdfModel
-from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
+from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
 
 Key = tuple[str, str]
 """An element's tag and name."""
@@ -429,7 +429,7 @@ def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference
             what="",
             one=one,
             two=two,
-            **VERSIONS.named,
+            **VERSION_NAMES.named,
         )
         places = [
             next((at for words, at in file.elements("compiler") if word in words), None)
@@ -493,7 +493,7 @@ def _change(
         what="" if whole else Term(word) if word in _TERMS else word,
         one=before,
         two=after,
-        **VERSIONS.named,
+        **VERSION_NAMES.named,
     )
     consequences: tuple[Diagnostic, ...] = ()
     shapes = [element.shape for element in (one, two) if element is not None and element.shape]

@@ -21,7 +21,7 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import SAFE_OPTIONS, run_git
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
+from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.plan import (
@@ -308,7 +308,7 @@ _OF_JOINT: Final = (
     "mimic",
     "name",
     "damping polynomial",
-    *SERVO_GAINS,
+    *SERVO_GAIN_KINDS,
 )
 
 

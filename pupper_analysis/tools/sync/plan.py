@@ -21,7 +21,7 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import placeholders_among
 from pupper_analysis.robot.compare.attribution import align_robot
-from pupper_analysis.robot.compare.differences import LIMITS, OF_INERTIALS
+from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
@@ -32,7 +32,7 @@ from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_docu
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 
-_WRITTEN = (*OF_INERTIALS, "position", *_OF_BOTH)
+_WRITTEN = (*INERTIAL_KINDS, "position", *_OF_BOTH)
 """Kinds of differences that are numbers of both formats, and are written."""
 
 _REASONS = {
@@ -249,9 +249,9 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
     if kind == "effort" and whose == "urdf" and name in side.joints:
         return not 0 < side.joints[name].effort < math.inf
     attribute = BY_KIND.get(kind)
-    if kind in LIMITS and attribute is not None:
+    if kind in LIMIT_KINDS and attribute is not None:
         return name in side.joints and math.isinf(getattr(side.joints[name], attribute.field))
-    if kind in OF_INERTIALS:
+    if kind in INERTIAL_KINDS:
         return name in side.bodies and not side.bodies[name].mass > 0
     if attribute is None or attribute.urdf is None or name not in side.joints:
         return False
