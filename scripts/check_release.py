@@ -117,13 +117,16 @@ def check_distributions(folder: Path, root: Path = ROOT) -> None:
 
 
 def for_index(readme: str, repository: str, tag: str) -> str:
-    """Returns a README whose relative links lead to a tag, where the package index shows it."""
+    """Convert the README for the package index: absolute links to a tag, installation by name."""
     where = {"!": f"{repository}/raw/{tag}/", "": f"{repository}/blob/{tag}/"}
     linked = re.sub(
         r"(!?)(\[[^\]]*\]\()(?!https?:|#)", lambda link: link[0] + where[link[1]], readme
     )
-    installed = re.sub(r"pip install git\+\S+(?: +#.*)?", "pip install pupper-analysis", linked)
-    return re.sub(r"(pupper-analysis\[[^\]]*\]) @ git\+[^\s\"]+", r"\1", installed)
+    installed = re.sub(
+        r"pip install \.(?: +#.*)?$", "pip install pupper-analysis", linked, flags=re.M
+    )
+    installed = installed.replace("there. In a clone of this repository:", "there.")
+    return re.sub(r'pip install "\.(\[[^\]]*\])"', r'pip install "pupper-analysis\1"', installed)
 
 
 if __name__ == "__main__":

@@ -172,7 +172,8 @@ def test_on_the_package_index_the_readme_leads_to_its_tag() -> None:
         assert (kind, tag) == ("raw" if path.endswith(".png") else "blob", "v1.2.3")
         assert (ROOT / path).is_file()
     assert "https://git.example/us/it/raw/v1.2.3/docs/images/variants.png" in ours
-    assert "git+" not in there
+    assert "pip install ." not in there
+    assert "OWNER" not in there
     assert "pip install pupper-analysis\n" in there
     assert 'pip install "pupper-analysis[live,study]"' in there
 
