@@ -9,6 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.problem import can_move_com
 from tests.support.legged import Pair, planar, quadruped
 
 
@@ -95,3 +96,17 @@ def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
     speed = reason.values["speed"].value
     assert -seen.height_drift == pytest.approx(speed * np.sin(0.25), rel=0.1)
     assert "impratio" in str(reason)
+
+
+@pytest.mark.slow
+def test_legs_of_three_joints_can_move_the_com_over_the_feet(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    assert can_move_com(robot)
+    assert pa.solve_stand(robot).task.com == "centre"
+
+
+@pytest.mark.slow
+def test_a_com_at_the_centre_is_refused_if_planar_legs_cannot_reach_it(tmp_path: Path) -> None:
+    robot = load(planar(quadruped(tmp_path)))
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)

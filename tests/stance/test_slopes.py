@@ -11,6 +11,7 @@ import pytest
 from scipy import optimize
 
 import pupper_analysis as pa
+from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.robot import lend
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.solver import SearchContext
@@ -238,3 +239,22 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
     np.testing.assert_allclose(heights, np.minimum(walled, flat), atol=1e-6)
     assert stand.ground_clearance is not None
     assert stand.ground_clearance.distance == pytest.approx(min(heights), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_a_limit_of_a_slope_is_accepted_if_it_is_typed_back() -> None:
+    """A foot on a slope that hangs over it, which its calf would be in."""
+    robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
+
+    def ask(contact: pa.Contact, *, explain: bool = True) -> pa.Stand:
+        task = pa.StandTask(contacts={"FR": contact}, ground=step)
+        return pa.solve_stand(robot, task, explain=explain)
+
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        ask(pa.Contact(pa.Slope(math.radians(150))))
+    limit = caught.value.limits["contacts"]["contacts"]["FR"]
+    assert f"contacts FR={limit:.7g}" in str(caught.value)
+    typed = parse_contact("contact", f"{limit:.7g}", "")
+    assert ask(typed).solved
+    with pytest.raises(pa.StanceUnreachableError, match="FR_calf"):
+        ask(typed.at(typed.plane.number + math.radians(0.2)), explain=False)

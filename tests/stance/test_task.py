@@ -39,3 +39,9 @@ def test_a_task_refuses_bad_requests(arguments: dict[str, object], named: str) -
 def test_a_word_that_nobody_knows_is_pythons_own_error() -> None:
     with pytest.raises(TypeError, match="unexpected keyword argument 'wings'"):
         pa.StandTask(wings=2)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("slope", [-0.1, math.pi / 2, math.nan, "steep"])
+def test_a_ground_refuses_slopes_out_of_range(slope: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="slope"):
+        pa.Ground(slope=slope)  # type: ignore[arg-type]

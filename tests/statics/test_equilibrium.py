@@ -666,3 +666,10 @@ def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -
     particular = np.linalg.pinv(base) @ weight
     best = np.linalg.pinv(joints @ free, rcond=1e-10) @ (torques - joints @ particular)
     np.testing.assert_allclose(found, particular + free @ best, rtol=0, atol=1e-11)
+
+
+def test_three_feet_cannot_carry_a_com_beyond_their_diagonal() -> None:
+    with pytest.raises(pa.StaticsInfeasibleError, match="com outside") as caught:
+        pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
+    assert caught.value.margin < 0
+    assert caught.value.feet == ("RR",)  # the foot that would have to pull

@@ -388,3 +388,46 @@ def test_a_flat_table_that_a_function_makes_is_a_trainer(sources: dict[str, Path
     assert (step.kind, step.values) == ("policy step", (0.01, 0.02))
     line = PLAYGROUND.splitlines().index("        Kp=5.0,") + 1
     assert kp.places[0] == f"{path}:{line}"
+
+
+def test_a_usd_with_other_names_is_matched_by_structure(tmp_path: Path) -> None:
+    from lxml import etree
+
+    from pupper_analysis.models.loading import reader_of
+    from tests.tools.usd import written
+
+    path, other = written.write(tmp_path), tmp_path / "other.urdf"
+    reader = reader_of(path)
+    assert reader is not None
+    root = reader.read_as_urdf(path).root
+    text = etree.tostring(root).decode()
+    for name, new in {"hip": "m1", "knee": "m2", "spring": "m3"}.items():
+        text = text.replace(f'<joint name="{name}"', f'<joint name="{new}"')
+    for number, link in enumerate(re.findall(r'<link name="([^"]*)"', text)):
+        text = text.replace(f'"{link}"', f'"body{number}"')
+    other.write_text(text)
+    found = read_contract(path, other, stand=False)
+    assert any(one.code == "contract-matched" for one in found.notes)
+    lower = {(one.source, one.joint) for one in found.facts if one.quantity == "lower limit"}
+    assert lower == {
+        (name, joint) for name in (path.name, "other.urdf") for joint in ("hip", "knee", "spring")
+    }
+    assert [one.message for one in found.findings] == []
+
+
+def test_motor_limits_are_compared_with_those_of_the_urdf(sources: dict[str, Path]) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(text.replace("effort_limit=3.0", "effort_limit=2.0"))
+    (finding,) = contract(sources["isaac_cfg.py"]).findings
+    assert (finding.kind, finding.values, finding.joints) == ("effort", (2.0, 3.0), tuple(JOINTS))
+
+
+def test_an_observation_in_another_joint_order_is_a_finding(sources: dict[str, Path]) -> None:
+    text = sources["config.yaml"].read_text()
+    swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
+    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(swapped)))
+    found = contract(sources["policy.onnx"], sources["config.yaml"])
+    orders = [one for one in found.findings if one.kind == "order"]
+    assert len(orders) == 1
+    assert set(orders[0].joints) == set(JOINTS[6:])
+    assert "6 → 9 (leg_back_r_1)" in orders[0].message

@@ -269,3 +269,12 @@ def test_an_effort_of_zero_is_no_difference_between_engines(tmp_path: Path) -> N
     comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
     assert comparison.engines == ()
     assert found(comparison) == [("effort", "knee2")]
+
+
+def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
+    mjcf = {
+        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
+        for name, part in quadruped().items()
+    }
+    line = first_line(pair(tmp_path, mjcf))
+    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")

@@ -439,3 +439,9 @@ def test_a_link_without_mass_is_compared(tmp_path: Path) -> None:
     assert kinds(diff_of(tmp_path, old, changed(old, "base", mass=7.0), "urdf")) == [
         ("mass", "base")
     ]
+
+
+def test_a_file_that_a_revision_lacks_is_refused(repository: Path) -> None:
+    (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
+    _commit(repository)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0

@@ -222,3 +222,10 @@ def test_without_the_package_the_extra_is_named(
     with pytest.raises(MissingPackageError) as refused:
         read_log(_broken(tmp_path))
     assert refused.value.extra == "bags"
+
+
+def test_topics_are_refused_for_logs_that_are_no_bags(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError):
+        read_log(tmp_path / "log.csv", topics={"state": "/joint_states"})
+    with pytest.raises(ConfigurationError):
+        read_log(tmp_path / "log.csv", joints=JOINTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -74,3 +75,32 @@ def test_bad_input_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path
     check_refusal(capfd, tmp_path, given, "command.<joint>")
     check_refusal(capfd, tmp_path, ("fit", "v3", "--log", str(stands)), "time")
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "2 is no")
+
+
+@pytest.mark.slow
+def test_a_plan_can_be_measured_and_fitted(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """With the commands as positions no servo gives anything: no model explains that it stands."""
+    plan, page = tmp_path / "plan.csv", tmp_path / "fit.html"
+    assert run_command(capfd, "fit", "v3", "--plan", "4", "-o", str(plan))[0] == 0
+    with plan.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4
+    for row in rows:
+        for name, value in list(row.items()):
+            if name.startswith("command."):
+                row[name.replace("command", "position")] = value
+    with plan.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    found = tmp_path / "fit.json"
+    messages = ("--json", str(found), "--report", str(page), "-o", str(tmp_path / "fitted"))
+    status, _, err = run_command(
+        capfd, "fit", "v3", "--stands", str(plan), "--prior", "kp=0", *messages
+    )
+    assert status in (1, 2), err
+    assert not (tmp_path / "fitted").exists()
+    if status == 1:
+        assert json.loads(found.read_text())["explained"] is False

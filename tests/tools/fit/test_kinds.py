@@ -68,3 +68,10 @@ def test_a_plan_with_readings_is_never_replaced(typed: str, where: int, tmp_path
             with pytest.raises(OutputError, match="which no run can make again"):
                 write_plan(PLAN, path, force=force)
         assert path.read_bytes() == filled.encode()
+
+
+def test_a_png_of_another_program_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "x.png"
+    Figure().savefig(path)
+    with pytest.raises(OutputError, match="no figure of this package"):
+        save_figure(Figure(), path)

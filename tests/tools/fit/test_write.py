@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,6 +16,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base import files
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.fit.write import FitFiles, draw_samples, write_fit
@@ -154,3 +157,21 @@ def test_a_fit_never_goes_over_the_files_of_its_robot(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError, match="which this run reads"):
         write_fit(robot, estimated(), tmp_path, force=True)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_full_disk_leaves_no_file(
+    v3: pa.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, written = files.write_new, list[Path]()
+
+    def full(path: Path, data: bytes, **how: Any) -> None:
+        written.append(path)
+        real(path, data[:100], **how)
+        if len(written) > 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files, "write_new", full)
+    with pytest.raises(pa.OutputError, match="No space left"):
+        write_fit(v3, estimated(), tmp_path)
+    assert len(written) == 4
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

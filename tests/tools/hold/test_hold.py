@@ -235,3 +235,17 @@ def test_what_touches_fails_a_posture(tmp_path: Path) -> None:
         stand = held_stand(robot, find_posture(robot, posture))
         found = {one.code for one in verify_stand(robot, stand, duration=3.0).failures}
         assert (found & {"parts-touch"}) == codes
+
+
+@pytest.mark.slow
+def test_a_light_welded_base_does_not_shake(tmp_path: Path) -> None:
+    """As heavy as what it is bolted to: on MuJoCo's soft weld the arm shook, and was left."""
+    (tmp_path / "arm.xml").write_text(
+        by_hand.MJCF.replace(
+            '<body name="base">', '<body name="base"><geom size=".02" mass=".05"/>'
+        )
+    )
+    robot = pa.load_robot(tmp_path / "arm.xml")
+    task = pa.StandTask(height=1.0, contacts={"base": pa.Weld()})
+    stand = pa.stance.solve_stand_as_simulated(robot, task)
+    assert pa.verify_stand(robot, stand, duration=4.0).passed

@@ -503,3 +503,20 @@ def test_an_effort_that_nobody_meant_is_not_copied_without_a_word(tmp_path: Path
     assert note.code == "effort-taken-is-placeholder"
     assert list(result.notes) == [f"joint {joint}: effort"]
     assert sync(files, "mjcf").notes == {}
+
+
+def test_a_sum_of_inertias_that_no_body_can_have_is_not_written(tmp_path: Path) -> None:
+    """Pad and shank weigh 1 kg each in the URDF; in the MJCF, together less than either."""
+    parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
+    parts = changed(parts, "shank0", mass=1.0)
+    files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+    before = files.urdf.read_bytes()
+    result = sync(files, "mjcf")
+    assert {left.difference for left in result.not_mended} == {
+        f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
+    }
+    (reason,) = {str(left.reason) for left in result.not_mended}
+    assert "none of them can be changed so that the sum is right" in reason
+    assert not result.agree
+    assert result.edits == ()
+    assert files.urdf.read_bytes() == before
