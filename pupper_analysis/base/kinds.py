@@ -44,12 +44,15 @@ class Kind:
         keeps: Test of whether a file contains data that no run can compute again. Such a file is
             never replaced.
         edits: Whether the run edits an input file in place.
+        suffixes: Suffixes of its file names, the usual one first. Others are accepted, unless they
+            are those of another format.
     """
 
     name: str
     owns: Callable[[BinaryIO], bool] | None = None
     keeps: Callable[[BinaryIO], bool] = _match_none
     edits: bool = False
+    suffixes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,10 +113,14 @@ def _has_measurements(file: BinaryIO) -> bool:
     return bool(_read_measured_cells(file))
 
 
-RESULTS: Final = Kind("JSON result", begins(f'{{\n  "generator": "{GENERATOR} '))
-PAGE: Final = Kind("report page", _is_page)
-PICTURE: Final = Kind("figure", _is_picture)
-STAND_TABLE: Final = Kind("table of a stand", begins("joint,position (rad),torque (N m),"))
+RESULTS: Final = Kind(
+    "JSON result", begins(f'{{\n  "generator": "{GENERATOR} '), suffixes=(".json",)
+)
+PAGE: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
+PICTURE: Final = Kind("figure", _is_picture, suffixes=(".png",))
+STAND_TABLE: Final = Kind(
+    "table of a stand", begins("joint,position (rad),torque (N m),"), suffixes=(".csv",)
+)
 PLAN: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 RECORD: Final = Kind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True

@@ -23,6 +23,7 @@ _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "angle": _ANGLES,
     "length": _LENGTHS,
+    "direction": _LENGTHS,  # a vector whose length does not count
     "position": _ANGLES | _LENGTHS,
     "velocity": {
         "rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "m/s": 1.0, "mm/s": 1e-3,

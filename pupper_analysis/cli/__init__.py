@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import gc
 import os
@@ -65,6 +66,17 @@ class LazyGroup(click.Group):
     ) -> click.Command | None:
         """Returns a command; None if there is none of that name."""
         return _command(cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the first argument names; an error suggests similar names."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            alike = difflib.get_close_matches(name, list_tools())
+            hint = f"Did you mean {' or '.join(alike)}?" if alike else ""
+            raise click.UsageError(f"No such command {name!r}. {hint}".strip(), ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(
         self,

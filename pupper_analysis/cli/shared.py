@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -63,6 +65,23 @@ class OutputPath(click.Path):
         """Returns what is written there."""
         return self._holds(given) if callable(self._holds) else self._holds
 
+    def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
+        """Refuse a name whose suffix promises another format.
+
+        Raises:
+            ConfigurationError: If it does.
+        """
+        suffix = path.suffix.lower()
+        if kind.suffixes and suffix in FORMAT_SUFFIXES and suffix not in kind.suffixes:
+            message = diagnose("output-suffix", file=path.name, suffixes=kind.suffixes)
+            raise ConfigurationError(option, message)
+
+
+FORMAT_SUFFIXES: Final = frozenset(
+    (".docx", ".gif", ".htm", ".html", ".jpeg", ".jpg", ".md", ".pdf", ".png", ".svg", ".xlsx")
+)
+"""Suffixes of formats that programs open by them: no other format is written under them."""
+
 
 class Command(click.Command):
     """A command that finds out before it begins that its results must not be, or cannot be written.
@@ -83,6 +102,7 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Reads the options; of an unknown one those are suggested that have its words, first."""
+        _refuse_separate_units(ctx, args)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -105,6 +125,22 @@ class Command(click.Command):
         import_without_opengl()
         context.with_resource(no_mujoco_log())
         return super().invoke(context)
+
+
+def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
+    """Refuse a number and its unit in two words, such as ``--height 12 cm``.
+
+    Raises:
+        UsageError: If there are such words.
+    """
+    known = {unit for units in UNITS.values() for unit in units}
+    for number, unit in pairwise(words):
+        if unit in known and not Path(unit).exists():
+            with suppress(ValueError):
+                value = number.rpartition("=")[2]
+                float(value)
+                message = diagnose("unit-apart", given=f"{value} {unit}", wanted=f"{value}{unit}")
+                raise click.UsageError(str(message), context)
 
 
 FORCE: Final = (
@@ -169,6 +205,7 @@ def _check_outputs(command: Command, context: click.Context) -> None:
             wanted = {path: holds}
         for file, kind in wanted.items():
             files.check_writable(file, kind)
+            option.type.check_suffix(option.opts[0], file, kind)  # type: ignore[attr-defined]
             place = file if file == files.STANDARD_OUTPUT else files.target_of(file)[0]
             if place in taken:
                 raise OutputError(file, diagnose("two-results-to-one-file"))
@@ -259,6 +296,24 @@ class ModelFile(click.Path):
 MODEL_FILE = ModelFile()
 
 
+def urdf_first(one: Path, other: Path) -> tuple[Path, Path]:
+    """Return a URDF and an MJCF in this order, in whatever order they were typed.
+
+    Files of other formats, and files that cannot be read, keep their order.
+    """
+    from pupper_analysis.base.errors import ModelError
+    from pupper_analysis.models.published import find_file
+    from pupper_analysis.models.xml import parse_xml
+
+    tags = []
+    for path in (one, other):
+        try:
+            tags.append(parse_xml(find_file(path))[1].tag)
+        except ModelError:
+            return one, other
+    return (other, one) if tags == ["mujoco", "robot"] else (one, other)
+
+
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
     """A number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
 
@@ -269,6 +324,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
         """Returns the number in SI units."""
+        if isinstance(value, float | int):
+            value = repr(float(value)) if self.name == "length" else value
         if isinstance(value, float | int):
             return float(value)
         try:
@@ -281,7 +338,7 @@ def parse_quantity(kind: str, text: str) -> float:
     """Returns a number in SI units; its unit may follow it.
 
     Raises:
-        ValueError: If it is no number, or has another unit.
+        ValueError: If it is no number, or has another unit, or a length is probably in mm.
     """
     for unit, size in sorted(UNITS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -289,7 +346,20 @@ def parse_quantity(kind: str, text: str) -> float:
             if kind == "position":
                 return Position(value, "rad" if unit in UNITS["angle"] else "m")
             return value
-    return float(text)
+    value = float(text)
+    if is_millimetres(kind, value):
+        raise ValueError(text)
+    return value
+
+
+MAX_BARE_LENGTH: Final = 5.0
+"""Longest length [m] that is accepted without a unit; larger numbers are probably in mm or cm:
+no two parts of a legged robot are so far apart (chosen, not tuned)."""
+
+
+def is_millimetres(kind: str, value: float) -> bool:
+    """Return True if a length that was typed without a unit is probably in mm."""
+    return kind == "length" and MAX_BARE_LENGTH <= abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -337,6 +407,9 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
 
 def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
     units = tuple(UNITS[kind])
+    with suppress(ValueError):
+        if is_millimetres(kind, float(text)):
+            return diagnose("length-without-unit", length=text)
     return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)
 
 
@@ -445,6 +518,11 @@ def parse_point(
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
     except ValueError:
         numbers = ()
+        for part in text.split(","):
+            with suppress(ValueError):
+                if is_millimetres("length", float(part)):
+                    problem = diagnose("length-without-unit", length=part.strip())
+                    raise ConfigurationError(option, problem) from None
     if len(numbers) != size:
         form = ", ".join(["X,Y,Z"[: 2 * size - 1] + f" ({'10mm,0,0'[: 2 * size + 2]})", *choices])
         raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form=form))

@@ -114,7 +114,12 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     unit = "length"
     if kind == "slope":
         unit, known = "angle", (*known, "uphill")
-    lengths = [shared.parse_measure(option, unit, one, given) for one in numbers]
+    lengths = [
+        shared.parse_measure(option, unit, one, given)
+        if not 3 <= place < 6  # of a plane's normal, or a bar's direction: of any length
+        else shared.parse_measure(option, "direction", one, given)
+        for place, one in enumerate(numbers)
+    ]
     asked: dict[str, Any] = {}
     for part in (part for part in parts if "=" in part):
         word, _, value = part.partition("=")

@@ -79,6 +79,7 @@ def command(
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import comparison_remarks
 
+    urdf, mjcf = shared.urdf_first(urdf, mjcf)
     names = mapped_names(pairs)
     folders = shared.package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()

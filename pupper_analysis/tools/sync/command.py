@@ -86,6 +86,7 @@ def command(
         refuse_idle("--dry-run", "backup")
     if not take:
         refuse_alone(("--take",), "partial", "backup")
+    urdf, mjcf = shared.urdf_first(urdf, mjcf)
     names, folders = mapped_names(pairs), shared.package_folders(packages)
     tolerances = with_changes(Tolerances(), changes)
 

@@ -1,0 +1,101 @@
+"""Mistakes of typing: each is refused in one line that says what to type instead."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.cli.stance_fields import parse_contact
+from tests.support.commands import answer
+from tests.support.repository import ROOT
+
+
+def refusal(*arguments: str, folder: Path | None = None) -> str:
+    result = answer(*arguments, folder=folder)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "suggested"),
+    [("stnad", "Did you mean stand"), ("crosschek", "Did you mean crosscheck?"), ("hodl", "hold")],
+)
+def test_a_misspelt_command_leads_to_similar_ones(typed: str, suggested: str) -> None:
+    assert suggested in refusal(typed, "v3")
+    assert "Did you mean" not in refusal("xyzzy", "v3")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--height", "120"),
+        ("--height=120",),
+        ("--offset", "0,120"),
+        ("--payload-at", "0,0,120", "--payload", "1kg"),
+        ("--swing", "FL=120"),
+        ("--contact", "FL=table:120"),
+        ("--contact", "FL=plane:0,0,120,0,0,1"),
+        ("--stance", "stance.toml"),
+    ],
+    ids=" ".join,
+)
+def test_a_length_in_millimetres_without_unit_leads_to_its_unit(
+    arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "stance.toml").write_text("height = 120\n")
+    message = refusal("stand", "v3", *arguments, folder=tmp_path)
+    assert "write 120mm" in message or "write 120.0mm" in message
+
+
+def test_a_direction_may_have_any_length() -> None:
+    """A plane's normal of (0, 0, 10) is that of (0, 0, 1)."""
+    ten, one = (parse_contact("contact", f"plane:0,0,45mm,0,0,{z}", "") for z in ("10", "1"))
+    assert ten.plane is not None
+    assert one.plane is not None
+    assert ten.plane.normal == pytest.approx(one.plane.normal) or ten.plane.normal == (0, 0, 10)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--height", "12", "cm"), ("--height=12", "cm"), ("--payload", "1.5", "kg")]
+)
+def test_a_unit_behind_a_blank_leads_to_one_word(arguments: tuple[str, ...]) -> None:
+    message = refusal("stand", "v3", *arguments)
+    value = arguments[-2].rpartition("=")[2]
+    assert f"'{value} {arguments[-1]}' is two words" in message
+    assert f"write the unit directly behind the number: {value}{arguments[-1]}" in message
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "suffix"),
+    [
+        ("--report", "x.pdf", ".html"),
+        ("--report", "x.PDF", ".html"),
+        ("--json", "x.html", ".json"),
+        ("--csv", "x.xlsx", ".csv"),
+        ("--figure", "x.svg", ".png"),
+    ],
+)
+def test_a_result_is_not_written_under_another_formats_suffix(
+    option: str, name: str, suffix: str, tmp_path: Path
+) -> None:
+    message = refusal("stand", "v3", option, name, folder=tmp_path)
+    assert f"{option}: {name}: " in message
+    assert f"ends with {suffix}" in message
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["crosscheck", "sync"])
+def test_the_order_of_a_urdf_and_an_mjcf_does_not_matter(command: str, tmp_path: Path) -> None:
+    files = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
+    shutil.copy(files[0], tmp_path / "robot.xml")  # the root element counts, not the suffix
+    expected = answer(command, *files)
+    assert expected.returncode == 0
+    assert answer(command, *reversed(files)) == expected
+    swapped = answer(command, files[1], "robot.xml", folder=tmp_path)
+    assert swapped.returncode == 0
+    assert swapped.stdout == expected.stdout.replace("pupper_v3.urdf", "robot.xml")
