@@ -218,7 +218,7 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
             code = one.kind if one.diagnostic is None else one.diagnostic.code
             said = escape_control(one.message)
             failure = ElementTree.SubElement(case, "failure", message=said, type=code)
-            failure.text = f"{one.place or ''}: {said}"
+            failure.text = f"{escape_control(str(one.place or ''))}: {said}"
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 

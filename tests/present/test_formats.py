@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -24,6 +25,7 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.formats import Annotation, escape_control, write_github, write_junit
 from pupper_analysis.present.terminal import SafeConsole, print_document
+from tests.support.commands import run_command
 from tests.support.stubs import problem
 
 
@@ -123,3 +125,21 @@ def test_the_console_shows_what_would_act(hostile: str, terminal: bool) -> None:
     assert "\x1b[31m" not in text
     assert "[bold]e" in plain
     assert ":smile:" in plain
+
+
+def test_names_in_a_model_cannot_forge_workflow_commands(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """GitHub executes each printed line that begins with ``::``, also in JUnit's XML."""
+    file = tmp_path / "robot\n::error::forged.urdf"
+    name = "a&#10;::error::forged&#x9b;31m&#x202e;"
+    file.write_text(
+        f'<robot name="r"><link name="{name}"><inertial><mass value="-1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    for style in ("text", "github", "junit", "sarif"):
+        status, out, err = run_command(capfd, "audit", str(file), "--format", style)
+        assert status in (1, 2)
+        text = out + err
+        assert not set("\x1b\x9b\u202e") & set(text)
+        assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())
