@@ -4,7 +4,7 @@ PYTHON ?= python3
 
 # A Python that is named and is not the version of .venv has a virtual environment of its own, such
 # as .venv-3.12.
-EXISTING := $(shell sed -n 's/^version *= *\([0-9]*\.[0-9]*\).*/\1/p' .venv/pyvenv.cfg 2> /dev/null)
+EXISTING := $(shell sed -n 's/^version[a-z_]* *= *\([0-9]*\.[0-9]*\).*/\1/p' .venv/pyvenv.cfg 2> /dev/null)
 ifeq ($(origin PYTHON),file)
 VENV := .venv
 else
