@@ -2,7 +2,7 @@
 
 One sees three limits: what the motors give, what the servos' stiffness holds up, and up to where
 the legs reach and the contacts bear it. Pupper v3's motors would carry 16 kg; its soft servos let
-it buckle under 5.4 kg.
+it buckle under 6.0 kg.
 """
 
 import pupper_analysis as pa

@@ -32,9 +32,6 @@ from pupper_analysis.simulation.verdict import (
     VerdictCode,
 )
 
-_SLOW = 600.0
-"""From here on (s) a time is said in minutes."""
-
 FEW = 3
 """Joints that are named one by one, with what the file has there."""
 
@@ -66,6 +63,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *_replaced(verdict.servos.replaced),
         *_computed(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
+        *_creep(verdict),
+        *(Clause(True, note) for note in verdict.notes),
         *published_clauses(verdict.published),
         *_beyond(verdict),
         *(() if fails else own),
@@ -369,12 +368,24 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
                 standing=verdict.force_error is not None,
             ),
         )
-    fell = verdict.with_feedforward is Ending.COLLAPSES  # of a wreck it would say nothing
-    if math.isfinite(verdict.doubling_time) and not fell:
-        slow = verdict.doubling_time > _SLOW
+    if math.isfinite(verdict.doubling_time) and verdict.with_feedforward is Ending.UNTRIED:
         time = Quantity(verdict.doubling_time, "s")
-        minutes = verdict.doubling_time / 60 if slow else None
-        yield Clause(False, diagnose("deviation-doubles", doubling_time=time, minutes=minutes))
+        yield Clause(False, diagnose("deviation-doubles", doubling_time=time))
+
+
+def _creep(verdict: Verdict) -> Iterator[Clause]:
+    """State how fast the robot creeps; as a warning if that matters."""
+    creep = verdict.creep
+    if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
+        return
+    message = diagnose(
+        "stand-creeps",
+        severity=Severity.WARNING if creep.matters else Severity.NOTE,
+        duration=Quantity(creep.duration, "s"),
+        speed=Quantity(creep.speed, "m/s"),
+        rate=Quantity(creep.rate, "rad/s"),
+    )
+    yield Clause(True, message)
 
 
 def on_servos(servos: ServosUsed, *, good: bool) -> Clause:

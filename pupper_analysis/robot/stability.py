@@ -1,13 +1,14 @@
-"""Is it stable: the spectrum of one of MuJoCo's steps, with contacts and servos as they are.
+"""Spectrum of one MuJoCo step at a state, with contacts, servos and integrator as they are.
 
-First the derivative of a step by the state, then its spectrum.
+A mode that grows is a hypothesis: the linearisation is valid for motions of micrometres only if a
+foot carries next to nothing, and it depends on the finite-difference step if a joint has dry
+friction. ``simulation.growth`` tests the hypothesis in a nudged simulation.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,8 +24,15 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 Array = NDArray[np.float64]
 
 STEP = 1e-7
-"""Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
-eigenvalues come out to 1e-9, where 1e-6 leaves as much."""
+"""Step of the centred differences (m, rad, and their rates). Contacts are curved over 1e-5; the
+error of the eigenvalues is 1e-9 with this step, and as much with 1e-6."""
+
+SECOND_STEP = 3e-8
+"""Step with which a mode that grows must be found again. Two public MJCFs with dry friction have a
+spectral radius of 1.041 with ``STEP``, and of 1.000 with this step."""
+
+_RATE_TOLERANCE = 0.3
+"""Relative difference of the growth per step up to which both steps agree on a mode."""
 
 _TOLERANCE = 1e-14
 """Of the solver while differences are taken: with the usual 1e-8 it sometimes ends an iteration
@@ -51,12 +59,13 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     return own
 
 
-def step_derivative(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Returns the derivative of a step by the state, (2 nv + na, 2 nv + na).
+def step_derivative(model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP) -> Array:
+    """Compute the derivative of a step by the state, shape (2 nv + na, 2 nv + na).
 
     Args:
-        model: The model. While this runs, the tolerance of its solver is tighter.
-        data: The state; it stays as it is.
+        model: MuJoCo model. The tolerance of its solver is tightened during the call.
+        data: State; it is not changed.
+        difference: Step of the centred differences (m, rad, and their rates).
     """
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
@@ -68,19 +77,21 @@ def step_derivative(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         data = copy_data(model, data)
     try:
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
-            return _differences(model, data, matrix)
-        mujoco.mjd_transitionFD(model, data, STEP, True, matrix, None, None, None)
+            return _differences(model, data, matrix, difference)
+        mujoco.mjd_transitionFD(model, data, difference, True, matrix, None, None, None)
     finally:
         model.opt.tolerance, model.opt.enableflags = tolerance, flags
     return matrix
 
 
-def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> Array:
-    """Fills in centred differences of whole steps."""
+def _differences(
+    model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = STEP
+) -> Array:
+    """Fill in centred differences of whole steps."""
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
-        for end, size in zip(ends, (-STEP, STEP), strict=True):
+        for end, size in zip(ends, (-difference, difference), strict=True):
             mujoco.mj_copyData(own, model, data)
             change = np.zeros(len(matrix))
             change[column] = size
@@ -90,8 +101,8 @@ def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> A
             mujoco.mj_step(model, own)
             end[0][:], end[1][:], end[2][:] = own.qpos, own.qvel, own.act
         moved = np.empty(nv)
-        mujoco.mj_differentiatePos(model, moved, 2 * STEP, ends[0][0], ends[1][0])
-        rates = [(ends[1][part] - ends[0][part]) / (2 * STEP) for part in (1, 2)]
+        mujoco.mj_differentiatePos(model, moved, 2 * difference, ends[0][0], ends[1][0])
+        rates = [(ends[1][part] - ends[0][part]) / (2 * difference) for part in (1, 2)]
         matrix[:, column] = np.concatenate([moved, *rates])
     return matrix
 
@@ -134,9 +145,6 @@ where it began, nothing is: v3 half way down on soft servos told 1.5 to 25 s for
 _NAMED_SHARE = 0.5
 """Of the greatest share in a mode: what moves by less is not named."""
 
-SLIDING_CONDIM = 3
-"""Of a contact without torsional and rolling friction."""
-
 _MOST_NAMED_JOINTS = 4  # that are named
 
 
@@ -149,10 +157,14 @@ class Mode(Result):
         frequency: Hz; 0: it does not swing.
         damping_ratio: 1: it decays without swinging; 0: it swings on; negative: it grows.
         time_constant: In which it grows or decays by a factor of e (s).
-        doubling_time: s; None if it decays.
+        doubling_time: s; None if it decays, or if it is ``sustained``.
         joints: Those that move most in it, the first most of all.
-        freed: Whether it is of motion that has overcome the joints' dry friction, which holds or
-            damps it till then.
+        freed: Whether the mode is that of a motion which has overcome the dry friction of joints
+            and tendons.
+        repeated: Whether the spectrum with ``SECOND_STEP`` has the mode, too.
+        nudge: Deviation of a joint from which growth was measured in simulation (rad, m); None of
+            a mode that is known from the spectrum alone. If it is given, ``doubling_time`` is the
+            simulated one.
     """
 
     growth: float = field(metadata={"unit": "1"})
@@ -162,6 +174,23 @@ class Mode(Result):
     doubling_time: float | None = field(metadata={"unit": "s"})
     joints: tuple[str, ...]
     freed: bool = False
+    repeated: bool = True
+    nudge: float | None = field(default=None, metadata={"unit": "rad or m"})
+    _direction: Array | None = None
+
+    @property
+    def direction(self) -> Array:
+        """Direction of the mode in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
+
+        The largest deviation of a position is 1 rad or 1 m.
+        """
+        assert self._direction is not None
+        return self._direction
+
+    @property
+    def sustained(self) -> bool:
+        """Whether a simulation shows an oscillation that neither grows nor decays."""
+        return self.nudge is not None and self.doubling_time is None
 
     @property
     def shakes(self) -> bool:
@@ -178,7 +207,9 @@ class Mode(Result):
         What shakes never comes to rest, however slowly it grows. What buckles on regularised
         friction may stay for minutes; it stays for a time in which it does not double.
         """
-        return self.doubling_time is not None and (self.shakes or self.doubling_time < duration)
+        if self.doubling_time is None:
+            return self.sustained
+        return self.shakes or self.doubling_time < duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,13 +219,15 @@ class Stability(Result):
     Attributes:
         timestep: s.
         radius: The greatest absolute eigenvalue of a step, with dry friction.
-        unstable: The modes that grow, the fastest first.
+        unstable: The modes that grow, the fastest first. After ``confirm_growth`` those that would
+            leave the state within ``LASTING`` are confirmed by a simulation.
         least_damped: The mode with the least damping ratio of those that swing and decay, with dry
             friction or once that is overcome.
         speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
             rest is not judged by this.
         sticks: Whether friction sticks (``noslip_iterations``): it holds what would buckle until it
             slips, and what its iterations leave is no mode: only a simulation shows.
+        refuted: Modes that grow by the spectrum, and do not in a nudged simulation.
     """
 
     timestep: float = field(metadata={"unit": "s"})
@@ -203,6 +236,7 @@ class Stability(Result):
     least_damped: Mode | None
     speed: float = field(metadata={"unit": "m/s or rad/s"})
     sticks: bool
+    refuted: tuple[Mode, ...] = ()
 
     @property
     def at_rest(self) -> bool:
@@ -247,9 +281,9 @@ def step_stability(
     A is beyond the unit circle, the deviation grows: by swinging if it is complex (the robot
     shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
 
-    Dry friction of joints and of feet that roll, which MuJoCo makes viscous where nothing slides,
-    hides what shakes or buckles until a push overcomes it: so what leaves within ``LASTING``
-    without it counts, too (``Mode.freed``), and what swings.
+    Dry friction of joints and tendons, which MuJoCo makes viscous if nothing slides, hides a mode
+    until a push overcomes it. So the modes that leave within ``LASTING`` without it are returned,
+    too (``Mode.freed``). Contacts keep their friction.
 
     Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
     state survives a harder push, a simulation tells.
@@ -257,8 +291,8 @@ def step_stability(
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: The model. While this runs, its solver's tolerance is tighter, and its dry friction
-            may be none.
+        model: MuJoCo model. During the call its solver's tolerance is tighter, and the dry friction
+            of its joints and tendons may be zero.
         data: The state, with ``ctrl``; it stays as it is.
         settle: Time for which it is simulated first (s).
 
@@ -272,36 +306,49 @@ def step_stability(
         raise ConfigurationError(
             "settle", diagnose("settling-time", settle=settle, most=_LONGEST_DOUBLING)
         )
+    return judge_settled(model, data, settle)[0]
+
+
+def judge_settled(
+    model: mujoco.MjModel, data: mujoco.MjData, settle: float
+) -> tuple[Stability, mujoco.MjData]:
+    """Return the result of ``step_stability`` and the state that it is about.
+
+    That is the state after settling. It is the initial state if the simulation diverges, or if the
+    initial state has a mode so fast that it throws off the robot while it settles.
+    """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
-        return _judged(model, data)
+        return _judged(model, data), data
     with silence_mujoco():
         mujoco.mj_step(model, data, steps)
+    before = copy_data(model, start)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
         # It diverged, and MuJoCo began anew.
-        return _judged(model, copy_data(model, start))
+        return _judged(model, before), before
     found = _judged(model, data)
     if found.at_rest:
-        return found
-    other = _judged(model, copy_data(model, start))
+        return found, data
+    other = _judged(model, before)
     threw = (other.doubling_time or math.inf) < settle / _THROWN
-    return other if other.at_rest and threw else found
+    return (other, before) if other.at_rest and threw else (found, data)
 
 
 def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Judges a state with the joints' dry friction, and what grows or swings without."""
-    found = _judged_at_limits(model, data)
-    rubs = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
-    rolls = (np.append(model.geom_condim, model.pair_dim) > SLIDING_CONDIM).any()
-    if not (rubs or rolls) or any(mode.shakes for mode in found.unstable):
+    """Judge a state with the dry friction of joints and tendons, and without."""
+    found = _repeated(model, data, _judged_at_limits(model, data))
+    rubbing = model.dof_frictionloss, model.tendon_frictionloss
+    rubs = any(values.any() for values in rubbing)
+    if not rubs:
         return found
-    kept = [(values, values.copy()) for values in _rubbing(model)]
-    free_of_friction(model)
+    kept = [values.copy() for values in rubbing]
+    for values in rubbing:
+        values[:] = 0.0
     try:
-        free = _judged_at_limits(model, copy_data(model, data))
+        free = _repeated(model, data, _judged_at_limits(model, copy_data(model, data)))
     finally:
-        for values, before in kept:
+        for values, before in zip(rubbing, kept, strict=True):
             values[:] = before
     freed = [replace(mode, freed=True) for mode in free.unstable if mode.grows_within(LASTING)]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
@@ -311,30 +358,25 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     return replace(found, unstable=tuple(unstable), least_damped=least)
 
 
-def free_of_friction(model: mujoco.MjModel) -> None:
-    """Takes away the dry friction of joints, tendons and of feet that turn or roll.
+def _repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
+    """Mark the leaving modes that the spectrum with ``SECOND_STEP`` does not have."""
+    if not found.leaving():
+        return found
+    second = _judged_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
-    An elliptic cone has rows of their own for those, which are left out. The edges of a pyramid
-    carry the normal force, too: with fewer of them the ground would be softer, so they stay, and
-    their coefficients are as small as MuJoCo has them.
-    """
-    joints, tendons, dims, pair_dims, geoms, pairs, override = _rubbing(model)
-    joints[:] = tendons[:] = 0.0
-    if model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
-        for counts in (dims, pair_dims):
-            counts[:] = np.minimum(counts, SLIDING_CONDIM)
-    else:
-        geoms[:, 1:] = pairs[:, 2:] = override[2:] = 0.0
+    def repeats(mode: Mode) -> bool:
+        return any(
+            abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
+        )
 
-
-def _rubbing(model: mujoco.MjModel) -> tuple[NDArray[Any], ...]:
-    """Returns the arrays of a model that have the dry friction that hides what is not stable."""
-    contacts = model.geom_condim, model.pair_dim, model.geom_friction, model.pair_friction
-    return model.dof_frictionloss, model.tendon_frictionloss, *contacts, model.opt.o_friction
+    modes = (replace(mode, repeated=repeats(mode)) for mode in found.unstable)
+    return replace(found, unstable=tuple(modes))
 
 
-def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Judges a state; where joints are at their limits, both sides of these: the worse counts."""
+def _judged_at_limits(
+    model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP
+) -> Stability:
+    """Judge a state; if joints are at their limits, on both sides of these: the worse counts."""
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
     ends = angles + np.outer(
@@ -343,13 +385,13 @@ def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     limited = (scalar & (model.jnt_limited == 1))[:, None]
     edges = limited & (np.abs(ends - model.jnt_range) <= _EDGE)
     if not edges.any():
-        return _Modes(model, data).judged()
+        return _Modes(model, data, difference).judged()
     ranges, found = model.jnt_range.copy(), []
     try:
         for apart in (-_EDGE, _EDGE):
             moved = ends + np.array([apart, -apart])
             model.jnt_range[:] = np.where(edges, moved, ranges)
-            found.append(_Modes(model, copy_data(model, data)).judged())
+            found.append(_Modes(model, copy_data(model, data), difference).judged())
     finally:
         model.jnt_range[:] = ranges
     return max(found, key=lambda one: one.radius)
@@ -363,9 +405,11 @@ class _Modes:
         data: The state, after ``mj_forward`` or ``mj_step``.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP
+    ) -> None:
         self._model, self._data = model, data
-        matrix = step_derivative(model, data)
+        matrix = step_derivative(model, data, difference)
         matrix = np.where(np.isfinite(matrix), matrix, 0.0)
         self._values, left, self._vectors = linalg.eig(matrix, left=True)
         aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))
@@ -409,8 +453,15 @@ class _Modes:
             damping_ratio=self._damping(mode),
             time_constant=constant,
             doubling_time=math.log(2) * constant if self._grows[mode] else None,
-            joints=_most(self._joints(mode)),
+            joints=most_moving(self._joints(mode)),
+            _direction=self._direction(mode),
         )
+
+    def _direction(self, mode: int) -> Array:
+        """Return a mode's real direction, scaled to a largest deviation of a position of 1."""
+        vector = self._vectors[:, mode]
+        largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0
+        return np.asarray(np.real(vector / largest)) if largest else np.real(vector)
 
     def _joints(self, mode: int) -> dict[str, float]:
         """Returns how far each joint moves (rad, m); the base's own motion is none."""
@@ -423,8 +474,8 @@ class _Modes:
         }
 
 
-def _most(shares: dict[str, float]) -> tuple[str, ...]:
-    """Returns the few names with the greatest shares, the greatest first."""
+def most_moving(shares: dict[str, float]) -> tuple[str, ...]:
+    """Return the few names with the greatest shares, the greatest first."""
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _NAMED_SHARE * shares[names[0]] if names else 0.0
     return tuple(name for name in names[:_MOST_NAMED_JOINTS] if shares[name] >= least > 0)

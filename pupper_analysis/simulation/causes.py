@@ -59,14 +59,30 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
     return messages
 
 
+def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
+    """Describe the fastest mode of the spectrum that the nudged simulation refutes."""
+    if not stability.refuted:
+        return ()
+    mode = stability.refuted[0]
+    return (
+        diagnose(
+            "mode-refuted",
+            doubling_time=Quantity(mode.doubling_time or math.inf, "s"),
+            frequency=Quantity(mode.frequency, "Hz") if mode.shakes else None,
+            differs=not mode.repeated,
+        ),
+    )
+
+
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Says how a mode grows."""
+    """Describe the growth of a mode, and the nudge with which it was simulated."""
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",
         frequency=Quantity(mode.frequency, "Hz"),
         freed=mode.freed,
         joints=mode.joints,
-        doubling_time=Quantity(mode.doubling_time or math.inf, "s"),
+        doubling_time=None if mode.doubling_time is None else Quantity(mode.doubling_time, "s"),
+        nudge=None if mode.nudge is None else Quantity(mode.nudge, "rad"),
     )
 
 

@@ -1,4 +1,4 @@
-"""Is what rests stable on its servos: by the spectrum of MuJoCo's step, and by a nudge."""
+"""Stability of a robot at rest on its servos: spectrum of MuJoCo's step, and nudged simulations."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.robot.fall import NUDGE, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
-from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
+from pupper_analysis.robot.stability import SETTLE, Stability, judge_settled, step_stability
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.rollout import (
     STATE,
     begin_stand,
@@ -45,9 +46,9 @@ def stand_stability(
 ) -> Stability:
     """Judges whether a stand is stable, by the eigenvalues of one of MuJoCo's steps.
 
-    It takes milliseconds, where ``verify_stand`` simulates seconds, and finds what no seconds show.
-    With feed-forward the stand is judged; without, where servos let it rest (``steady_state``, feet
-    pinned). It says nothing of harder pushes.
+    It takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s tests whether
+    the mode does grow (``confirm_growth``). With feed-forward the stand is judged; without, the
+    equilibrium of the servos (``steady_state``, feet pinned). Larger pushes are not covered.
 
     Args:
         robot: The robot.
@@ -120,11 +121,36 @@ def stability_after(
 def evaluate_stability(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE
 ) -> Stability:
-    """Judges a state (mjSTATE_FULLPHYSICS) under a command; see ``step_stability``."""
+    """Judge a state (mjSTATE_FULLPHYSICS) under a command; see ``judge_stability``."""
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE)
     data.ctrl[:] = ctrl
-    return step_stability(drive.model, data, settle=settle)
+    return judge_stability(drive.model, data, settle=settle)
+
+
+def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
+    """Compute the spectrum at a state (mjSTATE_FULLPHYSICS) under a command; see ``Stability``."""
+    data = mujoco.MjData(drive.model)
+    mujoco.mj_setState(drive.model, data, state, STATE)
+    data.ctrl[:] = ctrl
+    return step_stability(drive.model, data)
+
+
+def judge_stability(
+    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
+) -> Stability:
+    """Judge the stability of a state: the one rule for all commands.
+
+    A mode of the spectrum (``step_stability``) that would leave the state counts only if a nudged
+    simulation of the unmodified model confirms it; see ``confirm_growth``.
+
+    Args:
+        model: MuJoCo model.
+        data: State, with ``ctrl``; it is not changed.
+        settle: Time for which the state is simulated first (s).
+    """
+    found, judged = judge_settled(model, data, settle)
+    return confirm_growth(found, model, judged, data.ctrl.copy())
 
 
 LEFT = 1e-2

@@ -82,6 +82,8 @@ class Outcome:
             predicted.
         force_error: Of a foot's force, likewise; None where no foot carries.
         stability: Of where it settled; None where that was not asked.
+        creep: Motion over the last 10 s; None if it was not measured.
+        notes: Observations that do not decide, such as a mode that the simulation refutes.
     """
 
     passed: bool
@@ -91,6 +93,33 @@ class Outcome:
     torque_error: float = field(default=math.nan, metadata={"unit": "1"})
     force_error: float | None = field(default=None, metadata={"unit": "1"})
     stability: Stability | None = None
+    creep: Creep | None = None
+    notes: tuple[Diagnostic, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Creep(Result):
+    """Mean speeds of a robot that stands, over the last seconds of a simulation.
+
+    Attributes:
+        duration: Time over which the motion is measured (s).
+        speed: Speed of the base's CoM-fixed point, or of the foot that moves most (m/s).
+        rate: Rate of the joint or of the base's orientation that turns most (rad/s).
+    """
+
+    duration: float = field(metadata={"unit": "s"})
+    speed: float = field(metadata={"unit": "m/s"})
+    rate: float = field(metadata={"unit": "rad/s"})
+
+    @property
+    def matters(self) -> bool:
+        """Whether the robot creeps by more than ``NOTABLE_SPEED`` or ``NOTABLE_RATE``."""
+        return self.speed > NOTABLE_SPEED or self.rate > NOTABLE_RATE
+
+
+NOTABLE_SPEED, NOTABLE_RATE = 1e-3 / 60, 10e-3 / 60
+"""Creep above which the verdict states it in its first lines: 1 mm/min, 10 mrad/min. Chosen, not
+tuned: v3's nominal stand creeps by less than a tenth of both."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,8 +143,11 @@ class Verdict(Result):
         own: What the file does by itself, from its keyframe as a reset leaves it; None of robots
             that have no file.
         published: How the MJCF as it was published differs; None where it was not looked at.
-        doubling_time: In which what deviates doubles (s), with feed-forward; infinite if nothing
-            grows.
+        doubling_time: Doubling time of a deviation (s), with feed-forward, if that makes the stand
+            fail; infinite otherwise. It is measured in a nudged simulation.
+        creep: Motion over the last 10 s of the simulation with feed-forward; None if that was not
+            simulated.
+        notes: Observations that do not decide, such as a mode that the simulation refutes.
         converted: Which of the robot's models was made of the other one, ``"urdf"`` or ``"mjcf"``:
             both engines read one file then; empty if each read its own.
         remarks: What else it rests on: balls in the place of soles, limbs without feet.
@@ -138,6 +170,8 @@ class Verdict(Result):
     doubling_time: float = field(metadata={"unit": "s"})
     converted: str = ""
     remarks: tuple[Diagnostic, ...] = ()
+    creep: Creep | None = None
+    notes: tuple[Diagnostic, ...] = ()
 
 
 def judge_stance(
@@ -185,10 +219,18 @@ def judge_stance(
         servos=servos,
         own=own,
         published=published,
-        doubling_time=(fed.stability and fed.stability.doubling_time) or math.inf,
+        doubling_time=_leaving_time(fed.stability),
         converted=converted,
         remarks=remarks,
+        creep=fed.creep,
+        notes=fed.notes,
     )
+
+
+def _leaving_time(stability: Stability | None) -> float:
+    """Return the least doubling time of the modes that leave a state (s); infinite without any."""
+    leaving = stability.leaving() if stability is not None and stability.at_rest else ()
+    return min((mode.doubling_time or math.inf for mode in leaving), default=math.inf)
 
 
 def predict_verdict(
@@ -204,8 +246,7 @@ def predict_verdict(
     overloaded = beyond_limits(statics)
     leaves = stability is not None and not stability.lasts()
     code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
-    # What doubles in minutes is friction's creep, and no news of a stance that is not simulated.
-    doubling = (stability.doubling_time if stability is not None and leaves else None) or math.inf
+    doubling = _leaving_time(stability)
     return Verdict(
         code=VerdictCode.OVERLOADED if overloaded else code,
         asked=Asked.STANDS,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.arrays import across
+from pupper_analysis.base.arrays import across, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
@@ -23,12 +23,14 @@ from pupper_analysis.robot.servos import Servos, command_lead, command_ranges
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import (
+    describe_refuted,
     find_chatter,
     find_creep,
     find_instability,
 )
 from pupper_analysis.simulation.monitor import LAST, SimulationSettings, Watch, watch_contacts
 from pupper_analysis.simulation.rollout import (
+    STATE,
     begin_stand,
     check_stand,
     simulate,
@@ -40,7 +42,7 @@ from pupper_analysis.simulation.stability import (
     simulate_nudge,
     stability_after,
 )
-from pupper_analysis.simulation.verdict import Outcome
+from pupper_analysis.simulation.verdict import Creep, Outcome
 from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -231,8 +233,8 @@ def verify_stand(
     if robot.welds:  # which may bear more than all, and hands hold down
         borne = robot.weight
     light = LIGHT * borne
-    least = FORCE_TOLERANCE * light
-    loaded = {foot for foot, force in predicted.items() if force @ out[foot] >= least}
+    shares = {foot: float(force @ out[foot]) / borne for foot, force in predicted.items()}
+    loaded = {foot for foot, share in shares.items() if share >= monitor.LIGHT_FOOT}
     watch = watch_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
     found = replace(
         _measured(robot, stand, drive, prediction, run, watch, upright, light),
@@ -248,7 +250,51 @@ def verify_stand(
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
         failures += _off_rest(robot, found, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
-    return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
+    notes = [
+        diagnose(
+            "light-foot-lifts",
+            subject=("foot", foot),
+            share=Quantity(shares.get(foot, 0.0), "1"),
+            time=Quantity(moment, "s"),
+        )
+        for foot, moment in watch.lifted.items()
+    ]
+    if not found.collapses:
+        notes += describe_refuted(found.stability)
+    return replace(
+        found,
+        passed=not failures,
+        failures=tuple(failures),
+        stays=stays,
+        creep=None if found.collapses else measure_creep(robot, stand, drive.model, run.states),
+        notes=tuple(notes),
+    )
+
+
+CREEP_TIME = 10.0
+"""Time at the end of a simulation over which creep is measured (s)."""
+
+
+def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
+    """Measure the mean speeds of base, feet and joints over the last ``CREEP_TIME`` of states."""
+    steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
+    first, last = states[-1 - steps], states[-1]
+    duration = float(last[0] - first[0])
+    data, centres = mujoco.MjData(model), []
+    for state in (first, last):
+        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_kinematics(model, data)
+        centres.append(monitor.foot_centres(robot, data))
+    ways = [np.linalg.norm(centres[1][foot] - centres[0][foot]) for foot in stand.stance_feet]
+    joints = np.abs(last - first)[1 + robot.mj_convention.qpos_index[-robot.nu :]]
+    turned = 0.0
+    if robot.floating:
+        place = 1 + robot.mj_convention.qpos_index[:7]
+        ways.append(np.linalg.norm(last[place[:3]] - first[place[:3]]))
+        rotation = rotation_from_quaternion(first[place[3:]])
+        turned = monitor.turned_by(robot, rotation, last)
+    rate = max(float(joints.max(initial=0.0)), turned) / duration
+    return Creep(duration, float(max(ways, default=0.0)) / duration, rate)
 
 
 def _time_after(duration: float, nudged: float | None) -> float:

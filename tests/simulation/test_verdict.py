@@ -38,7 +38,9 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         collapses=has_collapsed(0.0, loss, 0.0, 0.2),
         torque_error=1e-8,
         force_error=2e-8,
-        stability=Stub(doubling_time=None),
+        stability=None,
+        creep=None,
+        notes=(),
     )
 
 
@@ -179,7 +181,8 @@ def test_what_is_only_expected_never_passes(
     if not known:
         code = VerdictCode.OVERLOADED if max(shares) > 1 else VerdictCode.IN_BALANCE
     statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)
-    stability: Any = Stub(lasts=lambda: doubling is None, doubling_time=doubling)
+    leaving = () if doubling is None else (Stub(doubling_time=doubling),)
+    stability: Any = Stub(lasts=lambda: not leaving, leaving=lambda: leaving, at_rest=True)
     verdict = predict_verdict(statics, FILE, stability if known else None)
     assert verdict.code is code
     assert not verdict.passed

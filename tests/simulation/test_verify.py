@@ -155,8 +155,10 @@ def test_servos_too_weak_to_stand() -> None:
         str(reason).startswith("leg_front_r_2 touches the ground") for reason in result.failures
     )
     assert result.base_height < 0.6 * stand_of("v3-heavy").qpos[2]
-    # It lies where nothing grows any more; what grew did so where it began, in a fifth of a second.
-    assert (result.stability.doubling_time or np.inf) < 0.26
+    # It lies where nothing grows any more. At the start it is in no equilibrium: two simulations a
+    # tenth of a milliradian apart fall alike, so no mode is the cause.
+    assert not result.stability.leaving()
+    assert result.stability.refuted
 
 
 def test_fall_is_told() -> None:

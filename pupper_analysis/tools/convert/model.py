@@ -36,10 +36,15 @@ from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.stability import LASTING, Stability, step_stability
+from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
-from pupper_analysis.simulation.stability import Nudge, measure_response, simulate_nudge
+from pupper_analysis.simulation.stability import (
+    Nudge,
+    judge_stability,
+    measure_response,
+    simulate_nudge,
+)
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urdf_draft
@@ -245,7 +250,7 @@ def keyframe_run(path: Path, duration: float = LASTING) -> KeyframeRun | None:
     mujoco.mj_resetDataKeyframe(model, data, 0)
     start = full_state(model, data)
     nudge = measure_response(model, start, simulate_nudge(model, start, data.ctrl.copy(), duration))
-    stability = step_stability(model, data)
+    stability = judge_stability(model, data)
     failures = tuple(find_instability(stability, nudge))
     return KeyframeRun(model.key(0).name, stability, nudge, failures)
 

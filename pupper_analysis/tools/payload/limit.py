@@ -27,7 +27,7 @@ from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand
-from pupper_analysis.simulation.stability import evaluate_stability
+from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
 from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode, beyond_limits
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
@@ -409,7 +409,7 @@ class _Search:
 
     def bounds(self) -> dict[str, Bound]:
         """Returns the bounds {name: bound} by the stand, the motors and the servos."""
-        asked = {"stance": self.stance, "motors": self.motors, "servos": self.servos}
+        asked = {"stance": self.stance, "motors": self.motors, "servos": self.spectrum}
         low = dict.fromkeys(asked, 0.0)
         high: dict[str, tuple[float, Trouble]] = {}
         mass, ceiling = 0.0, UNLIMITED * self._robot.total_mass
@@ -433,6 +433,7 @@ class _Search:
             else none
             for name in asked
         }
+        bounds["servos"] = self._confirmed(bounds)
         first = min(bounds, key=lambda name: bounds[name].mass)
         near = bounds[first].mass
         if 0 < near < math.inf and first != "servos":  # whose edge is a doubling time
@@ -481,10 +482,45 @@ class _Search:
         over = () if statics is None else beyond_limits(statics)
         return (Failure.MOTOR, over) if over else None
 
-    def servos(self, mass: float) -> Trouble:
-        """Tells whether servos cannot be commanded so far, or do not hold still, with a mass (kg).
+    def _confirmed(self, bounds: dict[str, Bound]) -> Bound:
+        """Return the bound of the servos, after simulations just below and just above.
 
-        With motors as strong as need be: what saturates has no stiffness, and is their own bound.
+        The spectrum gives the bound in milliseconds per mass; it is searched again by simulations
+        (``servos``) only if they disagree.
+        """
+        found, others = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
+        if found.failure is Failure.COMMAND or found.mass == 0:
+            return found
+        most = min(found.mass, *others)
+        if not 0 < most < math.inf:
+            return found
+        below = (1 - NEAR) * most
+        if (trouble := self.servos(below)) is not None:
+            if self.servos(0.0) is not None:
+                return Bound(0.0, *trouble)
+            return _bisect(self.servos, 0.0, below, trouble, NEAR * below, FINE)
+        if found.mass > most:
+            return found
+        low, high = found.mass, (1 + FINE) * found.mass
+        while (trouble := self.servos(high)) is None:
+            low, high = high, _GROWTH * high
+            if high > min(others):
+                return Bound(math.inf, Failure.NOTHING, ())
+        return _bisect(self.servos, low, high, trouble, FINE * low)
+
+    def spectrum(self, mass: float) -> Trouble:
+        """Return why servos do not hold a mass (kg) by the spectrum alone; see ``servos``.
+
+        Modes that dry friction hides are left out, and modes that depend on the finite-difference
+        step: only a simulation decides on both.
+        """
+        return self.servos(mass, simulated=False)
+
+    def servos(self, mass: float, *, simulated: bool = True) -> Trouble:
+        """Return why servos do not hold a mass (kg): a command out of range, or a mode that grows.
+
+        Motors are taken to be as strong as needed: a motor that saturates has no stiffness, and is
+        a bound of its own.
         """
         held = self.at(mass)
         if held.stand is None or held.statics is None:
@@ -498,7 +534,10 @@ class _Search:
             return Failure.COMMAND, tuple(names[index] for index in np.flatnonzero(beyond))
         drive.model.actuator_forcelimited[:] = 0
         drive.model.jnt_actfrclimited[:] = 0
-        leaving = evaluate_stability(drive, begun.start, begun.ctrl).leaving()
+        evaluate = evaluate_stability if simulated else evaluate_spectrum
+        leaving = evaluate(drive, begun.start, begun.ctrl).leaving()
+        if not simulated:
+            leaving = tuple(mode for mode in leaving if mode.repeated and not mode.freed)
         if not leaving:
             return None
         failure = Failure.SHAKING if leaving[0].shakes else Failure.BUCKLING

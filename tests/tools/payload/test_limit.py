@@ -16,11 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
-from pupper_analysis.robot.stability import free_of_friction
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.tool import Place, find_tool, with_payload
 from pupper_analysis.simulation import trial
 from pupper_analysis.simulation.rollout import STATE, begin_stand
-from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
+from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
@@ -165,32 +165,35 @@ def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
     assert limit.link == "leg_front_l_2"
 
 
-def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
-    """Above the limit, without dry friction: from one that is nudged, by bare MuJoCo."""
-    loaded, stand = solve_loaded_stand(load("v3"), pa.StandTask(), 6.2, (0.0, 0.0, 0.08))
+@pytest.mark.slow
+@pytest.mark.parametrize(("mass", "lasts"), [(5.7, True), (6.4, False)])
+def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bool) -> None:
+    """A nudge of all joints by 0.1 rad/s, with all friction as it is, in bare MuJoCo.
+
+    The linearisation without the torsional friction of the feet said 2.2 s for 5.7 kg.
+    """
+    loaded, stand = solve_loaded_stand(load("v3"), pa.StandTask(), mass, (0.0, 0.0, 0.08))
     begun = begin_stand(loaded, stand)
-    rubbing = stand_stability(loaded, stand)
-    assert rubbing.unstable[0].freed
     model = begun.drive.model
-    free_of_friction(model)
-    free = evaluate_stability(begun.drive, begun.start, begun.ctrl)
-    assert free.doubling_time == pytest.approx(rubbing.doubling_time or 0.0, rel=0.02)
+    found = stand_stability(loaded, stand)
+    assert found.lasts() is lasts
     still, nudged = mujoco.MjData(model), mujoco.MjData(model)
     mujoco.mj_setState(model, still, begun.start, STATE)
     still.ctrl[:] = begun.ctrl
     mujoco.mj_copyData(nudged, model, still)
-    nudged.qvel[0] += 1e-6
-    passed = []
-    for way in (3e-5, 3e-4):
-        while np.abs(nudged.qpos - still.qpos)[7:].max() < way:
-            mujoco.mj_step(model, still)
-            mujoco.mj_step(model, nudged)
-        passed.append(still.time)
-    doubling = (passed[1] - passed[0]) * np.log(2) / np.log(10)
-    assert free.doubling_time == pytest.approx(doubling, rel=0.02)
+    nudged.qvel[6:] += 0.1 * np.random.default_rng(0).uniform(-1, 1, model.nv - 6)
+    ways = []
+    for _ in range(4):
+        mujoco.mj_step(model, still, 5000)
+        mujoco.mj_step(model, nudged, 5000)
+        ways.append(float(np.abs(nudged.qpos - still.qpos)[7:].max()))
+    doubling = 10.0 / math.log2(ways[-1] / ways[-2])
+    assert (doubling < LASTING) is not lasts
+    assert [mode.doubling_time for mode in found.leaving()] == (
+        [] if lasts else [pytest.approx(doubling, rel=0.3)]
+    )
 
 
-@pytest.mark.slow
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

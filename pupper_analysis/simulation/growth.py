@@ -1,0 +1,284 @@
+"""Test of growing modes in a nudged simulation of the unmodified model.
+
+The spectrum of a step (``robot.stability``) states that a deviation x grows as x(t) = x(0) 2^(t/T).
+That is a hypothesis: the linearisation may be valid for micrometres only, and dry friction makes it
+depend on the finite-difference step. It is tested so:
+
+1. Two simulations start at the judged state, displaced along the modes by +p and -p. The friction
+   of joints and contacts is that of the model.
+2. The deviation D(t) is half the difference of the two simulations: the largest over the joints.
+   What both have in common, such as creep, cancels.
+3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over its least value, within
+   ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of the last
+   two doublings.
+4. Modes that shake are confirmed, too, if D is sustained: the growth may end in a limit cycle.
+5. Otherwise the simulation refutes them: it decides, and the disagreement is reported.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.mjcf import scalar_joints
+from pupper_analysis.robot.fall import nudge_velocity
+from pupper_analysis.robot.stability import LASTING, Mode, Stability, most_moving
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import STATE, full_state, roll_out
+
+Array = NDArray[np.float64]
+
+DOUBLINGS = 3
+"""Doublings of a deviation that confirm a mode. Chosen, not tuned: contacts that open or load at
+once end a growth that is linear for micrometres only."""
+
+NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
+"""Largest initial deviation of a joint (rad, m) and of a velocity (rad/s, m/s) along a mode. A foot
+that carries a ten thousandth of the weight is 10 um deep: ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg
+of 0.1 m moves it by 80 um."""
+
+FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
+"""The same for modes that dry friction hides from a small nudge (``Mode.freed``). Dry friction of
+0.01 N m holds a servo of 5 N m/rad within 2e-3 rad."""
+
+LONGEST_TRIAL = (DOUBLINGS + 1) * LASTING
+"""Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``LASTING``, and one more
+``LASTING`` for the decay of other motion."""
+
+_CHUNK = 2.0
+"""Simulated time (s) after which growth and decay are evaluated."""
+
+_DECAYED = 1e-2
+"""Share of the initial deviation below which the modes are refuted at once."""
+
+_HALF_TIME, _HALF_GROWTH = 1.5 * LASTING, 1.5
+"""Time (s) after which the modes are refuted if D is less than this factor above its least value;
+an exponential with T = ``LASTING`` has a factor of 2.8."""
+
+_SLOWING = 1.6
+"""Largest ratio of the times of the last doubling and the doubling before. It is 1 for exponential
+growth, and 2 for a drift at constant speed, such as creep."""
+
+_SUSTAINED = 0.5
+"""Share of the initial D above which an oscillation is sustained after ``_HALF_TIME``."""
+
+_LONGEST_WINDOW = 1.0
+"""Longest window (s) over which the maximum of an oscillating D is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class GrowthTrial(Result):
+    """Result of a nudged simulation along modes.
+
+    Attributes:
+        nudge: Largest initial deviation of a joint (rad, m).
+        duration: Simulated time (s).
+        doubling_time: Half the time of the last two doublings (s); None if the deviation does not
+            grow by ``2 ** DOUBLINGS``.
+        joints: Joints with the largest final deviations, the largest first.
+        sustained: Whether modes that shake leave an oscillation that does not decay.
+    """
+
+    nudge: float = field(metadata={"unit": "rad or m"})
+    duration: float = field(metadata={"unit": "s"})
+    doubling_time: float | None = field(metadata={"unit": "s"})
+    joints: tuple[str, ...]
+    sustained: bool = False
+
+
+def confirm_growth(
+    stability: Stability, model: mujoco.MjModel, data: mujoco.MjData, ctrl: Array
+) -> Stability:
+    """Confirm or refute the modes with which a state would not last, by simulation.
+
+    Nothing is simulated if there is no such mode, or if the state is not at rest.
+
+    Args:
+        stability: Result of the spectrum at the state.
+        model: MuJoCo model.
+        data: The state; it is not changed.
+        ctrl: Command of the actuators, shape (model.nu,).
+
+    Returns:
+        The stability. A mode with the simulated doubling time takes the place of the leaving modes
+        in ``unstable``; ``refuted`` has the leaving modes that do not grow in the simulation.
+    """
+    leaving = stability.leaving()
+    if not leaving or not stability.at_rest:
+        return stability
+    unstable = [mode for mode in stability.unstable if mode not in leaving]
+    refuted: list[Mode] = []
+    start = full_state(model, data)
+    for freed in (False, True):
+        modes = [mode for mode in leaving if mode.freed is freed]
+        if not modes:
+            continue
+        found = None
+        for angle, speed in _nudge_sizes(modes):
+            trial = simulate_growth(model, start, ctrl, modes, angle, speed)
+            if trial.doubling_time is not None or trial.sustained:
+                found = _confirmed(modes, trial, stability.timestep)
+                break
+        if found is None:
+            refuted += modes
+            continue
+        unstable.append(found)
+        if unstable[-1].grows_within(LASTING):
+            break
+    unstable.sort(key=lambda mode: -mode.growth)
+    return replace(stability, unstable=tuple(unstable), refuted=tuple(refuted))
+
+
+def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
+    """Return the nudges (rad or m, rad/s or m/s) with which modes are tested."""
+    small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
+    if not modes[0].freed:
+        return [small]
+    # A limit cycle ends growth: with the larger nudge it may begin beyond.
+    return [small, large] if any(mode.shakes for mode in modes) else [large]
+
+
+def simulate_growth(
+    model: mujoco.MjModel,
+    start: Array,
+    ctrl: Array,
+    modes: list[Mode],
+    angle: float,
+    speed: float,
+) -> GrowthTrial:
+    """Simulate the deviation along modes from a state, until it has grown or has not in time.
+
+    Args:
+        model: MuJoCo model.
+        start: State (mjSTATE_FULLPHYSICS) at rest.
+        ctrl: Command of the actuators, shape (model.nu,).
+        modes: Modes along which the state is displaced.
+        angle: Largest initial deviation of a position (rad, m).
+        speed: Largest initial deviation of a velocity (rad/s, m/s).
+    """
+    displacement = _displacement(model, modes, angle, speed)
+    joints = scalar_joints(model)
+    columns = 1 + model.jnt_qposadr[joints] if len(joints) else 1 + np.arange(model.nq)
+    timestep = float(model.opt.timestep)
+    window = max(1, round(min(max(map(_window, modes)), _LONGEST_WINDOW) / timestep))
+    chunk = max(1, round(_CHUNK / timestep / window)) * window
+    workers = [mujoco.MjData(model) for _ in range(2)]
+    states = np.array([_displaced(model, start, sign * displacement) for sign in (1.0, -1.0)])
+    maxima: list[float] = []
+    deviations, time, doubling = np.zeros(len(columns)), 0.0, None
+    while time < LONGEST_TRIAL and doubling is None:
+        control = np.tile(ctrl, (1, chunk, 1))
+        rollouts = roll_out(model, workers, states, control)
+        diverged = any(monitor.has_diverged(rows, timestep) for rows in rollouts)
+        with np.errstate(invalid="ignore", over="ignore"):
+            differences = np.abs(rollouts[0] - rollouts[1])[:, columns] / 2
+        rows = differences.max(axis=1).reshape(-1, window).max(axis=1)
+        maxima += np.where(np.isfinite(rows), rows, np.inf).tolist()
+        deviations, states, time = differences[-1], rollouts[:, -1], time + chunk * timestep
+        doubling = _doubling_time_of(np.array(maxima), window * timestep, lost=diverged)
+        least = min(maxima)
+        if diverged or maxima[-1] < _DECAYED * angle:
+            break
+        if time >= _HALF_TIME and maxima[-1] < _HALF_GROWTH * least:
+            break
+    names = [model.joint(joint).name for joint in joints]
+    shares = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))
+    steady = time >= _HALF_TIME and any(mode.shakes for mode in modes)
+    sustained = bool(steady and maxima[-1] >= _SUSTAINED * maxima[0])
+    return GrowthTrial(angle, time, doubling, most_moving(shares), sustained)
+
+
+def _displacement(model: mujoco.MjModel, modes: list[Mode], angle: float, speed: float) -> Array:
+    """Return the displacement in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
+
+    It is the sum of the modes' directions, of those that both finite-difference steps have if there
+    are any. If there are none, it is a velocity of all coordinates.
+    """
+    nv = model.nv
+    repeated = [mode for mode in modes if mode.repeated]
+    if not repeated:
+        velocity = nudge_velocity(model)
+        displacement = np.zeros(2 * nv + model.na)
+        displacement[nv : 2 * nv] = speed * velocity / np.abs(velocity).max()
+        return displacement
+    displacement = np.sum([mode.direction for mode in repeated], axis=0)
+    largest_angle = np.abs(displacement[:nv]).max() / angle
+    largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
+    return np.asarray(displacement / max(largest_angle, largest_speed))
+
+
+def _displaced(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
+    """Return a state (mjSTATE_FULLPHYSICS) after a displacement in the tangent space."""
+    data, nv = mujoco.MjData(model), model.nv
+    mujoco.mj_setState(model, data, start, STATE)
+    mujoco.mj_integratePos(model, data.qpos, np.ascontiguousarray(displacement[:nv]), 1.0)
+    data.qvel += displacement[nv : 2 * nv]
+    data.act += displacement[2 * nv :]
+    return full_state(model, data)
+
+
+def _doubling_time(mode: Mode) -> float:
+    return mode.doubling_time or math.inf
+
+
+def _window(mode: Mode) -> float:
+    """Return the time (s) over which the maximum of a mode's deviation is taken."""
+    period = 1 / mode.frequency if mode.frequency else 0.0
+    return max(period, _doubling_time(mode) / 4)
+
+
+def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
+    """Return half the time of the last two doublings (s); None if there is no such growth.
+
+    Args:
+        maxima: Largest deviation in each window of time, shape (n,).
+        window: Length of a window (s).
+        lost: Whether the simulation diverged, so that any growth counts.
+    """
+    least = np.minimum.accumulate(maxima)
+    grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * least)
+    if not maxima.min() > 0 or not (lost or len(grown)):
+        return None
+    first = int(maxima[: grown[0]].argmin()) if len(grown) else int(maxima.argmin())
+    rising = np.maximum.accumulate(maxima[first:])
+    levels = maxima[first] * 2.0 ** np.arange(1, 2 + math.log2(max(rising[-1] / maxima[first], 1)))
+    times = [_crossing_time(rising, level, window) for level in levels if level <= rising[-1]]
+    if lost and len(times) < DOUBLINGS:
+        return window * len(rising) / max(len(times), 1)
+    for last in range(DOUBLINGS - 1, len(times)):
+        before, middle, end = (0.0, *times)[last - 1 : last + 2]
+        if end - middle <= _SLOWING * (middle - before) + window / 2:
+            return (end - before) / 2
+    return None
+
+
+def _crossing_time(rising: Array, level: float, window: float) -> float:
+    """Return the time (s) at which a rising sequence crosses a level (interpolated logarithm)."""
+    after = int(np.searchsorted(rising, level))
+    low, high = np.log(rising[after - 1]), np.log(rising[after])
+    if not math.isfinite(high):
+        return window * after
+    return window * (after - 1 + float((math.log(level) - low) / (high - low)))
+
+
+def _confirmed(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
+    """Return the mode that a trial confirms, with the growth and the joints of the simulation."""
+    if trial.doubling_time is None:
+        mode = next(mode for mode in modes if mode.shakes)
+        joints = trial.joints or mode.joints
+        return replace(mode, doubling_time=None, joints=joints, nudge=trial.nudge)
+    simulated, constant = math.log(trial.doubling_time), trial.doubling_time / math.log(2)
+    mode = min(modes, key=lambda mode: abs(math.log(_doubling_time(mode)) - simulated))
+    return replace(
+        mode,
+        growth=math.expm1(timestep / constant),
+        time_constant=constant,
+        doubling_time=trial.doubling_time,
+        joints=trial.joints or mode.joints,
+        nudge=trial.nudge,
+    )

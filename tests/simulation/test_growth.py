@@ -1,0 +1,81 @@
+"""Growing modes, in nudged simulations of models whose growth is known."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.robot.stability import LASTING, step_stability
+from pupper_analysis.simulation.growth import _doubling_time_of
+from pupper_analysis.simulation.stability import judge_stability
+
+MOMENT, INERTIA = 6.0, 0.3
+"""Weight of the rod times the distance of its CoM from the hinge (N m); armature (kg m^2)."""
+
+
+def rod(kp: float, kd: float, joint: str = "", more: str = "", step: float = 0.002) -> str:
+    """Return a rod that stands upright on a hinge with a position servo."""
+    length = MOMENT / 9.81
+    return f"""
+      <mujoco><option timestep="{step}" integrator="implicitfast"/>
+        <worldbody><body name="rod"><joint name="hinge" axis="0 1 0" armature="{INERTIA}" {joint}/>
+          <inertial pos="0 0 {length}" mass="1" diaginertia="1e-9 1e-9 1e-9"/>{more}</body>
+        </worldbody>
+        <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
+
+
+def judged(xml: str) -> tuple[object, object]:
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return step_stability(model, data, settle=0.0), judge_stability(model, data, settle=0.0)
+
+
+@pytest.mark.parametrize("kp", [5.8, 5.0, 2.0])
+def test_the_doubling_time_of_a_confirmed_mode_is_that_of_the_pendulum(kp: float) -> None:
+    """Closed form: I s^2 + kd s + kp - m g l = 0."""
+    kd = 0.4
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    rate = max(np.roots([inertia, kd, kp - MOMENT]).real)
+    _, found = judged(rod(kp, kd))
+    (mode,) = found.leaving()
+    assert mode.doubling_time == pytest.approx(math.log(2) / rate, rel=0.05)
+    assert mode.nudge == pytest.approx(1e-4)
+    assert not found.refuted
+
+
+def test_a_mode_that_a_stop_ends_within_micrometres_is_refuted() -> None:
+    """The rod buckles until it touches soft stops, 20 urad away, which hold it."""
+    stops = "".join(
+        f'<geom type="box" size=".01 .1 .1" pos="{x} 0 .5"/>' for x in (-0.0200101, 0.0200101)
+    )
+    xml = rod(5.0, 0.4, more='<geom type="box" size=".01 .05 .05" pos="0 0 .5"/>')
+    xml = xml.replace("<worldbody>", f"<worldbody>{stops}")
+    spectrum, found = judged(xml)
+    assert spectrum.leaving()
+    assert not found.leaving()
+    assert [mode.growth for mode in found.refuted] == [mode.growth for mode in spectrum.leaving()]
+
+
+@pytest.mark.parametrize(("friction", "holds"), [(1e-3, False), (0.5, True)])
+def test_dry_friction_hides_a_mode_from_the_nudge_that_it_holds(
+    friction: float, holds: bool
+) -> None:
+    """At 10 mrad the rod's moment, (m g l - kp) x 0.01, is 0.01 N m: between both frictions."""
+    spectrum, found = judged(rod(5.0, 0.4, joint=f'frictionloss="{friction}"'))
+    assert all(mode.freed for mode in spectrum.leaving())
+    assert bool(spectrum.leaving())
+    assert bool(found.leaving()) is not holds
+
+
+def test_a_drift_at_constant_speed_does_not_double() -> None:
+    time = np.arange(200.0)
+    assert _doubling_time_of(1.0 + time, 1.0, lost=False) is None
+    doubling = _doubling_time_of(2.0 ** (time / 7.0), 1.0, lost=False)
+    assert doubling == pytest.approx(7.0)
+    assert doubling < LASTING
+    decaying = np.exp(-time / 5) + 1e-4 * 2.0 ** (time / 7.0)
+    assert _doubling_time_of(decaying, 1.0, lost=False) == pytest.approx(7.0, rel=0.1)
