@@ -1,0 +1,99 @@
+"""The structure of a URDF, and its edits: Pinocchio reads what was written."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
+from tests.support.robots import quadruped, urdf_text
+
+
+@pytest.fixture
+def tree() -> UrdfTree:
+    return UrdfTree.of(urdf_text(quadruped()))
+
+
+def built(tree: UrdfTree) -> pin.Model:
+    return pin.buildModelFromXML(to_text(tree.root), pin.JointModelFreeFlyer())
+
+
+def test_the_base_is_the_link_that_no_joint_moves(tree: UrdfTree) -> None:
+    assert tree.base.name == "base"
+    assert "base" not in tree.above
+    assert len(tree.links) == len(tree.joints) + 1
+    for name, joint in tree.joints.items():
+        assert tree.above[joint.child].name == name
+        assert name in [other.name for other in tree.below[joint.parent]]
+
+
+def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:
+    assert tree.fixed_group("shank1") == ["shank1", "foot1"]
+    assert set(tree.fixed_group("base")) == {"base"}
+    leg = list(tree.subtree("thigh2"))
+    assert leg[0] == "thigh2"
+    assert set(leg) == {"thigh2", "shank2", "foot2"}
+    tree.fix([joint.name for joint in tree.moving])
+    assert set(tree.fixed_group("base")) == set(tree.links)
+
+
+def test_a_chain_leads_to_the_base(tree: UrdfTree) -> None:
+    chain = list(tree.chain("foot3"))
+    assert chain[0].child == "foot3"
+    assert chain[-1].parent == "base"
+    assert all(one.parent == two.child for one, two in itertools.pairwise(chain))
+    placed = pin.SE3.Identity()
+    for joint in reversed(chain):
+        placed = placed * joint.origin
+    model = built(tree)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    there = data.oMf[model.getFrameId("foot3")]
+    np.testing.assert_allclose(placed.homogeneous, there.homogeneous, atol=1e-14)
+
+
+def test_a_subtree_is_removed_with_its_joint(tree: UrdfTree) -> None:
+    mass = built(tree).inertias
+    whole = sum(inertia.mass for inertia in mass)
+    part = sum(tree.links[name].mass or 0.0 for name in tree.subtree("thigh0"))
+    tree.remove_subtree("thigh0")
+    assert {"thigh0", "shank0", "foot0"}.isdisjoint(tree.links)
+    assert all(joint.child in tree.links for joint in tree.joints.values())
+    assert sum(inertia.mass for inertia in built(tree).inertias) == pytest.approx(whole - part)
+
+
+def test_an_added_link_has_its_weight_at_its_place(tree: UrdfTree) -> None:
+    before = built(tree)
+    mover = before.frames[before.getFrameId("shank2")].parentJoint
+    weight = pin.Inertia(0.7, np.array([0.01, 0.02, 0.03]), np.diag([1e-3, 2e-3, 2.5e-3]))
+    place = np.array([0.1, -0.2, 0.3])
+    tree.add_link("rod", "shank2", "rod_held", place, weight)
+    assert tree.above["rod"].is_fixed
+    assert tree.links["rod"].mass == pytest.approx(0.7)
+    after = built(tree)
+    frame = before.frames[before.getFrameId("shank2")].placement * pin.SE3(np.eye(3), place)
+    expected = before.inertias[mover] + frame.act(weight)
+    assert after.inertias[mover].isApprox(expected, 1e-12)
+
+
+def test_a_copy_is_independent_of_the_tree(tree: UrdfTree) -> None:
+    other = tree.copy()
+    other.remove_subtree("thigh0")
+    other.fix(["hip1"])
+    assert "thigh0" in tree.links
+    assert tree.joints["hip1"].moves
+
+
+def test_a_range_turns_a_continuous_joint_into_a_revolute_joint(tree: UrdfTree) -> None:
+    joint = tree.moving[0]
+    joint.element.set("type", "continuous")
+    joint.remove("limit")
+    joint.set_range(-0.25, 0.5)
+    model = built(tree)
+    index = model.joints[model.getJointId(joint.name)].idx_q
+    assert model.lowerPositionLimit[index] == pytest.approx(-0.25)
+    assert model.upperPositionLimit[index] == pytest.approx(0.5)

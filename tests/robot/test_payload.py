@@ -1,0 +1,77 @@
+"""Payloads: their weight, the stand that they change, and the softness of contacts."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.stance.sag.equilibrium import integrate_step
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from tests.support.engines import mujoco_at
+from tests.support.states import random_state
+from tests.support.variants import load
+
+POINT = (0.05, -0.02, 0.08)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_the_weight_of_a_payload_is_the_gradient_of_its_potential_energy(name: str) -> None:
+    """m g dz/dq, by finite differences of where the point is on a tilted base."""
+    robot, mass = load(name), 3.0
+    qpos, _ = random_state(robot, 2)
+
+    def energy(at: np.ndarray) -> float:
+        config = pa.Configuration(robot, at)
+        place = at[:3] + config.base_rotation() @ POINT
+        return mass * 9.81 * float(place[2])
+
+    steps = 1e-6 * np.eye(robot.nv)
+    slope = [
+        (energy(integrate_step(qpos, s)) - energy(integrate_step(qpos, -s))) / 2e-6 for s in steps
+    ]
+    more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
+    less = pa.Configuration(robot, qpos).gravity()
+    np.testing.assert_allclose(more - less, slope, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_loaded_stand_moves_the_base_and_sinks_the_feet() -> None:
+    robot, point, task = load("v3"), (0.08, 0.0, 0.05), pa.StandTask(pitch=0.1, roll=-0.05)
+    loaded, sunk = solve_loaded_stand(robot, task, 2.0, point)
+    feet = np.mean(list(sunk.contact_points.values()), axis=0)
+    com = pa.Configuration(loaded, sunk.qpos).center_of_mass()
+    np.testing.assert_allclose(com[:2], feet[:2], atol=1e-9)
+    assert sunk.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
+    statics = pa.stance.stand_statics(loaded, sunk)
+    assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
+        9.81 * (robot.total_mass + 2.0)
+    )
+    _, ahead = solve_loaded_stand(robot, pa.StandTask(offset=(0.0, 0.0)), 2.0, point)
+    assert ahead.depths["FR"] > ahead.depths["RR"] + 1e-4  # the base stays, the load is in front
+    report = pa.verify_stand(loaded, sunk)
+    assert report.passed, report.failures
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf, "much", True])
+def test_a_payload_with_an_invalid_mass_is_refused(mass: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="mass"):
+        with_payload(load("v3"), mass)  # type: ignore[arg-type]
+
+
+def test_contact_softness_under_a_payload_equals_that_of_mujoco() -> None:
+    """MuJoCo's contact stiffness is derived from the masses: the foot's inverse weight changes."""
+    robot, loaded = load("v3"), with_payload(load("v3"), 5.0)
+    foot = robot.contact_places["FR"][0]
+    light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
+    assert heavy < light
+    _, stand = solve_loaded_stand(robot, pa.StandTask(), 5.0, (0.0, 0.0, 0.0))
+    data = mujoco_at(loaded, stand.qpos)
+    total = np.zeros(3)
+    for number in range(data.ncon):
+        wrench = np.zeros(6)
+        mujoco.mj_contactForce(loaded.mj_model, data, number, wrench)
+        total += data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
+    assert total[2] > 0
