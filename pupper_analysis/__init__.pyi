@@ -21,8 +21,8 @@ from .base.errors import StaticsInfeasibleError as StaticsInfeasibleError
 from .base.errors import StudyError as StudyError
 from .base.errors import UnknownNameError as UnknownNameError
 from .base.errors import VariantError as VariantError
-from .prepare.convert.load import load_robot as load_robot
 from .prepare.judge import judge_stand as judge_stand
+from .pupper.named_robots import load_robot as load_robot
 from .pupper.variant_files import load_variant as load_variant
 from .pupper.variants import VARIANTS as VARIANTS
 from .robot import matching as matching

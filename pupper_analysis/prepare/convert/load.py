@@ -159,7 +159,8 @@ def load_robot(
     added, and where the MJCF has no keyframe in which the robot stands, a stand is looked for.
 
     Args:
-        *models: Path of a URDF or an MJCF, or of both, in any order.
+        *models: Path of a URDF or an MJCF, or of both, in any order. ``pa.load_robot`` also accepts
+            the name of a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
@@ -56,6 +57,7 @@ def command(
       pupper-analysis audit robot.urdf
       pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
       pupper-analysis audit robot.usda
+      pupper-analysis audit v3                       both files of a variant
       pupper-analysis audit --list-rules
       xacro robot.urdf.xacro | pupper-analysis audit -
 
@@ -63,6 +65,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats
+    from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
 
@@ -73,14 +76,23 @@ def command(
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.package_folders(packages)
-    result = audit_model(file, packages=folders, disabled=disabled)
-    if style in ("text", "markdown"):
-        shared.show_results([("", result)], style, everything=everything)
-    else:
-        click.echo(formats.for_machines(style, audit_report.audit_remarks(result)))
-    passed = all(one.severity.rank > Severity(fail_on).rank for one in result.findings)
-    shared.write_page(report_path, result)
-    shared.finish_command(json_path, result, passed=passed)
+    with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
+        results = [audit_model(one, packages=folders, disabled=disabled) for one in files]
+        if style in ("text", "markdown"):
+            shown = [("", result) for result in results]
+            shared.show_results(shown, style, everything=everything)
+        else:
+            found = [one for result in results for one in audit_report.audit_remarks(result)]
+            click.echo(formats.for_machines(style, found))
+        least = Severity(fail_on).rank
+        passed = all(one.severity.rank > least for result in results for one in result.findings)
+        content = (
+            results[0]
+            if len(results) == 1
+            else {Path(result.file).name: result for result in results}
+        )
+        shared.write_page(report_path, content)
+        shared.finish_command(json_path, content, passed=passed)
 
 
 def _list_rules() -> None:

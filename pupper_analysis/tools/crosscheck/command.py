@@ -17,7 +17,7 @@ from pupper_analysis.cli.shared import (
 
 @shared.command("crosscheck")
 @click.argument("urdf", type=shared.MODEL_FILE)
-@click.argument("mjcf", type=shared.MODEL_FILE)
+@click.argument("mjcf", type=shared.MODEL_FILE, required=False)
 @map_option
 @shared.package_option
 @frame_option
@@ -42,7 +42,7 @@ from pupper_analysis.cli.shared import (
 @shared.format_option
 def command(
     urdf: Path,
-    mjcf: Path,
+    mjcf: Path | None,
     pairs: tuple[str, ...],
     packages: tuple[str, ...],
     feet: tuple[str, ...],
@@ -66,6 +66,7 @@ def command(
     \b
     Examples:
       pupper-analysis crosscheck go1.urdf go1.xml
+      pupper-analysis crosscheck v3                  both files of a variant
       pupper-analysis crosscheck a1.urdf a1.xml --map lf_haa=FL_hip \\
         --tolerance mass=1e-3
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
@@ -75,11 +76,18 @@ def command(
     1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
+    from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import comparison_remarks
 
-    urdf, mjcf = shared.urdf_first(urdf, mjcf)
+    context = click.get_current_context()
+    if mjcf is None and is_variant(str(urdf)):
+        urdf, mjcf = context.with_resource(variant_model_files(str(urdf)))
+    elif mjcf is None:
+        raise click.MissingParameter(ctx=context, param=context.command.params[1])
+    else:
+        urdf, mjcf = shared.urdf_first(urdf, mjcf)
     names = mapped_names(pairs)
     folders = shared.package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
