@@ -4,6 +4,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base import errors
+from pupper_analysis.base.errors import StanceUnreachableError
 
 ALL = [
     value
@@ -16,3 +17,12 @@ ALL = [
 def test_errors_are_of_one_family(error: type[Exception]) -> None:
     assert issubclass(error, pa.PupperAnalysisError)
     assert error.__doc__
+
+
+def test_a_refusal_names_feet_with_an_error_above_a_thousandth_of_the_largest() -> None:
+    """Of a foot with several contact points the largest error counts; a residual is not named."""
+    shortfall = {"FL/0": 0.02, "FL/1": 0.03, "FR": 0.0301, "RL": 2e-5, "RR": 0.0}
+    error = StanceUnreachableError("as if", shortfall, {})
+    (missed,) = error.diagnostic.values["obstacles"]  # type: ignore[misc]
+    feet = {one.subject.name: one.values["gap"].value for one in missed.values["feet"]}
+    assert feet == {"FL": 0.03, "FR": 0.0301}

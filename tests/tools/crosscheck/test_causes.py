@@ -278,3 +278,15 @@ def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
     }
     line = first_line(pair(tmp_path, mjcf))
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
+
+
+def test_dropped_products_of_a_single_link_are_its_difference_and_no_pattern(
+    tmp_path: Path,
+) -> None:
+    """A cause explains several differences; one link alone is named itself."""
+    mjcf = quadruped()
+    name = "thigh2"
+    mjcf[name] = replace(mjcf[name], inertia=(*mjcf[name].inertia[:3], 0.0, 0.0, 0.0))
+    line = first_line(pair(tmp_path, mjcf))
+    assert "all products of inertia" not in line
+    assert name in line
