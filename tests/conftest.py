@@ -6,9 +6,11 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import hypothesis
+import mujoco
 import pytest
 from hypothesis.internal.conjecture import providers
 
@@ -87,6 +89,19 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         terminalreporter.write_line(f"{count} skipped: {reason}", yellow=True)
     if reasons:
         terminalreporter.write_line("make setup-ci installs what these tests need", yellow=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def mujoco_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Redirect MuJoCo's log of warnings from the checkout to a temporary folder; return the file.
+
+    Tests that run MuJoCo by themselves as a reference cause such warnings.
+    """
+    log = tmp_path_factory.mktemp("mujoco") / "MUJOCO_LOG.TXT"
+    config = mujoco.MjLogConfig.get()
+    config.logfile = str(log)
+    mujoco.MjLogConfig.set(config)
+    return log
 
 
 @pytest.fixture(scope="session")

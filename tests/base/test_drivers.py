@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import pytest
 
+import pupper_analysis as pa
+from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
@@ -128,3 +132,28 @@ def test_commands_leave_no_log_of_mujoco(code: str, log: bool, tmp_path: Path) -
     assert "warnings: 1\n" in result.stdout
     assert "restored: False" not in result.stdout
     assert [path.name for path in tmp_path.iterdir()] == (["MUJOCO_LOG.TXT"] if log else [])
+
+
+NAMED_NAN = """<mujoco><worldbody><body name="NaN"><joint axis="0 1 0" pos="NaN 0 0"/>
+<geom size="0.1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("command", [False, True], ids=["function", "command"])
+def test_reading_a_model_with_warnings_leaves_no_log(
+    command: bool, mujoco_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A number that is NaN makes MuJoCo warn while it parses; MuJoCo's own log shows that."""
+    monkeypatch.chdir(tmp_path)
+    Path("nan.xml").write_text(NAMED_NAN)
+    mujoco_log.unlink(missing_ok=True)
+    with contextlib.suppress(ValueError):
+        mujoco.MjModel.from_xml_path("nan.xml")
+    assert "NaN" in mujoco_log.read_text()
+    mujoco_log.unlink()
+    if command:
+        answer("audit", "nan.xml")
+    else:
+        with contextlib.suppress(pa.ModelError):
+            pa.audit_model("nan.xml")
+    assert not mujoco_log.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["nan.xml"]
