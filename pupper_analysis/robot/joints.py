@@ -82,10 +82,36 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
+    if robot.closure is not None and any(joint not in free for joint in placed):
+        free = (*free, *_closed_joints(robot, placed))
     for joint in placed:
         if joint not in free:
             raise ConfigurationError("posture", diagnose("joint-is-the-stands", joint=joint))
     return placed
+
+
+_CLOSED = 1e-6
+"""Largest residual [rad, m] of the loops and couplings of a posture that closes them: positions are
+typed with up to six decimals."""
+
+
+def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the joints of loops and couplings if a posture names all of them, and closes them.
+
+    Joints that move a foot are left out: the stance determines their positions.
+    """
+    closure = robot.closure
+    assert closure is not None
+    indices = sorted({*closure.following.tolist(), *closure.leading.tolist()})
+    names = [robot.joint_names[index] for index in indices]
+    if not placed.keys() >= {*names}:
+        return ()
+    positions = robot.posed(robot.home[-robot.nu :])
+    for index in indices:
+        positions[robot.nq - robot.nu + index] = placed[robot.joint_names[index]]
+    if closure.open(positions) > _CLOSED:
+        return ()
+    return tuple(name for name in names if name not in _foot_joints(robot))
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
@@ -100,6 +126,16 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
         coupled = (*robot.closure.following.tolist(), *robot.closure.leading.tolist())
         foot_or_coupled_joints |= {robot.joint_names[joint] for joint in coupled}
     return tuple(joint for joint in robot.joint_names if joint not in foot_or_coupled_joints)
+
+
+def _foot_joints(robot: Robot) -> set[str]:
+    """Return the joints between the base and the feet."""
+    model = robot.structure.model
+    return {
+        model.names[joint]
+        for foot in robot.structure.parents.values()
+        for joint in list(model.supports[foot])
+    }
 
 
 def named_positions(
@@ -138,6 +174,63 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
         units = {position.unit for position in placed.values()}
         result[pattern] = Position(value, *units) if len(units) == 1 else value
     return result
+
+
+_KEYFRAME_ROUNDING = 1e-3
+"""Largest violation of a joint limit [rad, m] by a keyframe that is clipped to the limit. Keyframes
+are written with a few digits; a keyframe with a larger violation is not the default posture."""
+
+
+def joint_ranges(robot: Robot) -> Array:
+    """Return the joint ranges that both files permit, shape (nu, 2) [rad, m].
+
+    Infinite if neither file limits a joint.
+    """
+    model = robot.mj_model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    stated = np.where(
+        model.jnt_limited[joints].astype(bool)[:, None],
+        model.jnt_range[joints],
+        (-np.inf, np.inf),
+    )
+    low = np.maximum(stated[:, 0], robot.lower_limits)
+    return np.column_stack([low, np.maximum(low, np.minimum(stated[:, 1], robot.upper_limits))])
+
+
+def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
+    """Return the default posture of a robot with a fixed base, and its keyframe.
+
+    The posture is the keyframe ``home``, or else the first keyframe, if its positions are within
+    the joint ranges. Otherwise each joint is at the middle of its range; a joint with an infinite
+    limit is at zero, or at the limit that is nearest to zero. Loops are not closed.
+
+    Args:
+        robot: Robot with a fixed base.
+        keyframe: Name of a keyframe of the MJCF, which is used even outside of the joint ranges.
+
+    Returns:
+        Joint positions, shape (nu,) [rad, m], and the keyframe's name; None for the middle.
+
+    Raises:
+        UnknownNameError: If there is no such keyframe.
+    """
+    ranges = joint_ranges(robot)
+    keys = {str(key.name): np.array(key.qpos) for key in robot.description.mjcf.keys}
+    if keyframe is not None and keyframe not in keys:
+        raise UnknownNameError(robot.description.mjcf_source, "keyframe", keyframe, tuple(keys))
+    name = keyframe if keyframe is not None else next((k for k in ("home", *keys) if k in keys), "")
+    qpos = keys.get(name, np.zeros(0))
+    if len(qpos) >= robot.mj_model.nq:
+        # The keyframe may be that of the model with a free base.
+        positions = qpos[len(qpos) - robot.mj_model.nq + robot.mj_convention.qpos_index]
+        clipped = np.clip(positions, *ranges.T)
+        is_rounded = np.abs(positions - clipped) < _KEYFRAME_ROUNDING
+        if keyframe is not None or is_rounded.all():
+            return np.where(is_rounded, clipped, positions), name
+    bounded = np.isfinite(ranges)
+    limits = np.where(bounded, ranges, 0.0)
+    middle = np.where(bounded.all(axis=1), limits.mean(axis=1), np.clip(0.0, *ranges.T))
+    return middle, None
 
 
 def check_in_range(

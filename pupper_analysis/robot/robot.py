@@ -34,7 +34,7 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.robot.closure import Closure, closure_of
-from pupper_analysis.robot.contact import ContactParameters
+from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.shapes import CarriedShape, shapes_of
 from pupper_analysis.robot.structure import Structure
@@ -327,6 +327,14 @@ class Robot:
     def bolted(self) -> bool:
         """Whether the base is fixed to the world, by the file or by a weld of a task."""
         return not self.floating or None in self.welds.values()
+
+    @cached_property
+    def has_floor(self) -> bool:
+        """Whether the MJCF has a floor that touches: not if the file of an arm has none."""
+        floor = ground_geom(self.mj_model)
+        if floor is None:
+            return False
+        return bool(self.mj_model.geom_contype[floor] or self.mj_model.geom_conaffinity[floor])
 
     @property
     def bearing(self) -> tuple[str, ...]:

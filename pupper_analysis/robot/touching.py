@@ -21,6 +21,7 @@ from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.additions import Addition, Ball, Untouching
 from pupper_analysis.models.mjcf import has_free_joint
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import (
     build_robot,
@@ -28,6 +29,8 @@ from pupper_analysis.robot.build import (
     with_knowledge_of,
     with_touching,
 )
+from pupper_analysis.robot.floor import floor_of
+from pupper_analysis.robot.joints import default_positions
 from pupper_analysis.robot.plane import Bar, Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
@@ -149,7 +152,11 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 
 
 def _free_base(robot: Robot) -> Robot:
-    """Return a robot with a free base instead of one that the file or the caller fixed."""
+    """Return a robot with a free base instead of one that the file or the caller fixed.
+
+    A robot without feet starts in the default posture of the fixed robot, as ``find_posture``
+    returns it. A floor that the file lacks cannot touch: the fixed robot has none.
+    """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
     data = mujoco.MjData(model)
@@ -173,11 +180,20 @@ def _free_base(robot: Robot) -> Robot:
         body.add_freejoint().armature = _BASE_ARMATURE_FACTOR * robot.total_mass
         for key in spec.keys:
             key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
+    if floor_of(spec) is None:  # a floor that is not in the file must not touch
+        floor = SpecTree(spec).add_floor()
+        floor.contype = floor.conaffinity = 0
     built = with_knowledge_of(build_robot(replace(description, mjcf=spec)), robot)
     for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
         values = getattr(robot.pin_model, name)  # what was changed since it was read stays
         getattr(built.pin_model, name)[-len(values) :] = values
     half_extent = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # a scale
+    if not robot.contact_points:
+        joints, _ = default_positions(robot)
+        if robot.closure is not None:
+            closed = robot.closure.closed(joints, np.ones(robot.nu))
+            joints = joints if closed is None else closed
+        built = replace(built, home=np.concatenate([built.home[:7], joints]))
     return built if robot.stand_height else replace(built, stand_height=half_extent)
 
 

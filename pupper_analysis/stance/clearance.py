@@ -79,6 +79,10 @@ def measure_distance(
     return result
 
 
+_NO_FLOOR = 1e3
+"""Depth [m] of the half-space that replaces a floor if the file has none: out of reach."""
+
+
 class ClearanceShapes:
     """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
 
@@ -92,6 +96,7 @@ class ClearanceShapes:
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[CarriedShape, ...] = robot.shapes
+        self._has_floor = robot.has_floor
         self.parts = [*self._not_feet()]
         joints = {number: name for name, number in robot.structure.joints.items()}
         # A hand's own shapes are around its ball.
@@ -199,7 +204,7 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
-        """Returns how high each of ``parts`` is above slope and steps (m).
+        """Returns how high each of ``parts`` is above slope and steps (m); empty without ground.
 
         A part that reaches into its own foot's sphere, as a calf's does, may sink as the foot does.
 
@@ -209,6 +214,8 @@ class ClearanceShapes:
             places: {foot: (3,) of its centre (m)}, for the steps.
             depths: {foot: how deep it is in the ground (m)}.
         """
+        if self._is_floorless(ground):
+            return []
         if _is_plane(ground):
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _UP
             heights = [height(at.links[link], normal) for height, link in self._heights]
@@ -225,6 +232,8 @@ class ClearanceShapes:
         What is nearest moves as the point of the part that is there.
         """
         there = self.at(at.qpos)
+        if self._is_floorless(ground):
+            return np.zeros((0, self.robot.nv))
         if _is_plane(ground):
             normal = ground.normal()
             shapes = [part.shape for part in self.parts]
@@ -238,13 +247,18 @@ class ClearanceShapes:
         ]
         return np.array(rates).reshape(-1, self.robot.nv)
 
+    def _is_floorless(self, ground: Ground) -> bool:
+        """Return True if no ground can touch the robot: no floor, and no plane of its own."""
+        return not self._has_floor and _is_plane(ground)
+
     def _above_steps(
         self, at: Kinematics, ground: Ground, places: Mapping[str, Array]
     ) -> Iterator[coal.DistanceResult]:
         """Yields what of slope and steps is nearest to each of ``parts``."""
         where = self._places(at)
+        floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
-            ("", coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
+            ("", floor, coal.Transform3s())
         ]
         for foot, step in ground.steps(places).items():
             wide, _, high = (2 * step.half).tolist()
@@ -274,7 +288,8 @@ class ClearanceShapes:
             else:
                 flat.add(joint)
         for index, shape in enumerate(self.shapes):
-            if not shape.on_ground or shape.geom in robot.foot_geoms or shape.joint in flat:
+            may_touch = shape.on_ground or not self._has_floor  # without a floor: planes of hands
+            if not may_touch or shape.geom in robot.foot_geoms or shape.joint in flat:
                 continue
             sunk = feet.get(shape.joint)
             if sunk is not None and not self._reaches_into(shape, sunk):

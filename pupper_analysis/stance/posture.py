@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
-from pupper_analysis.robot.joints import check_in_range, joint_unit, named_positions
+from pupper_analysis.robot.joints import (
+    check_in_range,
+    default_positions,
+    joint_ranges,
+    joint_unit,
+    named_positions,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.task import StandTask
@@ -21,8 +27,7 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _SLACK = 1e-3
-"""What keyframes may be beyond limits (rad, m), as they are rounded: they are cut to these; and by
-which joints of a loop that are given may be moved to close it."""
+"""Largest displacement [rad, m] of a given joint of a loop that closes the loop (rounding)."""
 
 AT_END = 1e-6
 """What is nearer to a limit is at it (rad, m): rounding."""
@@ -64,22 +69,6 @@ def check_held(robot: Robot) -> None:
         raise ConfigurationError("robot", diagnose("base-is-free", robot=robot.name))
 
 
-def joint_ranges(robot: Robot) -> Array:
-    """Returns between which positions (nu, 2) joints may be, by both files (rad, m).
-
-    Infinite for a joint that neither file limits.
-    """
-    model = robot.mj_model
-    joints = [model.joint(name).id for name in robot.joint_names]
-    stated = np.where(
-        model.jnt_limited[joints].astype(bool)[:, None],
-        model.jnt_range[joints],
-        (-np.inf, np.inf),
-    )
-    low = np.maximum(stated[:, 0], robot.lower_limits)
-    return np.column_stack([low, np.maximum(low, np.minimum(stated[:, 1], robot.upper_limits))])
-
-
 def joint_units(robot: Robot) -> tuple[str, ...]:
     """Returns the unit of each joint's position: rad, or m of one that slides."""
     return tuple(joint_unit(robot, name) for name in robot.joint_names)
@@ -108,7 +97,8 @@ def find_posture(
     """
     check_held(robot)
     ranges = joint_ranges(robot)
-    qpos, source, name = _others(robot, ranges, keyframe)
+    qpos, name = default_positions(robot, keyframe)
+    source = PostureSource.MIDDLE if name is None else PostureSource.KEYFRAME
     given = named_positions(robot, joints or {})
     for joint, position in given.items():
         qpos[robot.joint_names.index(joint)] = position
@@ -120,7 +110,7 @@ def find_posture(
         bonds = robot.closure.bonds if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
-    return Posture(robot.joint_names, qpos, source, name, tuple(given))
+    return Posture(robot.joint_names, qpos, source, name or "", tuple(given))
 
 
 def _closed(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
@@ -157,27 +147,3 @@ def held_stand(robot: Robot, posture: Posture) -> Stand:
     """
     check_held(robot)
     return Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
-
-
-def _others(robot: Robot, ranges: Array, keyframe: str | None) -> tuple[Array, PostureSource, str]:
-    """Returns the positions (nu,) of joints that are not given, and where they are from.
-
-    Raises:
-        UnknownNameError: If there is no such keyframe.
-    """
-    keys = {str(key.name): np.array(key.qpos) for key in robot.description.mjcf.keys}
-    if keyframe is not None and keyframe not in keys:
-        raise UnknownNameError(robot.description.mjcf_source, "keyframe", keyframe, tuple(keys))
-    name = keyframe if keyframe is not None else next((k for k in ("home", *keys) if k in keys), "")
-    whole = keys.get(name, np.zeros(0))
-    if len(whole) >= robot.mj_model.nq:
-        # The keyframe may be that of the model with a free base.
-        own = whole[len(whole) - robot.mj_model.nq + robot.mj_convention.qpos_index]
-        cut = np.clip(own, *ranges.T)
-        rounded = np.abs(own - cut) < _SLACK
-        if keyframe is not None or rounded.all():
-            return np.where(rounded, cut, own), PostureSource.KEYFRAME, name
-    bounded = np.isfinite(ranges)
-    ends = np.where(bounded, ranges, 0.0)
-    middle = np.where(bounded.all(axis=1), ends.mean(axis=1), np.clip(0.0, *ranges.T))
-    return middle, PostureSource.MIDDLE, ""

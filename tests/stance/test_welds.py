@@ -544,3 +544,46 @@ def test_four_welded_feet_hold_the_robot_in_equilibrium() -> None:
     assert carried == pytest.approx(9.81 * robot.total_mass, rel=1e-9)
     assert stance.settled is not None
     assert stance.settled.servo_sag == pytest.approx(stance.sagging.servo_sag, abs=1e-5)
+
+
+DROOPING = ARM.replace('<axis xyz="1 0 0"/>{limit}', '<axis xyz="1 0 0"/>{tip}')
+"""The arm with a range of the last joint whose middle is not at zero."""
+
+
+@pytest.fixture(scope="module")
+def drooping(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
+    file = tmp_path_factory.mktemp("drooping") / "arm.urdf"
+    text = DROOPING.format(
+        box=inertial(2.0, "0 0 0.05", '<box size="0.2 0.2 0.1"/>'),
+        rod=inertial(1.0, "0 0 0.15", '<cylinder radius="0.03" length="0.2"/>'),
+        ball=inertial(0.5, "0 0 0.05", '<sphere radius="0.04"/>'),
+        limit='<limit lower="-1" upper="2.5" effort="40" velocity="5"/>',
+        tip='<limit lower="0.2" upper="1.4" effort="40" velocity="5"/>',
+    )
+    file.write_text(text, encoding="utf-8")
+    return pa.load_robot(file)
+
+
+def test_stand_with_a_welded_base_starts_in_the_posture_of_hold(drooping: pa.Robot) -> None:
+    """Reference: ``find_posture``, the middle of the joint ranges: 0.75, 0.75 and 0.8 rad."""
+    posture = pa.posture.find_posture(drooping)
+    np.testing.assert_allclose(posture.qpos, [0.75, 0.75, 0.8])
+    stand = pa.solve_stand(drooping, pa.StandTask(contacts=BOLTED))
+    np.testing.assert_allclose(stand.qpos[7:], posture.qpos, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("positions", [None, {"turn": 0.6, "bend": 2.45, "nod": 0.5}])
+def test_a_posture_of_hold_typed_into_stand_gives_its_torques_and_verdict(
+    drooping: pa.Robot, positions: dict[str, float] | None
+) -> None:
+    """Also with the wrist below the base, since the file has no ground.
+
+    Reference: the torques and the verdict of ``hold_posture``.
+    """
+    held = pa.hold_posture(drooping, positions)
+    typed = dict(zip(drooping.joint_names, held.posture.qpos.tolist(), strict=True))
+    stance = study_stance(drooping, pa.StandTask(contacts=BOLTED, posture=typed))
+    np.testing.assert_allclose(stance.statics.joint_torques, held.statics.joint_torques, atol=1e-6)
+    assert stance.verdict.code == held.verdict.code
+    assert stance.passed

@@ -25,12 +25,13 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.robot.touching import touching
-from pupper_analysis.stance.posture import AT_END, joint_ranges
+from pupper_analysis.stance.posture import AT_END
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation

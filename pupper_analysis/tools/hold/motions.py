@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.closure import Closure
+from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.posture import Posture, joint_ranges
+from pupper_analysis.stance.posture import Posture
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

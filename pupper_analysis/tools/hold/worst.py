@@ -18,9 +18,10 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, acts_at_rest
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.posture import Posture, joint_ranges
+from pupper_analysis.stance.posture import Posture
 from pupper_analysis.statics.equilibrium import utilise
 from pupper_analysis.tools.hold.motions import JointMotions
 

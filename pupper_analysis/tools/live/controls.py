@@ -19,12 +19,12 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.units import READ_IN
 from pupper_analysis.cli.stance_fields import to_task_value
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.robot.joints import free_joints, named_positions
+from pupper_analysis.robot.joints import free_joints, joint_ranges, named_positions
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
-from pupper_analysis.stance.posture import joint_ranges, joint_units
+from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, factor_of
 
