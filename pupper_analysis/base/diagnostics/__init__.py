@@ -26,5 +26,6 @@ from pupper_analysis.base.diagnostics.templates import Quantity as Quantity
 from pupper_analysis.base.diagnostics.templates import Term as Term
 from pupper_analysis.base.diagnostics.templates import Vector as Vector
 from pupper_analysis.base.diagnostics.templates import describe_bound as describe_bound
+from pupper_analysis.base.diagnostics.templates import describe_effort as describe_effort
 from pupper_analysis.base.diagnostics.templates import fill_template as fill_template
 from pupper_analysis.base.diagnostics.templates import format_number as format_number

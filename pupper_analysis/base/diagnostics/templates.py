@@ -183,6 +183,15 @@ class Phrase(str):
 UNLIMITED = Term("unlimited")
 
 
+NOT_STATED = Term("not stated")
+"""Word for a torque limit that no file states."""
+
+
+def describe_effort(value: float, unit: str) -> Quantity | Term:
+    """Return a torque limit with its unit, or the term "not stated" if it is not finite."""
+    return Quantity(value, unit) if math.isfinite(value) else NOT_STATED
+
+
 def describe_bound(value: float, unit: str) -> Quantity | Term:
     """Return a limit with its unit, or the term "unlimited" if the limit is not finite."""
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED

@@ -23,6 +23,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     Vector,
     describe_bound,
+    describe_effort,
     diagnose,
     fill_template,
     phrase,
@@ -479,7 +480,7 @@ def change_of(
 
 def _format_value(value: Any, unit: str) -> Any:
     """Return a value for a message: numbers with unit, texts unchanged."""
-    if isinstance(value, str):
+    if isinstance(value, str | Quantity):
         return value
     if isinstance(value, np.ndarray):
         return Vector.rounded(value, unit)
@@ -650,7 +651,11 @@ def _compare_joint_parameters(
             guess = diagnose("guess-zero-for-unknown")
         code, details = "joint-number-differs", {"what": Term(kind), "guess": guess}
         subject, felt = ("joint", name), attribute.felt
-        yield change_of(code, kind, subject, (first, second), unit, sides, details, felt=felt)
+        values = (first, second)
+        shown = None
+        if kind == "effort":
+            shown = (describe_effort(first, unit), describe_effort(second, unit))
+        yield change_of(code, kind, subject, values, unit, sides, details, shown=shown, felt=felt)
 
 
 def convention_changes(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import (
@@ -29,7 +29,7 @@ from pupper_analysis.models.stated.model import (
     UrdfModel,
 )
 from pupper_analysis.tools.audit.registry import rule
-from pupper_analysis.tools.audit.rules.mirror import mirror_plane
+from pupper_analysis.tools.audit.rules.mirror import joint_pairs, mirror_plane
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
@@ -183,17 +183,63 @@ _HINGES, _HALF_TURN = 4, 3.1
 
 
 @rule
-def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
-    for name, joint in robot.file.tree.joints.items():
-        if joint.is_fixed or joint.mimic is not None:
-            continue
-        stated = robot.joints[name].stated
+def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Find limits of effort and velocity that are zero, on joints that move and mimic none.
+
+    In an MJCF these are force ranges from 0 to 0, which MuJoCo ignores.
+    """
+    if isinstance(robot, MjcfModel):
+        for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
+            if empty.stated == (0.0, 0.0):
+                yield _zero_finding(robot, name, [Term(empty.attribute)])
+        return
+    for name, stated in _stated_limits(robot):
         zero = [Term(what) for what in ("effort", "velocity") if stated.get(what) == 0]
         if zero:
-            yield CheckFinding(
-                "joint", name, diagnose("effort-or-velocity-zero", what=zero), "limit"
-            )
+            yield _zero_finding(robot, name, zero)
+
+
+def _zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFinding:
+    """Return the finding of limits of zero, with the effort of the mirrored joint."""
+    other = None if what == [Term("velocity")] else _mirrored_effort(robot, name)
+    message = diagnose(
+        "effort-or-velocity-zero",
+        what=what,
+        other=None if other is None else other[0],
+        effort=None if other is None else Quantity(other[1], "N m"),
+    )
+    return CheckFinding("joint", name, message, "limit")
+
+
+def _stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
+    """Yield (joint, stated numbers) of the joints of a URDF that move and mimic none."""
+    if isinstance(robot, UrdfModel):
+        for name, joint in robot.file.tree.joints.items():
+            if not joint.is_fixed and joint.mimic is None:
+                yield name, robot.joints[name].stated
+
+
+def _mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
+    """Return the mirrored joint of a joint and its effort (N m); None without a positive one."""
+    for _, first, second in joint_pairs(robot):
+        for joint, other in ((first, second), (second, first)):
+            if joint.name == name and 0 < other.effort < math.inf:
+                return other.name, other.effort
+    return None
+
+
+@rule
+def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find limits of effort and velocity below zero, on joints that move and mimic none."""
+    for name, stated in _stated_limits(robot):
+        for what, unit in (("effort", "N m"), ("velocity", "rad/s")):
+            value = stated.get(what, 0.0)
+            if value < 0:
+                limit = Quantity(value, unit)
+                message = diagnose(
+                    "limit-negative", what=Term(what), value=limit, size=Quantity(-value, unit)
+                )
+                yield CheckFinding("joint", name, message, "limit")
 
 
 @rule

@@ -13,7 +13,7 @@ from pupper_analysis.base.diagnostics import (
     Quantity,
     Term,
     Vector,
-    describe_bound,
+    describe_effort,
     diagnose,
 )
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
@@ -217,7 +217,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
 
 
-def _joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
+def joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
     """Yields the pairs of joints that move alike, if there is a plane between them."""
     mirror, joints = mirror_plane(robot), robot.joints
     if mirror is None:
@@ -240,7 +240,7 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
-    for mirror, one, other in _joint_pairs(robot):
+    for mirror, one, other in joint_pairs(robot):
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -257,7 +257,7 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 @rule
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
-    for mirror, one, other in _joint_pairs(robot):
+    for mirror, one, other in joint_pairs(robot):
         sense = _sense(mirror, one, other)
         if abs(sense) < 0.9:
             continue
@@ -279,7 +279,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
             )
         elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
             unit = "N m" if other.kind == HINGE else "N"
-            effort, its = describe_bound(other.effort, unit), describe_bound(one.effort, unit)
+            effort, its = describe_effort(other.effort, unit), describe_effort(one.effort, unit)
             message = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
         else:
             continue
@@ -289,7 +289,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares damping, dry friction, armature and springs; see ``unlike_pairs``."""
-    pairs = [(one.name, other.name) for _, one, other in _joint_pairs(robot)]
+    pairs = [(one.name, other.name) for _, one, other in joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
             name: value

@@ -1,0 +1,119 @@
+"""Absent, zero, negative and placeholder values: the table that the documentation shows.
+
+Each row of ``docs/data/special-values.csv`` is one edit of a small robot and one command. The
+independent reference of a limit of zero is MuJoCo with forces clamped to zero, which lets the arm
+fall.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from tests.support.commands import run_command
+from tests.support.legged import quadruped
+from tests.support.repository import ROOT
+
+TABLE = ROOT / "docs" / "data" / "special-values.csv"
+
+ARM_URDF = """<robot name="arm">
+<link name="base"><inertial><mass value="2"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>
+  <inertia ixx="0.001" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="fore"><inertial><origin xyz="0.1 0 0"/><mass value="0.3"/>
+  <inertia ixx="0.001" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+  <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1.2" effort="9" velocity="5"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+  <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1.2" effort="9" velocity="5"/></joint>
+</robot>"""
+
+ARM_MJCF = """<mujoco model="arm">
+<compiler angle="radian"/><option integrator="implicitfast"/>
+<worldbody><body name="upper" pos="0 0 0.5">
+  <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.001 0.002 0.002"/>
+  <joint name="shoulder" axis="0 1 0" range="-1 1.2" armature="0.01"/>
+  <body name="fore" pos="0.2 0 0">
+    <inertial pos="0.1 0 0" mass="0.3" diaginertia="0.001 0.002 0.002"/>
+    <joint name="elbow" axis="0 1 0" range="-1 1.2" armature="0.01"/>
+    <geom size="0.01" pos="0.2 0 0" mass="0"/></body></body></worldbody>
+<actuator><position name="m1" joint="shoulder" kp="100" kv="4" forcerange="-9 9"/>
+<position name="m2" joint="elbow" kp="100" kv="4" forcerange="-9 9"/></actuator></mujoco>"""
+
+OPTIONS = {
+    "push": ("--directions", "3"),
+    "best": ("utilisation",),
+    "hold": ("--joints", "shoulder=0.3"),
+}
+SLOW = {"stand", "payload", "push", "best"}
+
+
+def rows() -> list[object]:
+    """The rows of the table, slow ones marked."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        found = list(csv.DictReader(file))
+    return [
+        pytest.param(
+            row,
+            id=f"{row['command']}-{row['attribute']}-{row['value']}-{row['file']}".replace(" ", "_"),
+            marks=[pytest.mark.slow] if row["command"] in SLOW else [],
+        )
+        for row in found
+    ]
+
+
+def edited(folder: Path, name: str, edit: str) -> Path:
+    """Write a robot's file with the edit of a row."""
+    if name == "quad.urdf":
+        text = quadruped(folder).urdf.read_text()
+    else:
+        text = ARM_URDF if name.endswith("urdf") else ARM_MJCF
+    for change in filter(None, edit.split("; ")):
+        old, new = change.split(" -> ")
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("row", rows())
+def test_a_command_answers_as_the_table_states(
+    row: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path, output = edited(tmp_path, row["file"], row["edit"]), tmp_path / "out.json"
+    command, *options = row["command"], *OPTIONS.get(row["command"], ())
+    positional = [*options, str(path)] if command == "best" else [str(path), *options]
+    status, out, err = run_command(capfd, command, *positional, "--json", str(output))
+    assert status == int(row["exit status"]), out + err
+    assert "unexpected" not in err
+    word = row["verdict"].split(":")[0].split(";")[0]
+    if word in ("HOLDS", "FAILS", "UNKNOWN"):
+        assert out.startswith(word), out
+    assert ("motors without torque" in out) is ("without torque" in row["verdict"])
+    for word in ("any mass", "any force", "inf "):
+        assert word not in out
+    if row["code in JSON"]:
+        result = json.loads(output.read_text())
+        answer = result.get("payload", result) if command == "hold" else result
+        answer = answer.get("quad", answer) if command == "push" else answer
+        assert answer["code"] == row["code in JSON"]
+        number = {"hold": "mass", "payload": "mass", "push": "impulse"}[command]
+        assert (answer[number] is None) is (row["code in JSON"] == "unknown")
+
+
+def test_an_arm_with_forces_clamped_to_zero_falls_in_mujoco() -> None:
+    model = mujoco.MjModel.from_xml_string(ARM_MJCF)
+    model.actuator_forcerange[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[0] = data.ctrl[0] = 0.3
+    while data.time < 1.0:
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] > 1.0
