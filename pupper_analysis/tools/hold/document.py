@@ -308,7 +308,7 @@ def _unknown(hold: Hold) -> doc.Text:
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
     hardest = max(joints, key=lambda joint: float(worst[joint]))
     return text(
-        "payload-unknown",
+        "tool-payload-unknown",
         tool=doc.Name(hold.tool.name),
         count=len(joints),
         joints=join_words(map(doc.Name, hold.payload.unknown)),
