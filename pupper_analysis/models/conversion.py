@@ -175,8 +175,9 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
         model = pin.buildModelFromXML(to_text(tree.root), *base)
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
-    for limits in (model.effortLimit, model.velocityLimit):
-        limits[limits >= UNSTATED] = np.inf
+    for name in ("effortLimit", "velocityLimit"):
+        limits = np.array(getattr(model, name))
+        setattr(model, name, np.where(limits >= UNSTATED, np.inf, limits))
     return model
 
 

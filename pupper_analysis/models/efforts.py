@@ -262,7 +262,8 @@ def _is_empty(
 
 def stated_by_joint(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Returns what a joint's own attribute states."""
-    if not model.jnt_actfrclimited[joint]:
+    unknown = model.jnt_actfrcrange[joint, 1] >= UNSTATED  # MuJoCo's import of such a URDF
+    if unknown or not model.jnt_actfrclimited[joint]:
         return []
     name, range_ = str(model.joint(joint).name), model.jnt_actfrcrange[joint]
     return [EffortStatement.of("MJCF", "joint", name, "actuatorfrcrange", range_)]

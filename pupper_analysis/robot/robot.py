@@ -483,9 +483,13 @@ class Robot:
 
     @property
     def velocity_limits(self) -> Array:
-        """Velocity limits (nu,) [rad/s, m/s] of the URDF; inf if the file contains 0."""
+        """Velocity limits (nu,) [rad/s, m/s] of the URDF.
+
+        Infinite if the URDF states none; 0 if it states 0 or less: a joint that may not move.
+        """
         limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
-        return np.where(limits == 0, np.inf, limits)
+        found: Array = np.maximum(limits, 0.0)
+        return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
         """Return the values (nu,) of the joints from a vector in Pinocchio's q order."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import mujoco
@@ -47,6 +48,8 @@ ARM_MJCF = """<mujoco model="arm">
 <actuator><position name="m1" joint="shoulder" kp="100" kv="4" forcerange="-9 9"/>
 <position name="m2" joint="elbow" kp="100" kv="4" forcerange="-9 9"/></actuator></mujoco>"""
 
+FOOT = '<collision><origin xyz="0 0 -0.2"/><geometry><sphere radius="0.02"/></geometry></collision>'
+
 OPTIONS = {
     "push": ("--directions", "3"),
     "best": ("utilisation",),
@@ -59,10 +62,11 @@ def rows() -> list[object]:
     """The rows of the table, slow ones marked."""
     with TABLE.open(encoding="utf-8", newline="") as file:
         found = list(csv.DictReader(file))
+    names = ("command", "attribute", "value", "file")
     return [
         pytest.param(
             row,
-            id=f"{row['command']}-{row['attribute']}-{row['value']}-{row['file']}".replace(" ", "_"),
+            id="-".join(row[name] for name in names).replace(" ", "_"),
             marks=[pytest.mark.slow] if row["command"] in SLOW else [],
         )
         for row in found
@@ -73,6 +77,7 @@ def edited(folder: Path, name: str, edit: str) -> Path:
     """Write a robot's file with the edit of a row."""
     if name == "quad.urdf":
         text = quadruped(folder).urdf.read_text()
+        text = re.sub(r'(<link name="\w+_calf">.*?)</link>', rf"\1{FOOT}</link>", text)
     else:
         text = ARM_URDF if name.endswith("urdf") else ARM_MJCF
     for change in filter(None, edit.split("; ")):

@@ -19,13 +19,14 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Create the document of a path, with an animated 3-D view; see ``build_document``."""
     path, tracking = there.path, there.tracking
+    used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
     answer = (
         task_text(there.stand.task),
         text(
             "path-in-short",
             seconds=f"{path.time[-1]:.4g}",
-            share=f"{100 * path.peak_utilisation:.0f}",
+            share=f"{100 * used:.0f}" if math.isfinite(used) else "",
             joint=doc.Name(path.peak_joint),
             time=f"{path.peak_time:.2f}",
         ),
@@ -67,8 +68,8 @@ def _plan_table(path: StancePath) -> doc.Table:
     return _quantity_table(
         text("the-path-title"),
         (text("time"), "s", float(path.time[-1]), ".4g"),
-        (peak, "%", 100 * path.peak_utilisation, ".1f"),
-        (text("greatest-speed-of-joints"), "%", 100 * path.peak_speed_utilisation, ".1f"),
+        *_known(peak, path.peak_utilisation),
+        *_known(text("greatest-speed-of-joints"), path.peak_speed_utilisation),
         (text("least-com-margin"), "mm", 1e3 * float(path.com_margin.min()), ".1f"),
         (
             text("least-margin-of-the-zero"),
@@ -78,6 +79,11 @@ def _plan_table(path: StancePath) -> doc.Table:
         ),
         note=text("torques-and-speeds"),
     )
+
+
+def _known(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
+    """Return the row of a share of a limit; none if the limit is unknown."""
+    return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 
 
 def _tracking_table(tracking: PathTracking) -> doc.Table:

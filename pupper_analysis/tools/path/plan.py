@@ -170,10 +170,12 @@ class StancePath(Tabular):
         clearance: Shape (n, feet); height of each foot above the ground. Zero if the foot touches
             the ground.
         com_margin: Shape (n,); distance from the projected CoM to the edge of the support polygon.
-        peak_utilisation: Largest torque / effort limit. Above 1 the motors are too weak.
+        peak_utilisation: Largest torque / effort limit. Above 1 the motors are too weak; NaN if no
+            file states a limit.
         peak_joint: Joint with the largest utilisation.
         peak_time: Time of the largest utilisation.
-        peak_speed_utilisation: Largest joint speed / velocity limit of the URDF.
+        peak_speed_utilisation: Largest joint speed / velocity limit of the URDF; NaN if it states
+            none.
         fastest_joint: Joint with the largest speed utilisation.
     """
 
@@ -299,7 +301,10 @@ def stance_path(
     used = divide_by_limits(tables["torques"], robot.effort_limits)
     joints = slice(robot.nv - robot.nu, None)
     speeds = divide_by_limits(tables["qvel"][:, joints], robot.velocity_limits)
-    peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
+    peak, fastest = (
+        np.unravel_index(int(np.nan_to_num(table, nan=-1.0, posinf=np.inf).argmax()), table.shape)
+        for table in (used, speeds)
+    )
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
@@ -316,10 +321,19 @@ def stance_path(
 
 
 def divide_by_limits(values: Array, limits: Array) -> Array:
-    """Compute |values| / limits. For a limit of zero: 0 if the value is zero, else infinity."""
+    """Compute |values| / limits, shape (n, nu).
+
+    For a limit of zero: 0 if the value is rounding, else infinity. NaN for an unknown limit.
+    """
+    sizes = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares: Array = np.nan_to_num(np.abs(values) / limits, nan=0.0, posinf=np.inf)
-    return shares
+        null = np.where(sizes > _ROUNDING, np.inf, 0.0)
+        shares: Array = np.where(limits > 0, sizes / limits, null)
+    return np.where(np.isinf(limits), np.nan, shares)
+
+
+_ROUNDING = 1e-9
+"""Torque [N m] or speed [rad/s] of a joint that is rounding. Chosen, not tuned."""
 
 
 MIN_DURATION = 1e-3
