@@ -161,6 +161,7 @@ SIMULATED = "a simulation rounds otherwise with another engine"
 def verification(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
     """But for its spectrum: a step's eigenvalues come from differences, to 1e-9 of 1."""
     found = pa.verify_stand(robot, stand, duration=2.0, nudged=0).to_dict()
+    del found["creep"]  # of a settling of 2 s: it is tested where it is measured
     return {name: value for name, value in found.items() if name != "stability"}
 
 
