@@ -17,12 +17,14 @@ from matplotlib.patches import Rectangle
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.document import in_english
+from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
     pose_figure,
 )
 from pupper_analysis.present.scene import describe_scene
+from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.tools.analyze.document import deviation_plot
 from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of
@@ -161,3 +163,18 @@ def test_gain_figure_draws_what_has_a_stable_rest() -> None:
         [one.y for one in plot.series], [[1.5, np.nan, 2.0], [np.nan, 3.0, np.nan]]
     )
     assert [in_english(one.name) for one in plot.series] == ["kp 20 N m/rad", "kp 60 N m/rad"]
+
+
+@pytest.mark.slow
+def test_the_legend_of_a_height_is_the_mean_of_the_curves_last_second() -> None:
+    """v3-long-leg loses 26 mm in the second before the nudge, and 32 mm in the last second."""
+    robot = load("v3-long-leg")
+    stand = pa.solve_stand_as_simulated(robot)
+    height = stand.task.height
+    assert height is not None
+    run = verify_stand(robot, stand, feedforward=False)
+    curve, _ = height_plot([run], height).series
+    assert curve.note is not None
+    times, heights = np.asarray(curve.x), np.asarray(curve.y)
+    expected = 1e3 * height - heights[times > times[-1] - 1.0].mean()
+    assert f"{expected:.2f}" in in_english(curve.note)

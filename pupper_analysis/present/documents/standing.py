@@ -14,6 +14,7 @@ from pupper_analysis.present.document import Column, Text, Words, tell, text
 from pupper_analysis.present.documents.loads import proof_text
 from pupper_analysis.present.documents.sources import files_text, page_of
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.monitor import LAST
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
@@ -96,7 +97,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
             text("with-feed-forward") if run.feedforward else text("without"),
             run.time,
             1e3 * run.height,
-            note=_lost(run),
+            note=_mean_loss(run, task),
         )
         for run in runs
     ]
@@ -114,9 +115,15 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
     )
 
 
-def _lost(run: StandVerification) -> doc.Words:
-    lost = doc.number_cell(run.height_loss, ".2f", scale=1e3).text
-    return text("loss-fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
+def _mean_loss(run: StandVerification, task: float) -> doc.Words:
+    """Return the height loss, averaged over the last second of the curve, as the caption states.
+
+    ``run.height_loss`` is the mean over the second before the nudge instead.
+    """
+    last = run.time > run.time[-1] - LAST
+    loss = task - float(np.mean(run.height[last]))
+    shown = doc.number_cell(loss, ".2f", scale=1e3).text
+    return text("loss-fails", loss=shown) if run.failures else doc.Name(f"{shown} mm")
 
 
 def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:

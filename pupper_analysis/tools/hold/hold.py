@@ -321,7 +321,7 @@ class Hold(Tabular):
     name: str
     hangs: bool
     posture: Posture
-    units: tuple[str, ...] = field(metadata={"unit": "rad"})
+    units: tuple[str, ...]
     tool: Tool
     tool_position: Array = field(metadata={"unit": "m"})
     limits: Array = field(metadata={"unit": "N m"})
