@@ -16,13 +16,13 @@ from pupper_analysis.base.tools import HEADINGS, own_packages, own_tools
 from tests.support.repository import ROOT
 
 QUICK = (
-    "tests/base/test_results.py",
-    "tests/cli/test_cli.py",
+    "tests/base/test_arrays.py",
     "tests/robot/test_contact.py",
     "tests/statics/test_support_polygon.py",
+    "tests/prepare/test_own_run.py",
     "tests/repository/test_house.py",
 )
-"""Some of the core's: of what all tools rest on, and of what finds them."""
+"""Quick tests of the core that use no tool."""
 
 ALONE = ("best", "hold", "path", "payload", "sync")
 """Tools that no test of what is left imports: without one of them all tests are collected."""
