@@ -25,9 +25,12 @@ LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_sh
   models/test_loading present/test_figures present/test_printed tools/crosscheck/test_crosscheck robot/test_robot \
   simulation/test_verify statics/test_equilibrium tools/audit/test_document tools/study/test_document \
   tools/study/test_outcome tools/study/test_running tools/study/test_study))
-# Inputs of the fuzzer, and more options of tests/fuzz.py.
+# Number of inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=
+# Number of pairs that `make explore` draws, and the seed.
+PAIRS ?= 20
+SEED ?= 1
 # The timeout guards against hanging: it is ten times what the longest test needs. The method
 # "thread" also ends a process that hangs in compiled code.
 PYTEST := $(BIN)/python -m pytest --timeout=600 --timeout-method=thread
@@ -40,7 +43,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-quick setup-ci analyze test test-slow test-lowest test-all fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
+.PHONY: help setup setup-quick setup-ci analyze test test-slow test-lowest test-all fuzz explore coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -70,6 +73,9 @@ test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that a
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
 	$(BIN)/python tests/damaged.py 500
 	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
+
+explore: $(VENV)/.ready ## compare PAIRS pairs of an edited file and a command with bare MuJoCo
+	$(BIN)/python -m tests.explore $(PAIRS) --seed $(SEED)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
 	$(BIN)/python -m pytest tests --cov --cov-report=term-missing:skip-covered
