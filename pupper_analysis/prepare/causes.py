@@ -68,6 +68,9 @@ _SECTIONS = {
     "gear": "actuator",
     "delay": "actuator",
     "motors-elsewhere": "actuator",
+    "soft-servos": "actuator",
+    "ctrl-absent": "key",
+    "angles-to-motors": "key",
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",
     "spring": "joint",
@@ -100,7 +103,12 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
 
 def physical_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF, though its robot is computed with it, may be what makes it fail."""
-    return [*_signs(bare, robot), *_forces(bare, robot), *_contacts(bare)]
+    return [
+        *_signs(bare, robot),
+        *_forces(bare, robot),
+        *_contacts(bare),
+        *_soft_servos(bare, robot),
+    ]
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
@@ -238,6 +246,25 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
         upright = _set(("opt.gravity", slice(None), down))
         yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
+
+
+_STIFFER = 4.0
+"""Factor by which servos are made stiffer to test whether their stiffness is too low. Chosen."""
+
+
+def _soft_servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Position servos that may be too soft. The damping grows with the stiffness."""
+    model, motors = bare.model, _motors_of(bare, robot)
+    affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    fixed = model.actuator_gaintype[motors] == mujoco.mjtGain.mjGAIN_FIXED.value
+    soft = motors[affine & fixed & (model.actuator_biasprm[motors, 1] < 0)]
+    if soft.size:
+        gain, bias = model.actuator_gainprm[soft, 0], model.actuator_biasprm[soft]
+        stiffer = _set(
+            ("actuator_gainprm", (soft, 0), _STIFFER * gain),
+            ("actuator_biasprm", soft, _STIFFER * bias),
+        )
+        yield Candidate("soft-servos", _motor_names(model, soft), stiffer)
 
 
 _SLIPPERY = 0.3

@@ -29,7 +29,7 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.own_run import rests_by_itself
+from pupper_analysis.prepare.own_run import settles_in_place
 from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_gains
 from pupper_analysis.prepare.touching import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
@@ -154,7 +154,7 @@ def add_position_servos(
         made = built(parts, kp, kd)
         if parts > 1 or file is None:
             return made, kp, kd, 2
-        if rests_by_itself(file, _driven(made, kp, kd, original), stand.qpos):
+        if settles_in_place(file, _driven(made, kp, kd, original), stand.qpos):
             return made, kp, kd, 2
     fed = None if resting else next(first(True), None)
     parts, kp, kd = good or resting or fed or candidates[0]

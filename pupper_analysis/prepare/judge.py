@@ -11,9 +11,10 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.prepare.limits import bears_on_null_effort as null_bears
 from pupper_analysis.prepare.limits import describe_null_efforts, describe_unknown_limits
-from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
+from pupper_analysis.prepare.own_run import as_loaded, import_refused, simulate_fixed_base
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
+    fallback_cause,
     own_run_explained,
 )
 from pupper_analysis.robot.alike import structure
@@ -74,7 +75,9 @@ def judge(
     servos, loaded = servos_used(robot, kp, kd), as_loaded(robot)
     own = own_run_explained(robot)
     if not (loaded.floating or stand.stance_feet):
-        own = own_run_held(loaded, stand.qpos[-robot.nu :])
+        own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
+        if own is not None and own.fails and not servos.replaced:
+            own = replace(own, causes=fallback_cause(own))
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)

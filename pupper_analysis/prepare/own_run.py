@@ -1,7 +1,9 @@
-"""What a robot's file does by itself, before anything that was changed on loading is believed.
+"""Simulate the published robot file from its keyframe, independently of the computed stand.
 
-From its own keyframe, exactly as MuJoCo's reset leaves it, for some seconds, nudged. Made when a
-verdict is first asked for.
+A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
+pose, and may have disabled contacts. The run of the published file from its keyframe shows what
+MuJoCo makes of the file alone: 5 s, or less with short time steps, with a nudge at the start.
+Results are computed when a verdict is first requested.
 """
 
 from __future__ import annotations
@@ -38,48 +40,63 @@ from pupper_analysis.robot.as_published import (
     OwnCommands,
     OwnRun,
 )
-from pupper_analysis.robot.fall import held_motion, nudge_velocity, own_motion
+from pupper_analysis.robot.fall import (
+    body_moved,
+    held_motion,
+    initial_height,
+    nudge_velocity,
+    own_motion,
+)
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.1
-"""Of a keyframe's angles: a ctrl that is off by less, leads for the weight, is of angles. Torques
-of as many joints are not by chance."""
+_CTRL_ANGLE_RTOL = 0.1
+"""Relative tolerance on the norm of all controls, below which the ctrl of a keyframe are joint
+angles. The difference from the angles carries the weight. Torques of as many joints are not within
+it by chance."""
 
+NO_EXTERNAL_SERVOS = (
+    np.zeros(0, dtype=np.intp),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+)
+"""Value of ``Hold.outside`` without joints that an external law holds."""
 
-NOTHING = (np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
-"""No joints that a law from outside holds; see ``Hold``."""
+_SETTLING_TIME = 2.0
+"""Simulated time [s] after which a robot that stands is at rest."""
 
-_WHILE = 2.0
-"""s in which what stands has come to rest."""
-
-_STILL = 5e-3
-"""Speed of what has (m/s, rad/s): feet that part creep by 1e-3 (ANYmal B's), what shakes goes to
-and fro by 2e-2 or more."""
+_MAX_RESTING_SPEED = 5e-3
+"""Upper bound of the speeds [m/s, rad/s] of a robot at rest. Measured: feet that part creep at 1e-3
+(ANYmal B); robots that shake oscillate with 2e-2 or more."""
 
 
 def as_loaded(robot: Robot) -> Robot:
-    """Returns the robot as its files have it, of one that may have been changed since.
-
-    And without the contacts of a task: of the parts that are welded nothing else would carry.
-    """
+    """Return the robot as it was loaded, without later changes and without contacts of a task."""
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
     return loaded if loaded.bare is None else loaded.bare
 
 
 def own_run(robot: Robot) -> OwnRun | None:
-    """Returns what a robot's file does by itself, from its keyframe; made once.
+    """Return the run of the published file from its keyframe, computed once per loaded robot.
 
     Returns:
-        What it does; None of a robot without a file, without feet, or whose file has its base held.
+        Run. None if the robot has no file, no feet, or a fixed base, or if the file fixes the base.
+        See ``simulate_model_from_keyframe`` for further cases.
     """
-    return as_loaded(robot).once(_own_run)
+    return as_loaded(robot).once(_simulate_from_keyframe)
 
 
 def raw_model(robot: Robot) -> mujoco.MjModel | None:
-    """Returns the file's model, with what every robot needs to stand; see ``published_model``."""
+    """Return the model of the published file, with the MuJoCo options that the caller requested.
+
+    Returns:
+        Model, with a floor if it needs one (see ``published_model``). None if the robot has no
+        file, if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the robot.
+    """
     if robot.published is None:
         return None
     if robot.published.as_prepared:
@@ -97,63 +114,95 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells why MuJoCo does not import a robot's URDF, if it does not."""
+    """Return the reason why MuJoCo refuses the URDF of a robot; empty if it does not."""
     found = as_loaded(robot).once(_imported)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
 
 def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
-    """Returns what MuJoCo makes of a URDF that is alone, or why it refuses it."""
+    """Import the URDF of a robot without MJCF by MuJoCo's own importer.
+
+    Returns:
+        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF.
+    """
     if robot.published is None or robot.published.imported is None:
         return None
     try:
         model = imported_model(robot.published.imported, robot)
     except ModelError as error:
         return error.cause
-    # Servos and time step were chosen for shapes that may be others: the step is as short as the
-    # file's own shapes need, of which MuJoCo's contact may have more points.
+    # Servos and time step were tuned for the collision shapes of the prepared robot. The shapes of
+    # the file may have more contact points, and may then need a smaller time step.
     step = float(model.opt.timestep)
-    for parts in FINER if robot.floating and robot.feet else ():
-        model.opt.timestep = step / parts
-        if rests_by_itself(model, robot, robot.home):
+    for divisor in FINER if robot.floating and robot.feet else ():
+        model.opt.timestep = step / divisor
+        if settles_in_place(model, robot, robot.home):
             return model
     model.opt.timestep = step
     return model
 
 
-def rests_by_itself(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
-    """Tells whether a file, held at the angles of a stand (nq,), is still in a while."""
+def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
+    """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
+
+    Args:
+        model: Published model.
+        robot: Prepared robot, with the gains of the added servos.
+        qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
+    """
     bare = with_unstated_options(Bare.of(model, robot), robot)
-    model = bare.model
-    data = place_published(bare, robot, qpos)
-    if data is None:
+    start = place_published(bare, robot, qpos)
+    if start is None:
         return False
-    data.qvel[:] = nudge_velocity(model)
-    hold = hold_of(bare, robot, data, None, data.qpos[joint_places(bare, robot)])
-    simulate_published(bare, data, hold, _WHILE)
-    return bool(np.abs(data.qvel).max() < _STILL)
+    data = copy.copy(start)
+    data.qvel[:] = nudge_velocity(bare.model)
+    hold = hold_of(bare, robot, data, None, data.qpos[joint_qpos_addresses(bare, robot)])
+    simulate_published(bare, data, hold, _SETTLING_TIME)
+    if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
+        return False
+    initial = initial_height(bare.model, start, bare.base, bare.ground or 0.0)
+    motion = body_moved(bare.model, start, data, bare.base, _SETTLING_TIME, initial)
+    return not motion.collapses
 
 
-def _own_run(robot: Robot) -> OwnRun | None:
+def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
+    """Compute the result of ``own_run``."""
     if not robot.floating or not robot.feet or robot.published is None:
         return None
     model = robot.once(raw_model)
     if model is None:
         return None
-    return own_run_of(Bare.of(model, robot), robot)
+    return simulate_model_from_keyframe(Bare.of(model, robot), robot)
 
 
-def own_run_of(bare: Bare, robot: Robot) -> OwnRun | None:
-    """Returns what a robot's file does by itself, of a copy in which something may be changed."""
+def simulate_model_from_keyframe(bare: Bare, robot: Robot) -> OwnRun | None:
+    """Simulate a published model, or a modified copy of it, from the keyframe.
+
+    Returns:
+        Run. None if the model fixes the base. Without a keyframe, also None in the cases of
+        ``_simulate_nominal_stand``.
+    """
     if robot.published is None or not bare.floating:
         return None
-    name = _keyframe(bare.model, robot, robot.published.keyframe)
-    return _from_stand(bare, robot) if name is None else _from_keyframe(bare, robot, name)
+    name = _select_keyframe(bare.model, robot, robot.published.keyframe)
+    return (
+        _simulate_nominal_stand(bare, robot) if name is None else _simulate_key(bare, robot, name)
+    )
 
 
-def _keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
-    """Returns the keyframe to begin in: the wanted one, or one in which it stands, or ``home``."""
-    names = [_name_of(model, key) for key in range(model.nkey)]
+def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
+    """Return the number of the initial keyframe.
+
+    Args:
+        model: Published model.
+        robot: Prepared robot.
+        wanted: Name of the keyframe. If None, keyframes with level feet within the joint limits
+            have priority, then the keyframe ``home``, then the order in the file.
+
+    Returns:
+        Number of the keyframe. None if the model has none, or none with the wanted name.
+    """
+    names = [_keyframe_name(model, key) for key in range(model.nkey)]
     if wanted is not None:
         return names.index(wanted) if wanted in names else None
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -166,33 +215,43 @@ def _keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | 
 
 
 @silence_mujoco()
-def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
-    """Simulates a file from a keyframe as a reset leaves it, and held at its angles."""
+def _simulate_key(bare: Bare, robot: Robot, key: int) -> OwnRun:
+    """Simulate a published model from a keyframe, with the ctrl of the keyframe.
+
+    If the XML of the keyframe has no ctrl, ``OwnRun.held`` is a second run, in which servos
+    hold the joint positions of the keyframe. There is no second run if most joints have no servo,
+    or if an actuator has a built-in controller.
+    """
     model, data = bare.model, mujoco.MjData(bare.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
-    stated = bool(model.key_ctrl[key].any()) or states_ctrl(robot, key)
+    stated = bool(model.key_ctrl[key].any()) or _xml_has_ctrl(robot, key)
     limp = has_few_servos(bare)
-    run = run_alone(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
+    run = _simulate_commands(
+        bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NO_EXTERNAL_SERVOS, {})
+    )
     run = replace(
         run,
-        keyframe=_name_of(model, key),
+        keyframe=_keyframe_name(model, key),
         commands=OwnCommands.STATED if stated else OwnCommands.ABSENT,
-        limp=limp and not _commands_angles(model, key),
+        limp=limp and not _is_ctrl_angles(model, key),
     )
     if stated or limp or self_controlled(bare, robot):
         return run
-    return replace(run, held=replace(_at_angles(bare, robot, data), keyframe=run.keyframe))
+    return replace(run, held=replace(_simulate_holding(bare, robot, data), keyframe=run.keyframe))
 
 
-def _at_angles(bare: Bare, robot: Robot, data: mujoco.MjData) -> OwnRun:
-    """Simulates a file from some data on, its servos told their angles."""
-    pose = data.qpos[joint_places(bare, robot)].copy()
-    run = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
+def _simulate_holding(bare: Bare, robot: Robot, data: mujoco.MjData) -> OwnRun:
+    """Simulate a published model from ``data``, and command the joint positions in ``data``."""
+    pose = data.qpos[joint_qpos_addresses(bare, robot)].copy()
+    run = _simulate_commands(bare, robot, data, _commands_to_hold(bare, robot, data, pose))
     return replace(run, commands=OwnCommands.ANGLES)
 
 
-def states_ctrl(robot: Robot, key: int) -> bool:
-    """Tells whether the XML of a keyframe states its ctrl: zeros are stated as well as absent."""
+def _xml_has_ctrl(robot: Robot, key: int) -> bool:
+    """Return True if the XML of a keyframe has the attribute ``ctrl``.
+
+    The compiled model does not distinguish a missing attribute from explicit zeros.
+    """
     assert robot.published is not None
     file = robot.published.file
     keys = (robot.description.mjcf if file is None else file.spec).keys
@@ -200,42 +259,59 @@ def states_ctrl(robot: Robot, key: int) -> bool:
 
 
 @silence_mujoco()
-def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
-    """Simulates a file that has no keyframe from the nominal stand, held at its angles."""
+def _simulate_nominal_stand(bare: Bare, robot: Robot) -> OwnRun | None:
+    """Simulate a published model from the nominal stand, and command the joint positions.
+
+    Returns:
+        Run. None if the model has no level ground, if the base cannot be placed, or if an actuator
+        has a built-in controller.
+    """
     bare = with_unstated_options(bare, robot)
     data = place_published(bare, robot, robot.home)
     if data is None or bare.ground is None or self_controlled(bare, robot):
         return None
-    return _at_angles(bare, robot, data)
+    return _simulate_holding(bare, robot, data)
 
 
-def hold_of_angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
-    """Returns what holds a pose: its servos are commanded it.
+def _commands_to_hold(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
+    """Return the commands for a published model to hold joint positions.
 
-    Servos that were added help where most joints have none; a motor among servos holds nothing.
+    The servos that loading added are used only if most joints of the file have none. Otherwise a
+    joint with a torque motor is not held.
+
+    Args:
+        bare: Published model.
+        robot: Prepared robot, with the gains of the added servos.
+        data: State of the published model.
+        pose: Joint positions to hold, shape (nu,) [rad, m].
     """
     hold = hold_of(bare, robot, data, None, pose)
-    return hold if has_few_servos(bare) else replace(hold, outside=NOTHING, motors={})
+    return hold if has_few_servos(bare) else replace(hold, outside=NO_EXTERNAL_SERVOS, motors={})
 
 
-def joint_places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
-    """Returns where the robot's joints are in the file's qpos."""
+def joint_qpos_addresses(bare: Bare, robot: Robot) -> NDArray[np.intp]:
+    """Return the addresses of the robot's joints in ``qpos`` of the published model, (nu,)."""
     joints = [bare.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(bare.model.jnt_qposadr[joints])
 
 
-_THERE = 1e-6
-"""A posture that is so near to a keyframe's is its (rad, m)."""
+_SAME_POSTURE_ATOL = 1e-6
+"""Tolerance [rad, m] within which a posture is that of a keyframe."""
 
 
-def own_run_held(robot: Robot, joints: Array) -> OwnRun | None:
-    """Returns what the file of a robot whose base is held does by itself in a posture (nu,).
+def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
+    """Simulate the published file of a robot with a fixed base in a posture.
 
-    With a keyframe's ctrl where it is that keyframe's posture, and the XML states one; else with
-    its servos told the posture.
+    If a keyframe has this posture, and its XML has ctrl, this ctrl is used. Otherwise the joint
+    positions are the commands.
+
+    Args:
+        robot: Robot.
+        joints: Joint positions of the posture, shape (nu,) [rad, m].
 
     Returns:
-        What it does; None where its base is free in the file, or commands of its own control it.
+        Run. None if the robot or the file has a free base, if there is no model, or if an actuator
+        has a built-in controller.
     """
     model = None if robot.floating else robot.once(raw_model)
     if model is None:
@@ -244,85 +320,139 @@ def own_run_held(robot: Robot, joints: Array) -> OwnRun | None:
     if bare.floating or self_controlled(bare, robot):
         return None
     for key, qpos in enumerate(model.key_qpos):
-        off = np.abs(qpos[joint_places(bare, robot)] - joints)
-        if off.max(initial=0.0) < _THERE and states_ctrl(robot, key):
-            run = _from_keyframe(bare, robot, key)
+        off = np.abs(qpos[joint_qpos_addresses(bare, robot)] - joints)
+        if off.max(initial=0.0) < _SAME_POSTURE_ATOL and _xml_has_ctrl(robot, key):
+            run = _simulate_key(bare, robot, key)
             break
     else:
-        run = _at_angles(bare, robot, place_held(bare, robot, joints))
+        run = _simulate_holding(bare, robot, place_held(bare, robot, joints))
     return replace(run, limp=has_few_servos(bare))
 
 
-def _name_of(model: mujoco.MjModel, key: int) -> str:
+def _keyframe_name(model: mujoco.MjModel, key: int) -> str:
+    """Return the name of a keyframe; "keyframe 1" etc. for keyframes without a name."""
     return model.key(key).name or f"keyframe {key + 1}"
 
 
-def run_alone(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
-    """Simulates a file from some data on, told something; neither knows of a keyframe."""
+def _simulate_commands(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
+    """Simulate a published model with constant commands, and measure the joint deviations.
+
+    The caller sets ``keyframe``, ``commands``, ``limp`` and ``held``.
+
+    Args:
+        bare: Published model.
+        robot: Prepared robot.
+        data: Initial state; it is not modified.
+        hold: Commands of the actuators.
+    """
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
-    places = joint_places(bare, robot)
 
-    def advance(run: mujoco.MjData, time: float) -> None:
-        simulate_published(bare, run, hold, time)
+    def advance(state: mujoco.MjData, seconds: float) -> None:
+        simulate_published(bare, state, hold, seconds)
 
     if robot.floating:
         motion, end = own_motion(bare.model, start, bare.base, bare.ground or 0.0, advance)
     else:
         motion, end = held_motion(bare.model, start, advance)
-    off = end.qpos[places] - start.qpos[places]
+    joints = _joint_deviations(bare, robot, start, end, hold.ctrl)
+    unheld = _unheld_joints(robot, joints)
     imported = robot.published is not None and robot.published.imported is not None
-    joints = [
-        JointOff(
-            name,
-            float(off[index]),
-            bare.drives[index],
-            _servo_lead(bare, name, hold.ctrl, float(start.qpos[places[index]])),
-        )
-        for index, name in enumerate(robot.joint_names)
-    ]
-    whole = not motion.diverged
-    made = {servo.joint for servo in robot.description.made_servos}
-    loose = [
-        one
-        for one in joints
-        if one.drive is not Drive.SERVO
-        and (one.drive is not Drive.NONE or one.joint in made)  # else it follows others
-        and abs(one.off) > GIVES_WAY
-    ]
-    most = 2 * sum(one.drive is Drive.SERVO for one in joints) > len(joints)
-    step = float(bare.model.opt.timestep)
+    timestep = float(bare.model.opt.timestep)
+    is_finer = imported and timestep < robot.mj_model.opt.timestep
     return OwnRun(
         **asdict(motion),
         imported=imported,
-        timestep=step if imported and step < robot.mj_model.opt.timestep else None,
-        worst=max(joints, key=_far, default=None) if whole else None,
-        unheld=max(loose, key=_far, default=None) if whole and most else None,
+        timestep=timestep if is_finer else None,
+        worst=None if motion.diverged else max(joints, key=_absolute_displacement, default=None),
+        unheld=None if motion.diverged else max(unheld, key=_absolute_displacement, default=None),
         standing=robot.floating,
+        missing=_missing_files(robot),
     )
 
 
-def _far(joint: JointOff) -> float:
+def _missing_files(robot: Robot) -> tuple[str, ...]:
+    """Return the files for lack of which MuJoCo refuses the published MJCF."""
+    file = None if robot.published is None else robot.published.file
+    notes = () if file is None or file.of_urdf else file.notes
+    missing = [note.values["files"] for note in notes if note.code == "files-missing"]
+    return tuple(str(name) for names in missing if isinstance(names, tuple) for name in names)
+
+
+def _joint_deviations(
+    bare: Bare, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
+) -> list[JointOff]:
+    """Return the displacement [rad, m] of each joint between two states, in actuator order."""
+    addresses = joint_qpos_addresses(bare, robot)
+    displacement = end.qpos[addresses] - start.qpos[addresses]
+    return [
+        JointOff(
+            name,
+            float(displacement[index]),
+            bare.drives[index],
+            _command_offset(bare, name, ctrl, float(start.qpos[addresses[index]])),
+        )
+        for index, name in enumerate(robot.joint_names)
+    ]
+
+
+def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
+    """Return the joints without a position servo that moved by more than ``GIVES_WAY``.
+
+    Coupled joints (no actuator, and no added servo) are excluded. The result is empty unless more
+    than half of the joints have a position servo.
+    """
+    num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
+    if 2 * num_servos <= len(joints):
+        return []
+    added = {servo.joint for servo in robot.description.made_servos}
+    return [
+        joint
+        for joint in joints
+        if joint.drive is not Drive.SERVO
+        and (joint.drive is not Drive.NONE or joint.joint in added)
+        and _absolute_displacement(joint) > GIVES_WAY
+    ]
+
+
+def _absolute_displacement(joint: JointOff) -> float:
+    """Return the absolute displacement of a joint [rad, m]."""
     return abs(joint.off)
 
 
-def _servo_lead(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
-    """Returns a joint's command less its angle; None where it has no one servo.
+def _command_offset(bare: Bare, joint: str, ctrl: Array, position: float) -> float | None:
+    """Return the commanded position minus the position of a joint.
 
-    By its law at rest: its gain's part of ctrl balances its stiffness's.
+    The commanded position is gain ctrl / (stiffness gear), at which the actuator force
+    gain ctrl - stiffness gear position is zero.
+
+    Args:
+        bare: Published model.
+        joint: Name of the joint.
+        ctrl: Controls of the model, shape (model.nu,).
+        position: Position of the joint [rad, m].
+
+    Returns:
+        Offset [rad, m]. None unless the joint has a single actuator, with positive stiffness.
     """
-    motors = drives_of(bare.model, bare.model.joint(joint).id)
-    laws = [law_of(bare.model, motor) for motor in motors]
-    if len(motors) != 1 or laws[0].at_joint[0] <= 0:
+    actuators = drives_of(bare.model, bare.model.joint(joint).id)
+    laws = [law_of(bare.model, actuator) for actuator in actuators]
+    if len(actuators) != 1 or laws[0].at_joint[0] <= 0:
         return None
-    message = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[motors[0]]])
-    return message / (laws[0].stiffness * laws[0].gear) - angle
+    force = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[actuators[0]]])
+    return force / (laws[0].stiffness * laws[0].gear) - position
 
 
-def _commands_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Tells whether a keyframe's ctrl are its joints' angles: of servos, whatever it has."""
-    hinged = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    places = model.jnt_qposadr[model.actuator_trnid[hinged, 0]]
-    angles = model.key_qpos[key, places] * model.actuator_gear[hinged, 0]
-    off = float(np.linalg.norm(model.key_ctrl[key, hinged] - angles))
-    return bool(off < ALIKE * float(np.linalg.norm(angles)))
+def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
+    """Return True if the ctrl of a keyframe are the joint angles times the gear, and not all zero.
+
+    Such a keyframe contains position commands, even if the model has torque motors. Zeros are no
+    evidence: a torque of zero and an angle of zero are written alike, and command nothing.
+    """
+    at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
+    if not model.key_ctrl[key, at_joint].any():
+        return False
+    addresses = model.jnt_qposadr[model.actuator_trnid[at_joint, 0]]
+    angles = model.key_qpos[key, addresses] * model.actuator_gear[at_joint, 0]
+    deviation = float(np.linalg.norm(model.key_ctrl[key, at_joint] - angles))
+    return bool(deviation <= _CTRL_ANGLE_RTOL * float(np.linalg.norm(angles)))

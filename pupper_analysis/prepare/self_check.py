@@ -20,6 +20,7 @@ from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
     Bare,
+    has_few_servos,
     hold_of,
     place_held,
     place_published,
@@ -40,12 +41,13 @@ from pupper_analysis.prepare.causes import (
 from pupper_analysis.prepare.own_run import (
     as_loaded,
     own_run,
-    own_run_of,
     raw_model,
+    simulate_model_from_keyframe,
 )
 from pupper_analysis.robot.as_published import (
     LEFT,
     Cause,
+    OwnCommands,
     OwnRun,
     Published,
     PublishedRun,
@@ -175,6 +177,8 @@ def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) ->
     causes: tuple[Cause, ...] = ()
     if off:
         causes = causes_of(bare, robot, *off[0]) or _of_loading(bare, robot, *off[0])
+        if not causes and not any(drive.bad for drive in bare.drives):
+            causes = (Cause("gives-way", (off[0][1].worst_joint,)),)
     return Published(runs, causes, differs=bool(off))
 
 
@@ -312,7 +316,23 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         collapses=collapses,
         differs=collapses or not (alike and torque <= SAME),
         imported=robot.published is not None and robot.published.imported is not None,
+        worst_joint=_worst_joint(robot, moved, off, collapses=collapses),
     )
+
+
+def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
+    """Return the name of the joint that deviates most.
+
+    Args:
+        robot: Prepared robot.
+        moved: Displacement of each joint, shape (nu,) [rad, m].
+        torque_error: Torque deviation of each driven joint, shape (n,) [N m].
+        collapses: Whether the displacement counts, and not the torque.
+    """
+    names = np.array(robot.joint_names)
+    if collapses or not torque_error.size:
+        return str(names[int(np.argmax(moved))])
+    return str(names[robot.mj_convention.actuator_index >= 0][int(np.argmax(torque_error))])
 
 
 def own_run_explained(robot: Robot) -> OwnRun | None:
@@ -321,13 +341,44 @@ def own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
+    """Compute the run of the unmodified file, with a named cause if it fails."""
     run = own_run(robot)
     model = robot.once(raw_model)
     if run is None or not run.fails or model is None:
         return run
     bare = Bare.of(model, robot)
     if any(drive.bad for drive in bare.drives):
-        return run  # that is told, and what makes it fall later is none
+        return run  # the bad servos are reported, and make other causes meaningless
+    causes = commanded_causes(run, bare) or _find_causes(run, bare, robot)
+    return replace(run, causes=with_lines(causes, robot))
+
+
+def commanded_causes(run: OwnRun, bare: Bare) -> tuple[Cause, ...]:
+    """Return the causes that are in the commands of the keyframe.
+
+    These are a missing ctrl, if the robot stands with the joint angles as commands, and joint
+    angles as ctrl of torque motors.
+    """
+    if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
+        return (Cause("ctrl-absent", (run.keyframe,)),)
+    if run.commands is OwnCommands.STATED and has_few_servos(bare):
+        return (Cause("angles-to-motors", (run.keyframe,)),)
+    return ()
+
+
+def fallback_cause(run: OwnRun) -> tuple[Cause, ...]:
+    """Return the joint that deviates most, if no element of the file explains the failure."""
+    joint = run.unheld or run.worst
+    if joint is None:
+        return (Cause("diverges", ()),)
+    if run.unheld is not None:
+        return (Cause("joint-unheld", (joint.joint,)),)
+    return (Cause("ctrl-elsewhere" if joint.commanded_away else "gives-way", (joint.joint,)),)
+
+
+def _find_causes(run: OwnRun, bare: Bare, robot: Robot) -> tuple[Cause, ...]:
+    """Find what makes the run of the unmodified file fail, by changes of copies of the model."""
+    model = bare.model
     known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
     if run.unheld is not None or (run.worst is not None and run.worst.commanded_away):
         # Nothing holds a joint, or its ctrl is of another pose; on the way there any other change
@@ -340,13 +391,12 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
         for parts in (1, 2, 4) if finer else (1,):
             one = copy.copy(changed)
             one.opt.timestep /= parts
-            again = own_run_of(replace(bare, model=one), robot)
+            again = simulate_model_from_keyframe(replace(bare, model=one), robot)
             if again is None or again.fails:
                 return None
         return 0.0
 
-    causes = _tested_causes(bare, known, physics, tried)
-    return replace(run, causes=with_lines(causes, robot))
+    return _tested_causes(bare, known, physics, tried) or fallback_cause(run)
 
 
 def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:

@@ -217,6 +217,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
     for run in () if own is None else (own, *((own.held,) if own.held else ())):
         how: dict[str, Any] = {
             "imported": run.imported,
+            "missing": run.missing,
             "step": None if run.timestep is None else Quantity(run.timestep, "s"),
             "keyframe": run.keyframe or None,
             "absent": run.commands is OwnCommands.ABSENT,
@@ -231,7 +232,8 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             how |= {"off": Quantity(abs(joint.off), "rad"), "drive": Term(joint.drive.value)}
         message = diagnose(
             "own-run",
-            collapses=run.collapses,
+            collapses=run.collapses and not run.lifted,
+            lifted=run.lifted,
             gives=(run.left or run.unheld is not None) and not run.collapses,
             place=run.gone,
             duration=Quantity(run.duration, "s"),
@@ -244,7 +246,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             commanded=joint is not None and joint.commanded_away,
             **how,
         )
-        yield Clause(not run.falls, message)
+        yield Clause(not (run.falls or run.tilted), message)
     for cause in () if own is None else own.causes:
         yield Clause(False, cause_text(cause))
 
@@ -346,6 +348,13 @@ _CAUSES = {
     "gravity": "gravity-aside",
     "slippery": "contacts-slip",
     "soft": "contacts-give-way",
+    "ctrl-absent": "keyframe-states-no-ctrl",
+    "ctrl-elsewhere": "keyframe-commands-another-pose",
+    "angles-to-motors": "motors-commanded-angles",
+    "soft-servos": "servos-too-soft",
+    "joint-unheld": "joint-held-by-nothing",
+    "gives-way": "cause-not-found",
+    "diverges": "simulation-diverges",
     "base-held": "base-held-as-published",
     "ground": "ground-not-level-as-published",
 }

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from copy import copy
 from pathlib import Path
 
+import mujoco
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Severity
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.own_run import own_run, rests_by_itself
+from pupper_analysis.prepare.own_run import own_run, settles_in_place
 from pupper_analysis.present.verdict import verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.tools.audit.audit import audit_model
 from tests.prepare.test_planted import stands
 from tests.support.legged import edited_by
 from tests.support.slips import standing
@@ -49,23 +53,25 @@ def codes(verdict: Verdict) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_file_rests_by_itself_only_if_the_motion_after_a_nudge_ends(tmp_path: Path) -> None:
+def test_a_file_settles_in_place_only_if_the_motion_after_a_nudge_ends(tmp_path: Path) -> None:
     """Reference: m dv/dt = c v, without gravity and contacts, grows by exp(c t / m), 100 in 2 s.
 
     Such a robot stays at rest for ever if it is not nudged.
     """
     robot = pa.load_robot(*standing(tmp_path))
     model = copy(robot.mj_model)
-    assert rests_by_itself(model, robot, robot.home)
+    assert settles_in_place(model, robot, robot.home)
     model.opt.gravity[:] = 0.0
     model.geom_contype[:] = model.geom_conaffinity[:] = 0
     model.dof_damping[:3] = -2.4 * robot.total_mass
-    assert not rests_by_itself(model, robot, robot.home)
+    assert not settles_in_place(model, robot, robot.home)
 
 
 @pytest.mark.parametrize("stated", [True, False])
-def test_zeros_that_are_stated_count_and_a_resets_are_told(tmp_path: Path, stated: bool) -> None:
-    """From deep knees both throw it on to its back; nobody wrote the zeros of a reset."""
+def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
+    tmp_path: Path, stated: bool
+) -> None:
+    """In bare MuJoCo zero commands throw it on its back, whether written or left to a reset."""
     zeros = f' ctrl="{" ".join(["0"] * 12)}"' if stated else ""
 
     def slip(text: str) -> str:
@@ -77,9 +83,94 @@ def test_zeros_that_are_stated_count_and_a_resets_are_told(tmp_path: Path, state
     assert own is not None
     assert own.falls
     assert own.commands is (OwnCommands.STATED if stated else OwnCommands.ABSENT)
-    assert own.fails is stated
+    assert own.fails
     assert (own.held is None) is stated
     assert own.held is None or not own.held.falls
+    verdict = judged(robot)
+    assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    expected = "keyframe-commands-another-pose" if stated else "keyframe-states-no-ctrl"
+    assert expected in codes(verdict)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("angle", "fails"), [(0.8, True), (0.65, False)])
+def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fails: bool) -> None:
+    """The legs of one side are commanded to crouch; the tilt is compared with bare MuJoCo."""
+
+    def slip(text: str) -> str:
+        ctrl = " ".join([f"0 {angle} {-2 * angle}", "0 0.6 -1.2"] * 2)
+        return text.replace(f'ctrl="{" ".join(["0 0.6 -1.2"] * 4)}"', f'ctrl="{ctrl}"')
+
+    robot = slipped(tmp_path, slip)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    tilt = math.acos(data.xmat[int(model.jnt_bodyid[0])][8])
+    assert (tilt > math.radians(10.0)) is fails
+    assert tilt < 0.5  # it has not fallen over
+    own = own_run(robot)
+    assert own is not None
+    assert own.lean == pytest.approx(tilt, abs=0.02)
+    assert own.tilted is fails
+    assert judged(robot).passed is not fails
+
+
+@pytest.mark.slow
+def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Path) -> None:
+    """In bare MuJoCo the base ends 0.3 m higher, without tilt."""
+    weld = '<equality><weld name="hoist" body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
+    robot = slipped(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
+    own = own_run(robot)
+    assert own is not None
+    assert own.lifted
+    verdict = judged(robot)
+    assert not verdict.passed
+    assert "weld-holds-it" in codes(verdict)
+    said = " ".join(str(clause.message) for clause in verdict_clauses(verdict))
+    assert "hoist" in said
+    assert "it is LIFTED" in said
+    assert "it COLLAPSES" not in said
+
+
+@pytest.mark.slow
+def test_servos_that_are_too_soft_are_the_named_cause(tmp_path: Path) -> None:
+    """With 4 times the stiffness bare MuJoCo keeps the height; with the file's own it does not."""
+
+    def with_gains(scale: float) -> Slip:
+        return lambda text: re.sub('kp="150" kv="5"', f'kp="{10 * scale:g}" kv="{scale:g}"', text)
+
+    robot = slipped(tmp_path, with_gains(1.0))
+    own = own_run(robot)
+    assert own is not None
+    assert own.falls
+    assert "servos-too-soft" in codes(judged(robot))
+    stiffer = own_run(slipped(tmp_path, with_gains(4.0)))
+    assert stiffer is not None
+    assert not stiffer.falls
+
+
+def test_zero_ctrl_of_torque_motors_is_no_command(tmp_path: Path) -> None:
+    """A torque of zero and an angle of zero are written alike, so they are no evidence."""
+
+    def slip(text: str) -> str:
+        text = re.sub(_CTRL, f' ctrl="{" ".join(["0"] * 12)}"', text)
+        return re.sub(r'<position (joint="[^"]*")[^>]*/>', r"<motor \g<1>/>", text)
+
+    own = own_run(slipped(tmp_path, slip))
+    assert own is not None
+    assert own.limp
+    assert not own.fails
+
+
+@pytest.mark.slow
+def test_angles_as_ctrl_of_torque_motors_are_the_named_cause(tmp_path: Path) -> None:
+    """The keyframe commands angles; in bare MuJoCo the motors take them for torques."""
+    motors = r"<motor \g<1>/>"
+    robot = slipped(
+        tmp_path, lambda text: re.sub(r'<position (joint="[^"]*")[^>]*/>', motors, text)
+    )
+    assert "motors-commanded-angles" in codes(judged(robot))
 
 
 @pytest.mark.parametrize("below", [0.0, 0.6])
@@ -122,3 +213,27 @@ def test_what_the_file_does_is_no_matter_of_what_a_task_welds(tmp_path: Path) ->
         verdict = judge_stand(robot, stand)
         assert verdict.passed, codes(verdict)
         assert "on-servos-made-up" in codes(verdict)
+
+
+def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path: Path) -> None:
+    """MuJoCo itself raises an error for the missing file."""
+
+    def slip(text: str) -> str:
+        text = text.replace("<worldbody>", '<asset><mesh file="gone.stl"/></asset><worldbody>', 1)
+        geom = '<geom type="mesh" mesh="gone" contype="0" conaffinity="0"/>'
+        return text.replace("<inertial", f"{geom}<inertial", 1)
+
+    robot = slipped(tmp_path, slip)
+    with pytest.raises(ValueError, match="gone.stl"):
+        mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    own = own_run(robot)
+    assert own is not None
+    assert own.missing == ("gone.stl",)
+    said = [str(clause.message) for clause in verdict_clauses(judged(robot))]
+    assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in said)
+    severities = {
+        finding.severity
+        for finding in audit_model(tmp_path / "robot.xml").findings
+        if finding.rule == "mesh-missing"
+    }
+    assert severities == {Severity.ERROR}

@@ -30,18 +30,20 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
-    """Looks for each file once; an ERROR if a link touches with it.
+    """Report each missing mesh file once per package and folder.
 
-    What is in a package that is not here, or in Git LFS, may be elsewhere: a WARNING. All of one
-    package are one finding, at the first, and all of one folder.
+    The severity is ERROR if a link touches with the mesh, and for each missing mesh of an MJCF,
+    which MuJoCo refuses. Files in Git LFS, or in a package that is not found, may be elsewhere:
+    they are a WARNING.
     """
-    kind = "mesh" if isinstance(robot, MjcfModel) else "link"
+    refused = isinstance(robot, MjcfModel)
+    kind = "mesh" if refused else "link"
     among: dict[tuple[bool, bool, str, str], list[_Missing]] = {}
     for one in _missing(robot):
         package, there, _ = one.name.removeprefix("package://").partition("/")
         package = package if there and one.name.startswith("package://") else ""
         folder = "" if package else one.name.rpartition("/")[0]
-        touches = one.touches and not package
+        touches = (one.touches or refused) and not package
         among.setdefault((one.pointer, touches, package, folder), []).append(one)
     for (pointer, touches, package, _), several in among.items():
         names = tuple(dict.fromkeys(one.name for one in several))
