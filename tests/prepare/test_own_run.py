@@ -224,7 +224,7 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
         return text.replace("<inertial", f"{geom}<inertial", 1)
 
     robot = slipped(tmp_path, slip)
-    with pytest.raises(ValueError, match="gone.stl"):
+    with pytest.raises(ValueError, match=r"gone\.stl"):
         mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     own = own_run(robot)
     assert own is not None
