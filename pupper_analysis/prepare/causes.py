@@ -103,12 +103,7 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
 
 def physical_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF, though its robot is computed with it, may be what makes it fail."""
-    return [
-        *_signs(bare, robot),
-        *_forces(bare, robot),
-        *_contacts(bare),
-        *_soft_servos(bare, robot),
-    ]
+    return [*_signs(bare, robot), *_forces(bare, robot), *_contacts(bare)]
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
@@ -252,7 +247,7 @@ _STIFFER = 4.0
 """Factor by which servos are made stiffer to test whether their stiffness is too low. Chosen."""
 
 
-def _soft_servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def soft_servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Position servos that may be too soft. The damping grows with the stiffness."""
     model, motors = bare.model, _motors_of(bare, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value

@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.prepare.limits import bears_on_null_effort as null_bears
 from pupper_analysis.prepare.limits import describe_null_efforts, describe_unknown_limits
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, simulate_fixed_base
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
-    fallback_cause,
+    name_remaining_cause,
     own_run_explained,
 )
 from pupper_analysis.robot.alike import structure
+from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.build import efforts_nobody_meant
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
@@ -76,8 +77,6 @@ def judge(
     own = own_run_explained(robot)
     if not (loaded.floating or stand.stance_feet):
         own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
-        if own is not None and own.fails and not servos.replaced:
-            own = replace(own, causes=fallback_cause(own))
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
@@ -89,23 +88,34 @@ def judge(
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _SAME_MASS)
+    overloaded = () if statics is None else _overloaded(robot, statics)
+    remarks = (
+        *(remark for remark in (null, unknown) if remark is not None),
+        *structure(robot),
+        *(robot.description.replaced_soles() if stand.stance_feet else ()),
+        *remarks_of_files(robot),
+        *_buried(robot, stand, statics),
+    )
+    errors = any(remark.severity is Severity.ERROR for remark in remarks)
+    causes = (
+        *(() if own is None else own.causes),
+        *(() if published is None else published.causes),
+    )
+    given = servos.source is ServoSource.GIVEN  # the run from the keyframe is information only
+    if fed.passed and not (errors or causes or overloaded or servos.replaced):
+        named, published = name_remaining_cause(robot, None if given else own, published)
+        own = own if given else named
     return judge_stance(
         fed,
         alone,
         servos,
         asked=asked,
-        overloaded=() if statics is None else _overloaded(robot, statics),
+        overloaded=overloaded,
         own=own,
         published=published,
         converted=robot.description.converted,
         unknown=unknown is not None and (loaded_more or asked in ABOUT_LOAD),
-        remarks=(
-            *(remark for remark in (null, unknown) if remark is not None),
-            *structure(robot),
-            *(robot.description.replaced_soles() if stand.stance_feet else ()),
-            *remarks_of_files(robot),
-            *_buried(robot, stand, statics),
-        ),
+        remarks=remarks,
     )
 
 

@@ -36,6 +36,7 @@ from pupper_analysis.prepare.causes import (
     altered_on_loading,
     candidate_causes,
     physical_causes,
+    soft_servos,
     with_line,
 )
 from pupper_analysis.prepare.own_run import (
@@ -177,8 +178,6 @@ def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) ->
     causes: tuple[Cause, ...] = ()
     if off:
         causes = causes_of(bare, robot, *off[0]) or _of_loading(bare, robot, *off[0])
-        if not causes and not any(drive.bad for drive in bare.drives):
-            causes = (Cause("gives-way", (off[0][1].worst_joint,)),)
     return Published(runs, causes, differs=bool(off))
 
 
@@ -366,13 +365,55 @@ def commanded_causes(run: OwnRun, bare: Bare) -> tuple[Cause, ...]:
     return ()
 
 
-def fallback_cause(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the joint that deviates most, if no element of the file explains the failure."""
+def name_remaining_cause(
+    robot: Robot, own: OwnRun | None, published: Published | None
+) -> tuple[OwnRun | None, Published | None]:
+    """Name a cause of a failure that no other finding explains.
+
+    Of the run from the keyframe this is too soft a servo, if the robot stands with stiffer ones.
+    Otherwise it is the joint that deviates most.
+
+    Args:
+        robot: Prepared robot.
+        own: Run of the unmodified file.
+        published: Comparison with the published file.
+
+    Returns:
+        Both, the failing one with a cause.
+    """
+    if own is not None and own.fails:
+        return replace(own, causes=robot.once(_too_soft) or _deviating_joint(own)), published
+    run = None if published is None else published.worst
+    if published is None or run is None or run.close:
+        return own, published
+    return own, replace(published, causes=(Cause("gives-way", (run.worst_joint,)),))
+
+
+def _too_soft(robot: Robot) -> tuple[Cause, ...]:
+    """Return the servos of the unmodified file as a cause, if it stands with stiffer ones."""
+    loaded = as_loaded(robot)
+    model = loaded.once(raw_model)
+    if model is None or not loaded.floating:
+        return ()
+    bare = Bare.of(model, loaded)
+    for candidate in soft_servos(bare, loaded):
+        stiffer = copy.copy(model)
+        candidate.switch_off(stiffer)
+        run = simulate_model_from_keyframe(replace(bare, model=stiffer), loaded)
+        if run is not None and not run.fails:
+            return with_lines([candidate.cause(0.0)], loaded)
+    return ()
+
+
+def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
+    """Return the joint that deviates most, and how."""
     joint = run.unheld or run.worst
     if joint is None:
         return (Cause("diverges", ()),)
     if run.unheld is not None:
         return (Cause("joint-unheld", (joint.joint,)),)
+    if joint.drive is Drive.OTHER:
+        return (Cause("other-drive", (joint.joint,)),)
     return (Cause("ctrl-elsewhere" if joint.commanded_away else "gives-way", (joint.joint,)),)
 
 
@@ -396,7 +437,7 @@ def _find_causes(run: OwnRun, bare: Bare, robot: Robot) -> tuple[Cause, ...]:
                 return None
         return 0.0
 
-    return _tested_causes(bare, known, physics, tried) or fallback_cause(run)
+    return _tested_causes(bare, known, physics, tried)
 
 
 def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:

@@ -85,6 +85,7 @@ def both(*edits: Edit) -> Edit:
 ROLLS = [f"{leg}_roll" for leg in LEGS]
 JET = '<general site="nozzle" gear="0 0 1 0 0 0" biastype="affine" gainprm="0" biasprm="16.5 0 0"/>'
 UNEVEN = "gain-is-no-stiffness, own-run"
+ELSEWHERE = "own-run, keyframe-commands-another-pose"
 
 ODD: dict[str, tuple[str, ...]] = {
     "joint actuatorfrcrange": ("actuatorfrcrange-cuts-off",),
@@ -105,8 +106,8 @@ ODD: dict[str, tuple[str, ...]] = {
     "ctrlrange narrow": ("ctrlrange-cuts-off",),
     "kp -150 at a knee": ("own-servos-fail",),
     "kp 0 at a knee": ("own-servos-fail", "own-run"),
-    "motors": ("own-run",),
-    "a keyframe's ctrl of zeros": ("own-run",),
+    "motors": ("own-run", "motors-commanded-angles"),
+    "a keyframe's ctrl of zeros": ("own-run", "keyframe-commands-another-pose"),
 }
 """{feature: what may be told of it}; ``own-run`` where its joint's drive or command is."""
 
@@ -164,7 +165,7 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     ),
     "gravity aside": (option('gravity="4 0 -9"'), "gravity-aside, files-differ"),
     "a foot that does not touch": (feet('contype="0" conaffinity="0"', 1), "limb-without-foot"),
-    "a command elsewhere": (put('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), "own-run"),
+    "a command elsewhere": (put('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), ELSEWHERE),
 }
 """{what else: (how it is planted, what may be told of it)}."""
 
