@@ -29,7 +29,7 @@ from pupper_analysis.robot.stability import (
     Stability,
     step_stability,
 )
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation.rollout import (
     STATE,
     full_state,
@@ -109,7 +109,7 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
         own = model_with_servos(loaded)
         kp = own.kp * float(np.exp(random.uniform(np.log(0.2), np.log(30))))
         kd = own.kd * float(np.exp(random.uniform(np.log(0.3), np.log(30))))
-        ground = on_ground(loaded, stand.task.ground, stand.foot_targets)
+        ground = build_on_ground(loaded, stand.task.ground, stand.foot_targets)
         torques = pa.stance.stand_statics(ground, stand).joint_torques
         drive = model_with_servos(ground, kp, kd)
         ctrl = drive.command(ground, stand.joint_positions(ground), torques)

@@ -28,7 +28,7 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, steady_state
 from pupper_analysis.stance.stand import stand_statics
 
@@ -200,7 +200,7 @@ class Demand:
 
     def in_the_way(self, qpos: np.ndarray) -> bool:
         """Whether MuJoCo finds a part other than a foot in the ground."""
-        robot = on_ground(self.robot, self.task.ground, self.centres)
+        robot = build_on_ground(self.robot, self.task.ground, self.centres)
         model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_forward(model, data)
@@ -467,7 +467,7 @@ def sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
 
 def height_after(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float) -> float:
     """The base's mean height in the last second of a simulation without feed-forward (m)."""
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    robot = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = model_with_servos(robot)
     model, data = drive.model, mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)

@@ -12,10 +12,10 @@ Everything public speaks MuJoCo's qpos and qvel, with the joints in actuator ord
 """
 
 from pupper_analysis.base.drivers import import_mujoco
-from pupper_analysis.base.exports import exports_of
+from pupper_analysis.base.exports import make_lazy_exports
 
 __version__ = "0.2.0"
 
 import_mujoco()
 
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)
+__getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

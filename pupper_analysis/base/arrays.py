@@ -53,12 +53,12 @@ def quaternion_from_rotation(rotation: Array) -> Array:
     return np.array([w, x, y, z])
 
 
-def placement_of(quaternion: Array, position: Array) -> pin.SE3:
+def make_placement(quaternion: Array, position: Array) -> pin.SE3:
     """Return the placement with a unit quaternion (w, x, y, z) and a position (3,) [m]."""
     return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))
 
 
-def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
+def make_inertia(mass: float, com: Array, tensor: Array) -> pin.Inertia:
     """Return the spatial inertia of a body, without checking that the values are physical.
 
     Pinocchio's constructor rejects unphysical values, which a model file may contain.
@@ -73,7 +73,7 @@ def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
     return result
 
 
-def across(vector: Array, direction: Array) -> Array:
+def project_perpendicular(vector: Array, direction: Array) -> Array:
     """Return the component of a vector (3,) perpendicular to a unit vector (3,): v - (v . u) u."""
     part: Array = vector - (vector @ direction) * direction
     return part

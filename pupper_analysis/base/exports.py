@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 
-def exports_of(
+def make_lazy_exports(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with a stub.

@@ -57,7 +57,7 @@ def hidden_beside(target: Path) -> Path:
 
     Temporary files left in this folder by killed processes are removed first.
     """
-    clear_left(target.parent)
+    remove_stale_files(target.parent)
     return target.parent / f".{hidden_token()}.tmp"
 
 
@@ -66,7 +66,7 @@ MAX_TEMPORARY_AGE: Final = 86_400.0
 takes that long. Process ids are reused, and those of another container cannot be looked up."""
 
 
-def clear_left(folder: Path) -> None:
+def remove_stale_files(folder: Path) -> None:
     """Remove the temporary files in a folder whose process has ended; only on POSIX systems.
 
     Each run that may write to a folder calls it, also if the run has nothing to write in the end.
@@ -141,7 +141,7 @@ _result_streams: list[TextIO] = []
 
 
 @contextmanager
-def whole_file(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.BytesIO]:
+def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.BytesIO]:
     """Yield a buffer whose content is written to the file if the block succeeds.
 
     A regular file is replaced in one step, with its mode; a new file has the mode given by the
@@ -166,7 +166,7 @@ def whole_file(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.By
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputError(path, reason_of(error)) from error
+        raise OutputError(path, describe_os_error(error)) from error
 
 
 def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
@@ -178,7 +178,7 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
     Args:
         path: Output file.
         kind: Kind of the output.
-        force: As in ``whole_file``.
+        force: As in ``write_atomically``.
 
     Raises:
         OutputError: If the file cannot be written, or must not be replaced.
@@ -187,18 +187,18 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
         _result_stream()
         return
     try:
-        target, status = target_of(path)
+        target, status = resolve_target(path)
         if status is not None and stat.S_ISDIR(status.st_mode):
             raise OutputError(path, diagnose("output-is-a-folder"))
         if status is not None and not os.access(target, os.W_OK):
             raise OutputError(path, diagnose("output-not-writable"))
         if status is None or is_replaceable(status):
             check_folder(target.parent)
-            clear_left(target.parent)
+            remove_stale_files(target.parent)
         if status is not None:
             _check_replaceable(path, target, status, kind, force=force)
     except (OSError, ValueError) as error:
-        raise OutputError(path, reason_of(error)) from error
+        raise OutputError(path, describe_os_error(error)) from error
     run = current_run()
     if run is not None and not kind.edits:
         run.expect(path)
@@ -253,12 +253,12 @@ def check_folder(folder: Path) -> None:
     try:
         existing = _nearest_existing(folder)
     except (OSError, ValueError) as error:
-        raise OutputError(folder, reason_of(error)) from error
+        raise OutputError(folder, describe_os_error(error)) from error
     if not existing.is_dir():
         raise OutputError(folder, diagnose("no-folder", folder=existing))
     if not os.access(existing, os.W_OK | os.X_OK):
         raise OutputError(folder, diagnose("folder-not-writable", folder=existing))
-    clear_left(folder)
+    remove_stale_files(folder)
 
 
 def is_replaceable(status: os.stat_result) -> bool:
@@ -288,7 +288,7 @@ def _nearest_existing(folder: Path) -> Path:
     raise FileNotFoundError("there is no such folder")
 
 
-def target_of(path: Path) -> tuple[Path, os.stat_result | None]:
+def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
     """Return a path with links resolved, and the status of the file there (None if missing)."""
     target = Path(os.path.realpath(path))
     try:
@@ -311,7 +311,7 @@ def _write_output(writing: Writing) -> None:
     if path == STANDARD_OUTPUT:
         _write_bytes(_result_stream(), data)
         return
-    target, status = target_of(path)
+    target, status = resolve_target(path)
     if status is None or is_replaceable(status):
         write_all([writing])
         return
@@ -348,7 +348,7 @@ def _write_bytes(stream: TextIO, data: bytes) -> None:
     stream.flush()
 
 
-def reason_of(error: Exception) -> object:
+def describe_os_error(error: Exception) -> object:
     """Return the text of an operating system error without number and path, or the error itself."""
     return getattr(error, "strerror", None) or error
 
@@ -444,7 +444,7 @@ class _StagedFile:
     def stage(self) -> None:
         """Check the target, and write the new content to a temporary file."""
         try:
-            self.target, self.there = target_of(self.writing.path)
+            self.target, self.there = resolve_target(self.writing.path)
             if self.there is not None:
                 self._check_target(self.there)
             self._check_content()
@@ -452,7 +452,7 @@ class _StagedFile:
             self.new = hidden_beside(self.target)
             write_new(self.new, self.writing.content, like=self.there)
         except (OSError, ValueError) as error:
-            raise self._make_error(reason_of(error)) from error
+            raise self._make_error(describe_os_error(error)) from error
 
     def _check_target(self, there: os.stat_result) -> None:
         if not is_replaceable(there):
@@ -490,7 +490,7 @@ class _StagedFile:
             try:
                 write_new(self.old, self.target.read_bytes(), like=self.there)
             except OSError as error:
-                raise self._make_error(reason_of(error)) from error
+                raise self._make_error(describe_os_error(error)) from error
 
     def backed_up(self) -> Path:
         """Copy the existing file to an unused backup name, and return the path of the copy."""
@@ -503,7 +503,9 @@ class _StagedFile:
                 number += 1
             except OSError as error:
                 path.unlink(missing_ok=True)
-                message = diagnose("copy-not-written", file=path.name, problem=reason_of(error))
+                message = diagnose(
+                    "copy-not-written", file=path.name, problem=describe_os_error(error)
+                )
                 raise self._make_error(message) from error
             else:
                 if self.there is not None:
@@ -517,7 +519,7 @@ class _StagedFile:
             self._check_content()
             self.new.replace(self.target)
         except OSError as error:
-            raise self._make_error(reason_of(error)) from error
+            raise self._make_error(describe_os_error(error)) from error
 
     def put_back(self) -> None:
         """Restore the old file if the target has been replaced."""

@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.files import reason_of
-from pupper_analysis.base.runs import note_input
+from pupper_analysis.base.files import describe_os_error
+from pupper_analysis.base.runs import register_input
 
 MAX_TEXT_BYTES: Final = 20_000_000
 """Maximum size of a text file, such as a model or settings. Chosen, not tuned."""
@@ -56,7 +56,9 @@ def check_input(path: Path, most: int, *, own: bool = False) -> None:
     except (FileNotFoundError, NotADirectoryError, ValueError) as error:  # ValueError: a zero byte
         raise InputError(path, diagnose("no-such-file")) from error
     except OSError as error:
-        raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
+        raise InputError(
+            path, diagnose("file-not-read", message=str(describe_os_error(error)))
+        ) from error
     if stat.S_ISDIR(status.st_mode):
         raise InputError(path, diagnose("file-is-folder"))
     if not stat.S_ISREG(status.st_mode):
@@ -64,7 +66,7 @@ def check_input(path: Path, most: int, *, own: bool = False) -> None:
     if status.st_size > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
     if not own:
-        note_input(path)
+        register_input(path)
 
 
 def is_input(path: Path) -> bool:
@@ -98,7 +100,9 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
             while len(data) <= most and (chunk := file.read(_CHUNK_BYTES)):
                 data += chunk
     except (OSError, ValueError) as error:
-        raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
+        raise InputError(
+            path, diagnose("file-not-read", message=str(describe_os_error(error)))
+        ) from error
     if len(data) > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
     return bytes(data)
@@ -164,8 +168,8 @@ _held_content: list[bytes] = []
 """
 
 
-def hold_input(most: int) -> Path:
-    """Read standard input, and keep the content until ``forget_input``.
+def read_standard_input(most: int) -> Path:
+    """Read standard input, and keep the content until ``discard_standard_input``.
 
     Args:
         most: Maximum number of bytes to read.
@@ -189,7 +193,7 @@ def hold_input(most: int) -> Path:
     return STANDARD_INPUT
 
 
-def forget_input() -> None:
+def discard_standard_input() -> None:
     """Discard the content of standard input."""
     _held_content.clear()
 

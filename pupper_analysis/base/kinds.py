@@ -66,7 +66,7 @@ class Folder:
     files: Mapping[str, Kind]
 
 
-def begins(*marks: str) -> Callable[[BinaryIO], bool]:
+def match_prefix(*marks: str) -> Callable[[BinaryIO], bool]:
     """Return a test of whether a file starts with one of several texts."""
     prefixes = tuple(mark.encode() for mark in marks)
     return lambda file: file.read(max(map(len, prefixes))).startswith(prefixes)
@@ -114,28 +114,28 @@ def _has_measurements(file: BinaryIO) -> bool:
 
 
 RESULTS: Final = Kind(
-    "JSON result", begins(f'{{\n  "generator": "{GENERATOR} '), suffixes=(".json",)
+    "JSON result", match_prefix(f'{{\n  "generator": "{GENERATOR} '), suffixes=(".json",)
 )
 PAGE: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
 PICTURE: Final = Kind("figure", _is_picture, suffixes=(".png",))
 STAND_TABLE: Final = Kind(
-    "table of a stand", begins("joint,position (rad),torque (N m),"), suffixes=(".csv",)
+    "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )
 PLAN: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 RECORD: Final = Kind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )
-OFFSETS: Final = Kind("table of offsets", begins("joint,offset_rad,offset_deg\n"))
+OFFSETS: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
 MODEL: Final = Kind("model")
 """Model file. Users edit models, so an existing model is replaced only with ``force``."""
 
 
-def hash_of(content: bytes) -> str:
+def hash_content(content: bytes) -> str:
     """Return the SHA-256 of a file content, to detect later changes by the user."""
     return hashlib.sha256(content).hexdigest()
 
 
-def made_model(known: str | None) -> Kind:
+def generated_model_kind(known: str | None) -> Kind:
     """Return the kind of a generated model. Without ``force``, only an unedited file is replaced.
 
     Args:
@@ -143,7 +143,7 @@ def made_model(known: str | None) -> Kind:
     """
     if known is None:
         return MODEL
-    return Kind("model as a fit has written it", lambda file: hash_of(file.read()) == known)
+    return Kind("model as a fit has written it", lambda file: hash_content(file.read()) == known)
 
 
 OWN: Final = Kind("model", _match_any)
@@ -151,7 +151,7 @@ OWN: Final = Kind("model", _match_any)
 EDITED: Final = Kind("model", _match_any, edits=True)
 """Model file that the run reads and writes in place."""
 
-SAMPLES: Final = Kind("table of samples", begins("# Samples of a fitted robot."))
+SAMPLES: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
 FIT_FOLDER: Final = Folder(
     {
         "fit.json": RESULTS,

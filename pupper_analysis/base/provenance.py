@@ -70,7 +70,7 @@ def list_versions() -> dict[str, str]:
     return versions
 
 
-def find_provenance() -> Provenance:
+def collect_provenance() -> Provenance:
     """Return the provenance of the current run; outside of a run, without command and files."""
     run = current_run()
     files = {}
@@ -86,7 +86,7 @@ def find_provenance() -> Provenance:
     )
 
 
-def marked_json(content: object) -> str:
+def to_marked_json(content: object) -> str:
     """Return a result, or a mapping of results, as JSON with generator and provenance.
 
     The entry ``provenance`` also contains ``units``: {field: unit} of all fields whose class
@@ -106,7 +106,7 @@ def marked_json(content: object) -> str:
         name: " or ".join(sorted(alternatives))
         for name, alternatives in sorted(units_by_field.items())
     }
-    origin = {**to_plain(find_provenance()), "units": units}
+    origin = {**to_plain(collect_provenance()), "units": units}
     marks = {"generator": f"{GENERATOR} {__version__}", "provenance": origin}
     return f"{to_json({**marks, **plain})}\n"
 

@@ -49,7 +49,7 @@ class Run:
         Raises:
             OutputError: If the run has already read the file.
         """
-        identity = identity_of(path)
+        identity = identify_file(path)
         if identity is not None:
             self.refuse_input(path, identity)
             self.outputs[identity] = path
@@ -65,7 +65,7 @@ class Run:
 
     def wrote(self, path: Path, *, edited: bool = False) -> None:
         """Register a file that the run has written. A file that was edited remains an input."""
-        identity = identity_of(path)
+        identity = identify_file(path)
         if identity is None:
             return
         if edited:
@@ -75,7 +75,7 @@ class Run:
             self.written.add(identity)
         # The file system reuses the inode numbers of deleted files.
         self.outputs = {
-            known: name for known, name in self.outputs.items() if identity_of(name) == known
+            known: name for known, name in self.outputs.items() if identify_file(name) == known
         }
 
 
@@ -88,7 +88,7 @@ def current_run() -> Run | None:
 
 
 @contextmanager
-def running() -> Iterator[Run]:
+def ensure_run() -> Iterator[Run]:
     """Yield the current run. If there is none, start a run that ends with the block."""
     run = _current_run.get()
     if run is not None:
@@ -101,7 +101,7 @@ def running() -> Iterator[Run]:
         _current_run.reset(token)
 
 
-def note_input(path: str | os.PathLike[str]) -> None:
+def register_input(path: str | os.PathLike[str]) -> None:
     """Register an input file of the current run; called by each function that reads a file.
 
     Raises:
@@ -110,7 +110,7 @@ def note_input(path: str | os.PathLike[str]) -> None:
     run = _current_run.get()
     if run is None:
         return
-    identity = identity_of(Path(path))
+    identity = identify_file(Path(path))
     if identity is None or identity in run.written:
         return
     run.inputs.setdefault(identity, str(path))
@@ -118,7 +118,7 @@ def note_input(path: str | os.PathLike[str]) -> None:
         run.refuse_input(run.outputs[identity], identity)
 
 
-def identity_of(path: Path) -> Identity | None:
+def identify_file(path: Path) -> Identity | None:
     """Return the identity of a file, with links followed; None if there is no file."""
     with suppress(OSError, ValueError):
         status = path.stat()

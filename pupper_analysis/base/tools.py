@@ -96,7 +96,7 @@ def other_tools() -> Mapping[str, Tool]:
     return _find_others(GROUP, "command.py")
 
 
-def offering(module: str) -> Mapping[str, str]:
+def find_tool_modules(module: str) -> Mapping[str, str]:
     """Return {tool: package} of all tools with a module of a given name, our own first."""
     tools = {**own_tools(), **other_tools()}
     return {
@@ -130,7 +130,7 @@ def formats() -> Mapping[str, Format]:
     return MappingProxyType(by_name)
 
 
-def format_of(path: Path) -> Format | None:
+def find_format(path: Path) -> Format | None:
     """Return the format of a file by its suffix; None for URDF, MJCF and unknown suffixes."""
     suffix = path.suffix.lower()
     if suffix in _COMMON_SUFFIXES:
@@ -141,7 +141,7 @@ def format_of(path: Path) -> Format | None:
     )
 
 
-def format_begun(data: bytes) -> Format | None:
+def detect_format(data: bytes) -> Format | None:
     """Return the format of a file by its first bytes; None for XML or unknown content."""
     if data.lstrip()[:1] == b"<":
         return None

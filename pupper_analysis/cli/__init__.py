@@ -16,10 +16,10 @@ import click
 
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.base.inputs import forget_input
+from pupper_analysis.base.inputs import discard_standard_input
 from pupper_analysis.base.kinds import GENERATOR
-from pupper_analysis.base.runs import running
-from pupper_analysis.base.tools import HEADINGS, offering, other_tools, own_tools
+from pupper_analysis.base.runs import ensure_run
+from pupper_analysis.base.tools import HEADINGS, find_tool_modules, other_tools, own_tools
 from pupper_analysis.cli.process import (
     Ended,
     ending_signals,
@@ -46,7 +46,7 @@ def _command(name: str) -> click.Command | None:
     if name not in tools:
         return None
     command: click.Command = import_module(f"{tools[name].package}.command").command
-    for package in offering("modes").values():
+    for package in find_tool_modules("modes").values():
         bring = import_module(f"{package}.modes").MODES.get(name)
         command = command if bring is None else bring(command)
     return command
@@ -143,7 +143,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int:
     """Runs a command; says what went wrong, and returns the exit status."""
     try:
-        with running() as run:  # from here, as options read files, too
+        with ensure_run() as run:  # from here, as options read files, too
             run.command = (GENERATOR, *arguments)
             return command.main(args=arguments, standalone_mode=False) or VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
@@ -171,7 +171,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         _say(f"unexpected: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
     finally:
-        forget_input()
+        discard_standard_input()
     return BAD_INPUT
 
 

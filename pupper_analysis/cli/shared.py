@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.base.kinds import Folder, Kind
-from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.base.units import UNITS, Position
 
 if TYPE_CHECKING:
@@ -115,12 +115,12 @@ class Command(click.Command):
 
     def invoke(self, context: click.Context) -> Any:
         """Runs it, if its results can be written."""
-        run = context.with_resource(running())
+        run = context.with_resource(ensure_run())
         run.asked = _asked_options(self, context)
         given = context.params.get if self._has_force else context.params.pop
         run.force = bool(given("force", False))
         for name in _named_files(self, context):
-            note_input(name)
+            register_input(name)
         _check_outputs(self, context)
         import_without_opengl()
         context.with_resource(no_mujoco_log())
@@ -206,7 +206,7 @@ def _check_outputs(command: Command, context: click.Context) -> None:
         for file, kind in wanted.items():
             files.check_writable(file, kind)
             option.type.check_suffix(option.opts[0], file, kind)  # type: ignore[attr-defined]
-            place = file if file == files.STANDARD_OUTPUT else files.target_of(file)[0]
+            place = file if file == files.STANDARD_OUTPUT else files.resolve_target(file)[0]
             if place in taken:
                 raise OutputError(file, diagnose("two-results-to-one-file"))
             taken.add(place)
@@ -286,10 +286,10 @@ class ModelFile(click.Path):
     ) -> Path:
         """Returns the path, or the name under which standard input is read."""
         if str(value) == "-":
-            from pupper_analysis.base.inputs import hold_input
+            from pupper_analysis.base.inputs import read_standard_input
             from pupper_analysis.models.xml import MAX_BYTES
 
-            return hold_input(MAX_BYTES + 1)
+            return read_standard_input(MAX_BYTES + 1)
         return Path(str(super().convert(value, param, ctx)))
 
 
@@ -450,10 +450,10 @@ def show_results(
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
     """Shows a report on the terminal, or as Markdown; its arguments are ``show_results``'s."""
     if style == "markdown":
-        from pupper_analysis.base.provenance import find_provenance
+        from pupper_analysis.base.provenance import collect_provenance
         from pupper_analysis.present.markdown import fold_lines, write_markdown
 
-        made = fold_lines("pupper_analysis", find_provenance().lines())
+        made = fold_lines("pupper_analysis", collect_provenance().lines())
         click.echo(f"{write_markdown(report)}\n{made}", nl=False)
     else:
         from pupper_analysis.present.terminal import make_console, print_report
@@ -473,14 +473,14 @@ def confirm_written(path: Path | str) -> None:
 
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
-    from pupper_analysis.base.files import whole_file
-    from pupper_analysis.base.provenance import marked_json
+    from pupper_analysis.base.files import write_atomically
+    from pupper_analysis.base.provenance import to_marked_json
     from pupper_analysis.cli.process import go_on
 
     go_on()
     if path is not None:
-        with whole_file(path, kinds.RESULTS) as file:
-            file.write(marked_json(content).encode())
+        with write_atomically(path, kinds.RESULTS) as file:
+            file.write(to_marked_json(content).encode())
         confirm_written(path)
 
 

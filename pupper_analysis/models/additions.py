@@ -80,7 +80,7 @@ class Ball(Addition):
 
 
 @dataclass(frozen=True)
-class Untouching(Addition):
+class DisabledContacts(Addition):
     """Geoms whose contacts are disabled.
 
     Attributes:
@@ -93,7 +93,7 @@ class Untouching(Addition):
 
 
 @dataclass(frozen=True)
-class Apart(Addition):
+class ContactExclusion(Addition):
     """Contact exclusion of two bodies.
 
     Attributes:
@@ -127,7 +127,7 @@ class Servo(Addition):
 
 
 @dataclass(frozen=True)
-class Start(Addition):
+class StartKeyframe(Addition):
     """Keyframe of the initial pose at rest.
 
     Attributes:
@@ -141,7 +141,7 @@ class Start(Addition):
     ctrl: tuple[float, ...] = ()
 
 
-def put_all(additions: Iterable[Addition], model: object) -> None:
+def apply_additions(additions: Iterable[Addition], model: object) -> None:
     """Apply additions to a model (`SpecTree`, or a new file), in the given order."""
     for addition in additions:
         addition.put(model)

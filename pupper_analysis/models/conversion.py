@@ -20,8 +20,8 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import (
-    inertia_of,
-    placement_of,
+    make_inertia,
+    make_placement,
     quaternion_from_rotation,
     rotation_from_quaternion,
 )
@@ -204,7 +204,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         joint = joint_of[parent]
-        relative = placement_of(model.body_quat[body], model.body_pos[body])
+        relative = make_placement(model.body_quat[body], model.body_pos[body])
         placement = placements[parent] * relative
         first = int(model.body_jntadr[body])
         for index in range(first, first + int(model.body_jntnum[body])):
@@ -216,7 +216,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
         _add_frame(result, model.body(body).name, joint, placement)
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
-        local = placement_of(model.site_quat[site], model.site_pos[site])
+        local = make_placement(model.site_quat[site], model.site_pos[site])
         _add_frame(result, model.site(site).name, joint_of[body], placements[body] * local)
     result.armature = joint_armature(model)[dofs]
     result.damping = joint_damping(model)[dofs]
@@ -228,7 +228,7 @@ def inertia_of_body(model: mujoco.MjModel, body: int) -> pin.Inertia:
     """Return the spatial inertia of a MuJoCo body, in the frame of the body."""
     axes = rotation_from_quaternion(model.body_iquat[body])
     tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    return inertia_of(model.body_mass[body], model.body_ipos[body], tensor)
+    return make_inertia(model.body_mass[body], model.body_ipos[body], tensor)
 
 
 def acting_gravity(model: mujoco.MjModel) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.additions import Addition, Ball, put_all
+from pupper_analysis.models.additions import Addition, Ball, apply_additions
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
@@ -69,7 +69,7 @@ class Description:
     def given(self, *additions: Addition) -> Description:
         """Return a description whose MJCF has further additions."""
         spec = self.mjcf.copy()
-        put_all(additions, SpecTree(spec))
+        apply_additions(additions, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *additions))
 
     def replaced_soles(self) -> tuple[Diagnostic, ...]:

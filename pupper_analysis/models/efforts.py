@@ -23,7 +23,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import UNSTATED
-from pupper_analysis.models.transmission import actuator_gear, drives_of
+from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 
 if TYPE_CHECKING:
     from pupper_analysis.models.mjcf_file import MjcfFile
@@ -172,7 +172,7 @@ def effort_of(
         null: An empty range of the MJCF, which its compiled model lacks: ``null_efforts``.
     """
     own = str(model.joint(joint).name)
-    drives = drives_of(model, joint) if drives is None else drives
+    drives = list_joint_actuators(model, joint) if drives is None else drives
     stated = _stated(model, joint, drives)
     if null is not None:
         stated.append(null)

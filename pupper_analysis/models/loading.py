@@ -14,10 +14,10 @@ from typing import Any, Protocol, cast
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.runs import note_input
-from pupper_analysis.base.tools import format_of
+from pupper_analysis.base.runs import register_input
+from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
-from pupper_analysis.models.places import NO_LINE, Place, refusal_at
+from pupper_analysis.models.places import NO_LINE, Place, make_element_error
 from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
@@ -82,7 +82,7 @@ class Reader(Protocol):
 
 def reader_of(path: Path) -> Reader | None:
     """Return the reader for a file by its suffix; None for URDF, MJCF and unknown suffixes."""
-    model_format = format_of(path)
+    model_format = find_format(path)
     return (
         None
         if model_format is None
@@ -106,7 +106,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     """
     check_type("path", path, str | Path)
     path = find_file(path)
-    note_input(path)
+    register_input(path)
     if path.suffix == XACRO_SUFFIX:
         text = expand_xacro(path)
         root = parse_file_text(path, text)
@@ -117,7 +117,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":
-        raise refusal_at(path, root, diagnose("no-model", tag=str(root.tag)))
+        raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
     return urdf_from(path, text, root, packages)
 
 

@@ -26,7 +26,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_content, read_input
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, free_name
+from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, make_unique_name
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
     return plane
 
 
-def start_data(model: mujoco.MjModel) -> mujoco.MjData:
+def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
     """Return MuJoCo data at the first keyframe, or at qpos0 without keyframes, with kinematics."""
     data = mujoco.MjData(model)
     if model.nkey:
@@ -100,7 +100,7 @@ million steps. Contacts oscillate within 10 ms, and in one step of the upper bou
 cm."""
 
 
-def spec_of(path: Path) -> mujoco.MjSpec:
+def parse_spec(path: Path) -> mujoco.MjSpec:
     """Parse an MJCF with any suffix; MuJoCo itself only reads files ``*.xml``."""
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))
@@ -133,7 +133,7 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("mjcf-not-compiled", message=one_line(error))) from error
-    problem = no_number(model)
+    problem = find_invalid_number(model)
     if problem is not None:
         raise ModelError(source, problem)
     return model
@@ -159,7 +159,7 @@ _NAN_FREE_FIELDS = (
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 
 
-def no_number(model: mujoco.MjModel) -> Diagnostic | None:
+def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
     """Return a diagnostic of the first invalid number of a model; None if all are valid.
 
     MuJoCo compiles models with NaN, with too large numbers, and with zero axes or quaternions.
@@ -222,10 +222,10 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
         for object_type, object_id in equality_ends(model, index)
         if object_id >= 0
     ]
-    return str(model.equality(index).name) or numbered(index, *objects)
+    return str(model.equality(index).name) or format_equality_name(index, *objects)
 
 
-def numbered(index: int, *ends: str) -> str:
+def format_equality_name(index: int, *ends: str) -> str:
     """Return the name of an equality without a name, from its number and its objects."""
     return f"#{index} ({' = '.join(ends)})"
 
@@ -270,7 +270,7 @@ def silence_mujoco() -> Iterator[None]:
         _WARNING_SUPPRESSOR.end()
 
 
-def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
+def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
     """Name the bodies and joints without a name, except free joints, in place.
 
     Args:
@@ -283,11 +283,11 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
     bodies = {body.name for body in spec.bodies}
     for number, body in enumerate(spec.bodies):
         if not body.name:
-            body.name = free_name(f"body_{number}", bodies)
+            body.name = make_unique_name(f"body_{number}", bodies)
     joints, notes = {joint.name for joint in spec.joints} | taken, []
     for joint in spec.joints:
         if not joint.name and joint.type != JointKind.FREE:
-            joint.name = free_name(f"{joint.parent.name}_joint", joints)
+            joint.name = make_unique_name(f"{joint.parent.name}_joint", joints)
             notes.append(diagnose("joint-named", subject=("joint", joint.name)))
     return notes
 
@@ -305,14 +305,14 @@ def to_xml(spec: mujoco.MjSpec) -> str:
 # Pickling of specs and of read-only mappings, which Python does not support.
 
 
-def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
+def spec_to_data(spec: mujoco.MjSpec) -> dict[str, Any]:
     """Return a spec as picklable data: XML, folder, and contents of the files."""
     assets = {**_read_assets(spec), **spec.assets}
     return {"xml": to_xml(spec), "folder": spec.modelfiledir, "assets": assets}
 
 
-def spec_from(state: dict[str, Any]) -> mujoco.MjSpec:
-    """Return the spec of data from ``state_of``; no files are read."""
+def spec_from_data(state: dict[str, Any]) -> mujoco.MjSpec:
+    """Return the spec of data from ``spec_to_data``; no files are read."""
     with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]
@@ -342,5 +342,5 @@ def fixed_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(content)
 
 
-copyreg.pickle(mujoco.MjSpec, lambda spec: (spec_from, (state_of(spec),)))
+copyreg.pickle(mujoco.MjSpec, lambda spec: (spec_from_data, (spec_to_data(spec),)))
 copyreg.pickle(MappingProxyType, lambda fixed: (fixed_mapping, (dict(fixed),)))

@@ -22,18 +22,18 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf import (
     compile_spec,
-    no_number,
+    find_invalid_number,
+    parse_spec,
     silence_mujoco,
-    spec_of,
 )
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
     line_of,
+    make_element_error,
+    make_file_error,
     one_line,
     quote_short,
-    refusal_at,
-    refuse_file,
 )
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml import (
@@ -71,7 +71,7 @@ def leave_out_missing(
         if gives_mass(spec, geom):
             body = geom.parent.name
             place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
-            raise refuse_file(
+            raise make_file_error(
                 place,
                 diagnose(
                     "mass-of-missing-mesh",
@@ -262,11 +262,13 @@ class IncludeTree:
         self._num_elements = 0
         self._include_counter = includes or itertools.count(1)
         if len(self._open_files) > MAX_INCLUDE_DEPTH:
-            raise refuse_file(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
+            raise make_file_error(
+                Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH)
+            )
         self.root = self._make_node(root, path, self._open_files, 0)
         self.copies = self._count_copies(self.root)
         if self.copies > self._num_elements + MAX_COPIES:
-            raise refuse_file(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
+            raise make_file_error(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
 
     def _make_node(
         self,
@@ -282,11 +284,11 @@ class IncludeTree:
         childclass = attributes.get("childclass", childclass)
         self._num_elements += 1
         if self._num_elements > MAX_ELEMENTS:
-            raise refuse_file(
+            raise make_file_error(
                 Place(self.path), diagnose("too-many-elements", count=None, most=MAX_ELEMENTS)
             )
         if depth > MAX_DEPTH:
-            raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
+            raise make_element_error(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
         _check_sizes(path, element)
         _check_formats(path, element)
         if element.tag == "model" and element.get("file", "").endswith(".xml"):
@@ -308,9 +310,11 @@ class IncludeTree:
         included = self._find_included(element, path)
         resolved = included.resolve()
         if resolved in within:
-            raise refusal_at(path, element, diagnose("includes-itself", file=included.name))
+            raise make_element_error(path, element, diagnose("includes-itself", file=included.name))
         if len(within) > MAX_INCLUDE_DEPTH:
-            raise refusal_at(path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH))
+            raise make_element_error(
+                path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH)
+            )
         if resolved not in self._parsed_roots:
             self.files[included] = None
             _, self._parsed_roots[resolved] = parse_xml(included)
@@ -319,7 +323,7 @@ class IncludeTree:
     def _read_attached(self, element: etree._Element, path: Path) -> None:
         attached = self._find_included(element, path)
         if attached.resolve() in self._open_files:
-            raise refusal_at(path, element, diagnose("attaches-itself", file=attached.name))
+            raise make_element_error(path, element, diagnose("attaches-itself", file=attached.name))
         _, root = parse_xml(attached)
         tree = IncludeTree(attached, root, self._open_files, self._include_counter)
         self.files |= tree.files
@@ -334,16 +338,20 @@ class IncludeTree:
         The name is relative to the main file or, if that does not exist, to the including file.
         """
         if next(self._include_counter) > MAX_INCLUDES:
-            raise refusal_at(path, element, diagnose("too-many-includes", most=MAX_INCLUDES))
+            raise make_element_error(
+                path, element, diagnose("too-many-includes", most=MAX_INCLUDES)
+            )
         name = element.get("file")
         if not name:
-            raise refusal_at(path, element, diagnose("element-without-file", tag=element.tag))
+            raise make_element_error(
+                path, element, diagnose("element-without-file", tag=element.tag)
+            )
         for folder in (self.path.parent, path.parent):
             found = existing_file(folder / name)
             if found is not None:
                 return found
         missing = diagnose("included-file-missing", tag=element.tag, file=quote_short(name))
-        raise refusal_at(path, element, missing)
+        raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
         total = 1 + sum(self._count_copies(child) for child in node.children)
@@ -364,7 +372,7 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
             if _multiply_numbers(text) > limit:
                 names = " x ".join(attributes)
                 problem = diagnose("size-too-large", tag=element.tag, names=names, most=limit)
-                raise refusal_at(path, element, problem)
+                raise make_element_error(path, element, problem)
 
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
@@ -379,7 +387,7 @@ def _check_formats(path: Path, element: etree._Element) -> None:
     for attribute, value in element.attrib.items():
         if attribute not in _TEXT_ATTRIBUTES and _FORMAT_DIRECTIVE.search(str(value)):
             values = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}
-            raise refusal_at(path, element, diagnose("format-in-attribute", **values))
+            raise make_element_error(path, element, diagnose("format-in-attribute", **values))
 
 
 def _multiply_numbers(text: str) -> int:
@@ -626,7 +634,7 @@ class MjcfFile:
         """
         if self.refusal is not None:
             problem, place = self.refusal
-            raise refuse_file(place, problem)
+            raise make_file_error(place, problem)
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:
@@ -662,7 +670,7 @@ def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile
             )
     except _MUJOCO_ERRORS as error:
         message = one_line(error)
-        raise refuse_file(Place(path), diagnose("mjcf-not-valid", message=message)) from error
+        raise make_file_error(Place(path), diagnose("mjcf-not-valid", message=message)) from error
     return MjcfFile(path, spec, _model=compile_spec(compiled_spec, path))
 
 
@@ -678,7 +686,9 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"
         tag = str(root.tag)
-        raise refusal_at(path, root, diagnose("no-mjcf", tag=tag, urdf=is_urdf, part=is_include))
+        raise make_element_error(
+            path, root, diagnose("no-mjcf", tag=tag, urdf=is_urdf, part=is_include)
+        )
     tree = IncludeTree(path, root)
     index = index_of(tree.root)
     spec, notes = _parse_spec(tree, index)
@@ -692,7 +702,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
             as_it_is = _make_refusal(tree, index, ValueError(first_message))
     except _MUJOCO_ERRORS as error:
         refusal = _make_refusal(tree, index, error)
-    problem = None if model is None else no_number(model)
+    problem = None if model is None else find_invalid_number(model)
     if problem is not None:
         model, refusal = None, (problem, Place(path))
     return MjcfFile(
@@ -715,10 +725,10 @@ def _parse_spec(
     """Parse a spec, and remove elements whose files are missing; also return diagnostics."""
     try:
         with silence_mujoco():
-            spec = spec_of(tree.path)
+            spec = parse_spec(tree.path)
     except _MUJOCO_ERRORS as error:
         message, place = _locate_message(tree, index, error)
-        raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
+        raise make_file_error(place, diagnose("mjcf-not-valid", message=message)) from error
     return spec, leave_out_missing(spec, tree, index)
 
 

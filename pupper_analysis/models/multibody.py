@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
@@ -48,7 +48,7 @@ class TreeBody:
     @property
     def rigid(self) -> pin.Inertia:
         """Spatial inertia, in the frame of the body."""
-        return inertia_of(self.mass, self.com, self.inertia)
+        return make_inertia(self.mass, self.com, self.inertia)
 
     def moved(self, pose: pin.SE3) -> TreeBody:
         """Return the body, expressed in another frame.
@@ -281,7 +281,7 @@ _JOINT_FIELDS = {
 """{kind of a difference: field of `TreeJoint`}."""
 
 
-def with_value_of(
+def copy_value(
     tree: MultibodyTree, source: MultibodyTree, kind: str, element: str
 ) -> MultibodyTree:
     """Return a tree with one value of another tree.

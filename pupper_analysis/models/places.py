@@ -81,21 +81,21 @@ def line_of(element: etree._Element) -> int | None:
     return line if line is not None and line < NO_LINE else None
 
 
-def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
+def make_element_error(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
     """Return the error for a problem of an element, with file and line."""
-    return refuse_file(Place(path, line_of(element)), problem)
+    return make_file_error(Place(path, line_of(element)), problem)
 
 
-def refuse_file(place: Place, problem: Diagnostic) -> ModelError:
+def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
     """Return the error for a problem of a file, or of a location in it."""
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (place.within if place.element is not None else "")
     return ModelError(name, replace(problem, sources=sources))
 
 
-def refuse_input(path: Path, error: InputError) -> ModelError:
+def make_input_error(path: Path, error: InputError) -> ModelError:
     """Return the error for a model file that cannot be read."""
-    return refuse_file(Place(path, error.line), error.cause)
+    return make_file_error(Place(path, error.line), error.cause)
 
 
 def source_name(path: Path, line: int | None = None) -> str:

@@ -15,8 +15,8 @@ from typing import Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.runs import note_input
-from pupper_analysis.models.places import Place, one_line, refuse_file
+from pupper_analysis.base.runs import register_input
+from pupper_analysis.models.places import Place, make_file_error, one_line
 from pupper_analysis.models.xml import LFS_POINTER
 
 
@@ -30,7 +30,7 @@ def existing_file(path: Path) -> Path | None:
             return None
     except (OSError, ValueError):
         return None
-    note_input(path)
+    register_input(path)
     return path
 
 
@@ -48,7 +48,7 @@ def is_pointer(path: Path) -> bool:
         return False
 
 
-def folders_of_package(folder: Path, package: str) -> Iterator[Path]:
+def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
     """Yield the folder itself and its subfolder, if they have the name of a ROS package."""
     if folder.name == package:
         yield folder
@@ -126,16 +126,16 @@ def expand_xacro(path: Path) -> str:
     try:
         xacro = importlib.import_module("xacro")
     except ImportError as error:
-        raise refuse_file(Place(path), diagnose("file-is-xacro")) from error
+        raise make_file_error(Place(path), diagnose("file-is-xacro")) from error
     if not path.is_file():
-        raise refuse_file(Place(path), diagnose("file-not-read", message="no such file"))
+        raise make_file_error(Place(path), diagnose("file-not-read", message="no such file"))
     # xacro appends the included files of each expansion to a global list.
     before = len(getattr(xacro, "all_includes", ()))
     try:
         text = str(xacro.process_file(str(path)).toxml())
     except Exception as error:  # Python code in a macro may raise any exception
         problem = diagnose("xacro-not-expanded", message=one_line(error))
-        raise refuse_file(Place(path), problem) from error
+        raise make_file_error(Place(path), problem) from error
     for name in getattr(xacro, "all_includes", ())[before:]:
-        note_input(name)
+        register_input(name)
     return text

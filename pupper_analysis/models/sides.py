@@ -45,7 +45,7 @@ def mirror_name(name: str) -> str:
     return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 
 
-def mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
+def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
     Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
@@ -64,7 +64,7 @@ def mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     return list(pairs.items())
 
 
-def unlike_pairs(
+def find_unlike_pairs(
     pairs: Iterable[tuple[str, str]], numbers: Mapping[str, float]
 ) -> list[tuple[str, str]]:
     """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.

@@ -29,7 +29,7 @@ from pupper_analysis.models.attributes import (
     Number,
 )
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane, compile_spec
-from pupper_analysis.models.xml import free_name
+from pupper_analysis.models.xml import make_unique_name
 
 Array = NDArray[np.float64]
 
@@ -232,7 +232,7 @@ class SpecTree:
             beneath: Height [m] of a new, last body that gets the plane. The ids of existing bodies
                 then stay the same. None for a plane of the world.
         """
-        bits, name = 1, free_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
+        bits, name = 1, make_unique_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
             bits |= int(geom.contype)
         body = self.spec.worldbody

@@ -26,7 +26,7 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
     return int(model.jnt_type[model.actuator_trnid[actuator, 0]]) in _SCALAR_JOINT_KINDS
 
 
-def motor_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
+def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
     """Return the object type and the ids of the targets of an actuator; -1 for a missing target."""
     kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
     type_name = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
@@ -39,7 +39,7 @@ def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
 
-def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
+def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of the actuators at a hinge or slide.
 
     For these joints the transmissions ``joint`` and ``jointinparent`` are equal. Ids of actuators
@@ -50,8 +50,8 @@ def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
     return [actuator for actuator in candidates if is_at_one_joint(model, actuator)]
 
 
-def drives_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint: its actuators} of the hinges and slides with actuators; see ``drives_of``."""
+def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
+    """Return {joint: its actuators} of all driven joints; see ``list_joint_actuators``."""
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
         if is_at_one_joint(model, actuator):
@@ -100,7 +100,7 @@ class ActuatorLaw:
         return self.stiffness * self.gear**2, self.damping * self.gear**2
 
 
-def law_of(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
+def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
     """Return the force law of an actuator. Without affine bias, stiffness and damping are 0."""
     gain = float(model.actuator_gainprm[actuator, 0])
     affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -148,7 +148,7 @@ class MadeServo:
     instead_of: Drive
 
 
-def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
+def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
     Several actuators are classified together: if one has negative stiffness, the sum of the
@@ -158,14 +158,14 @@ def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
         model: Unmodified model of the MJCF.
         joint: Id of the joint.
     """
-    motors = drives_of(model, joint)
+    motors = list_joint_actuators(model, joint)
     if not motors:
         return Drive.TENDON if tendon_actuators(model, joint) else Drive.NONE
     kinds = [_classify_actuator(model, motor) for motor in motors]
     if len(motors) == 1:
         return kinds[0]
     if Drive.WRONG_SIGN in kinds:
-        stiffness = sum(law_of(model, motor).at_joint[0] for motor in motors)
+        stiffness = sum(read_actuator_law(model, motor).at_joint[0] for motor in motors)
         return Drive.SERVO if stiffness > 0 else Drive.WRONG_SIGN
     return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
@@ -182,7 +182,7 @@ def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
         mujoco.mjtBias.mjBIAS_AFFINE.value,
     ):
         return Drive.OTHER
-    law = law_of(model, motor)
+    law = read_actuator_law(model, motor)
     stiffness, gain = law.at_joint[0], law.gain * law.gear**2
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN

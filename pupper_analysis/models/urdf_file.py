@@ -23,11 +23,11 @@ from pupper_analysis.models.places import (
     Place,
     innermost_element,
     line_of,
+    make_element_error,
+    make_file_error,
     quote_short,
-    refusal_at,
-    refuse_file,
 )
-from pupper_analysis.models.published import existing_file, folders_of_package
+from pupper_analysis.models.published import existing_file, find_package_folders
 from pupper_analysis.models.urdf_tree import UNSTATED_LIMITS, UrdfJoint, UrdfTree
 from pupper_analysis.models.xacro_declarations import remove_declarations
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, parse_xml, to_text
@@ -131,12 +131,12 @@ class UrdfFile:
         if package in self.packages:
             yield Path(self.packages[package])
         for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
-            yield from folders_of_package(Path(entry), package)
+            yield from find_package_folders(Path(entry), package)
         # If the URDF is a symbolic link, both its folder and the folder of the target are
         # searched: in a workspace built from links, either may be in the package.
         for path in dict.fromkeys((self.path.absolute(), self.path.resolve())):
             for folder in path.parents:
-                yield from folders_of_package(folder, package)
+                yield from find_package_folders(folder, package)
         yield from self.path.absolute().parents
 
 
@@ -167,11 +167,13 @@ def urdf_from(
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"
-        raise refusal_at(path, root, diagnose("no-urdf", tag=str(root.tag), mjcf=mjcf))
+        raise make_element_error(path, root, diagnose("no-urdf", tag=str(root.tag), mjcf=mjcf))
     if not root.get("name"):
-        raise refusal_at(path, root, diagnose("robot-without-name"))
+        raise make_element_error(path, root, diagnose("robot-without-name"))
     if root.get("version") not in (None, "1", "1.0"):
-        raise refusal_at(path, root, diagnose("version-unknown", version=root.get("version")))
+        raise make_element_error(
+            path, root, diagnose("version-unknown", version=root.get("version"))
+        )
     found = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})))
     notes = remove_declarations(path, root, found.resolve_mesh)
     completed = complete_limits(root)
@@ -181,9 +183,11 @@ def urdf_from(
     links = distinct_children(path, root, "link")
     joints = distinct_children(path, root, "joint")
     if not links:
-        raise refuse_file(Place(path), diagnose("no-links"))
+        raise make_file_error(Place(path), diagnose("no-links"))
     if len(links) > MAX_LINKS:
-        raise refuse_file(Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS))
+        raise make_file_error(
+            Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS)
+        )
     for element in (*links.values(), *joints.values(), *materials.values()):
         rewritten |= check_element(path, element)
     for name, joint in joints.items():
@@ -196,7 +200,7 @@ def urdf_from(
     unlimited = [joint.name for joint in unlimited_joints(root)]
     notes += [diagnose("range-unstated", names=unlimited)] if unlimited else []
     if rewritten or unlimited:
-        text = for_engines(root)
+        text = to_engine_xml(root)
     file = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
     if current_run() is not None:  # registers the meshes as inputs, which must not be overwritten
         for element in root.iter("mesh", "texture"):
@@ -286,11 +290,11 @@ def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, e
     for element in root.findall(tag):
         name = element.get("name")
         if not name:
-            raise refusal_at(path, element, diagnose("element-without-name", tag=tag))
+            raise make_element_error(path, element, diagnose("element-without-name", tag=tag))
         if name in children:
             first = line_of(children[name])
             problem = diagnose("name-taken", subject=(tag, name), line=first)
-            raise refusal_at(path, element, problem)
+            raise make_element_error(path, element, problem)
         children[name] = element
     return children
 
@@ -316,15 +320,15 @@ def check_element(path: Path, element: etree._Element) -> bool:
             if tags.count(tag) > 1:
                 second = [child for child in children if child.tag == tag][1]
                 problem = diagnose("child-more-than-once", subject=subject, tag=tag)
-                raise refusal_at(path, second, problem)
+                raise make_element_error(path, second, problem)
         for tag in _REQUIRED_CHILDREN.get(part.tag, ()):
             if tag not in tags:
                 problem = diagnose("child-missing", subject=subject, tag=part.tag, child=tag)
-                raise refusal_at(path, part, problem)
+                raise make_element_error(path, part, problem)
         for attribute in _REQUIRED_ATTRIBUTES.get(part.tag, ()):
             if part.get(attribute) is None:
                 missing = {"tag": part.tag, "attribute": attribute}
-                raise refusal_at(
+                raise make_element_error(
                     path, part, diagnose("attribute-missing", subject=subject, **missing)
                 )
         for attribute, count in _NUM_VALUES.get(part.tag, {}).items():
@@ -337,7 +341,9 @@ def check_element(path: Path, element: etree._Element) -> bool:
                 part.set(attribute, normalised)
                 rewritten |= count == 1
         if part.tag == "dynamics" and not (part.get("damping") or part.get("friction")):
-            raise refusal_at(path, part, diagnose("dynamics-states-nothing", subject=subject))
+            raise make_element_error(
+                path, part, diagnose("dynamics-states-nothing", subject=subject)
+            )
         pending.extend(children)
     return rewritten
 
@@ -356,18 +362,22 @@ def _check_numbers(
         problem = diagnose(
             "wrong-count-of-numbers", subject=subject, **values, count=len(numbers), wanted=count
         )
-        raise refusal_at(path, part, problem)
+        raise make_element_error(path, part, problem)
     for number in numbers:
         if "${" in number or "$(" in number:
-            raise refusal_at(path, part, diagnose("value-is-xacro", subject=subject, **values))
+            raise make_element_error(
+                path, part, diagnose("value-is-xacro", subject=subject, **values)
+            )
         if not NUMBER_PATTERN.fullmatch(number) or not math.isfinite(float(number)):
             values |= {"number": quote_short(number)}
-            raise refusal_at(path, part, diagnose("number-not-finite", subject=subject, **values))
+            raise make_element_error(
+                path, part, diagnose("number-not-finite", subject=subject, **values)
+            )
         # Limits may be larger, because exporters write the largest number for "no limit".
         if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
             values |= {"number": quote_short(number)}
             problem = diagnose("number-too-large", subject=subject, **values, most=MAX_NUMBER)
-            raise refusal_at(path, part, problem)
+            raise make_element_error(path, part, problem)
 
 
 def check_joint(
@@ -385,22 +395,22 @@ def check_joint(
     kind = joint.get("type")
     if kind not in _JOINT_TYPES:
         problem = diagnose("joint-type-unknown", subject=subject, kind=kind, valid=_JOINT_TYPES)
-        raise refusal_at(path, joint, problem)
+        raise make_element_error(path, joint, problem)
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
         turns = kind == "revolute"
         problem = diagnose("limit-missing", subject=subject, kind=Term(kind), turns=turns)
-        raise refusal_at(path, joint, problem)
+        raise make_element_error(path, joint, problem)
     moves = kind in ("revolute", "continuous", "prismatic")
     # Names of Pinocchio's world and of its free joint: Pinocchio would confuse the joints, or
     # ignore masses.
     if name == "universe" or (name == "root_joint" and moves):
-        raise refusal_at(path, joint, diagnose("joint-name-reserved", subject=subject))
+        raise make_element_error(path, joint, diagnose("joint-name-reserved", subject=subject))
     for tag in ("parent", "child"):
         element = joint.find(tag)
         if element.get("link") not in links:
             link = str(element.get("link"))
             problem = diagnose("joint-end-no-link", subject=subject, end=Term(tag), link=link)
-            raise refusal_at(path, element, problem)
+            raise make_element_error(path, element, problem)
 
 
 def check_tree(
@@ -421,7 +431,7 @@ def check_tree(
             problem = diagnose(
                 "link-of-two-joints", subject=("link", child), joints=conflicting_joints
             )
-            raise refusal_at(path, joint, problem)
+            raise make_element_error(path, joint, problem)
         parent_of[child] = joint.find("parent").get("link")
         joint_of[child] = name
     depth: dict[str, int] = {}
@@ -432,15 +442,15 @@ def check_tree(
             depth[link] = depth[parent_of[link]] + 1 if link in parent_of else 0
             if depth[link] > MAX_DEPTH:
                 problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
-                raise refusal_at(path, links[link], problem)
+                raise make_element_error(path, links[link], problem)
     except CycleError as error:
         link = next(name for name in links if name in error.args[1])
         problem = diagnose("links-in-a-loop", subject=("joint", joint_of[link]), link=link)
-        raise refusal_at(path, joints[joint_of[link]], problem) from error
+        raise make_element_error(path, joints[joint_of[link]], problem) from error
     roots = [link for link in links if link not in parent_of]
     if len(roots) > 1:
         problem = diagnose("several-roots", links=roots, count=len(roots))
-        raise refusal_at(path, links[roots[1]], problem)
+        raise make_element_error(path, links[roots[1]], problem)
 
 
 # Joints without limits: normalisation for the readers of the engines.
@@ -491,7 +501,7 @@ def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
-def for_engines(root: etree._Element) -> str:
+def to_engine_xml(root: etree._Element) -> str:
     """Return the XML of a URDF in which revolute joints without limits are continuous."""
     if unlimited_joints(root):
         root = deepcopy(root)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import (
     INERTIA_ENTRIES,
     inertia_entries,
-    inertia_of,
     inertia_tensor,
+    make_inertia,
 )
 from pupper_analysis.models.attributes import BY_KIND, UNSTATED, JointAttribute
 from pupper_analysis.models.xml import (
@@ -104,7 +104,7 @@ class UrdfLink(UrdfElement):
         texts = [entries.get(word) if entries is not None else None for word in INERTIA_ENTRIES]
         tensor = inertia_tensor(float(text or 0.0) for text in texts)
         mass_value = 0.0 if mass is None else float(mass.get("value") or 0.0)
-        return origin_of(inertial).act(inertia_of(mass_value, np.zeros(3), tensor))
+        return origin_of(inertial).act(make_inertia(mass_value, np.zeros(3), tensor))
 
     def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
         """Replace the ``<inertial>`` element by an inertia in the link frame."""

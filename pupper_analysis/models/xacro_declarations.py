@@ -15,7 +15,7 @@ from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.places import refusal_at
+from pupper_analysis.models.places import make_element_error
 from pupper_analysis.models.xml import XACRO_PREFIX, parse_xml
 
 _DECLARATIONS: Final = ("property", "arg", "macro")
@@ -63,14 +63,14 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         if XACRO_PREFIX in ancestors:  # a part of a macro
             continue
         if not _is_harmless(element, resolve, 0):
-            raise refusal_at(path, element, diagnose("file-is-xacro"))
+            raise make_element_error(path, element, diagnose("file-is-xacro"))
         tag = etree.QName(element).localname
         names.append(f"{tag} {element.get('name') or element.get('filename') or ''}".strip())
         _remove(element)
     for element in root.iter():
         texts = (*map(str, element.attrib.values()), element.text or "")
         if any(map(_EXPRESSION.search, texts)):
-            raise refusal_at(path, element, diagnose("file-is-xacro"))
+            raise make_element_error(path, element, diagnose("file-is-xacro"))
     return [diagnose("xacro-ignored", names=names)]
 
 

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, read_content
-from pupper_analysis.base.tools import format_begun
+from pupper_analysis.base.tools import detect_format
 from pupper_analysis.models.places import (
     Place,
+    make_element_error,
+    make_file_error,
+    make_input_error,
     one_line,
-    refusal_at,
-    refuse_file,
-    refuse_input,
 )
 
 MAX_BYTES: Final = MAX_TEXT_BYTES
@@ -69,7 +69,7 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     """
     if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1
-        raise refuse_file(Place(path, line), diagnose("doctype-refused"))
+        raise make_file_error(Place(path, line), diagnose("doctype-refused"))
     parser = _make_parser()
     try:
         root = etree.fromstring(blank_late_declaration(text.encode()), parser)
@@ -81,7 +81,7 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
             problem = diagnose("nested-too-deep", most=MAX_DEPTH)
         elif "prefix xacro" in message:
             problem = diagnose("file-is-xacro")
-        raise refuse_file(Place(path, line or None), problem) from error
+        raise make_file_error(Place(path, line or None), problem) from error
     count = 0
     events = etree.iterwalk(root, events=("start", "end"))
     depth = 0
@@ -89,14 +89,14 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
         depth += 1 if event == "start" else -1
         count += event == "start"
         if depth > MAX_DEPTH:
-            raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
+            raise make_element_error(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
         name = etree.QName(element)
         if element.prefix == XACRO_PREFIX and root.tag != "robot":
-            raise refusal_at(path, element, diagnose("file-is-xacro"))
+            raise make_element_error(path, element, diagnose("file-is-xacro"))
         if name.namespace and element.prefix is None:
             element.tag = name.localname
     if count > MAX_ELEMENTS:
-        raise refuse_file(
+        raise make_file_error(
             Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS)
         )
     return root
@@ -138,17 +138,17 @@ def _read_model_text(path: Path) -> str:
     try:
         data = read_content(path, MAX_BYTES)
         if data.startswith(LFS_POINTER):
-            raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
-        other_format = format_begun(data)
+            raise make_file_error(Place(path), diagnose("model-is-lfs-pointer"))
+        other_format = detect_format(data)
         if other_format is not None:
-            raise refuse_file(
+            raise make_file_error(
                 Place(path), diagnose("file-of-other-format", format=other_format.name.upper())
             )
         text = decode_input(path, data)
     except InputError as error:
-        raise refuse_input(path, error) from error
+        raise make_input_error(path, error) from error
     if not text.strip():
-        raise refuse_file(Place(path), diagnose("file-is-empty"))
+        raise make_file_error(Place(path), diagnose("file-is-empty"))
     return text
 
 
@@ -212,7 +212,7 @@ def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> e
     return etree.SubElement(parent, tag, present)
 
 
-def free_name(wanted: str, taken: set[str]) -> str:
+def make_unique_name(wanted: str, taken: set[str]) -> str:
     """Return the wanted name, with a number if it is taken, and add the result to ``taken``."""
     name, number = wanted, 1
     while name in taken:

@@ -15,22 +15,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.additions import Apart, Floor, Options, Servo, put_all
+from pupper_analysis.models.additions import (
+    ContactExclusion,
+    Floor,
+    Options,
+    Servo,
+    apply_additions,
+)
 from pupper_analysis.models.conversion import UrdfImport
-from pupper_analysis.models.mjcf import compile_spec, name_all, scalar_joints, silence_mujoco
+from pupper_analysis.models.mjcf import compile_spec, name_elements, scalar_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, compile_with_shells
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (
     Drive,
     MadeServo,
-    drive_of,
-    drives_of,
+    classify_joint_drive,
     is_at_one_joint,
-    law_of,
+    list_joint_actuators,
+    read_actuator_law,
 )
 from pupper_analysis.robot.fall import began_anew
-from pupper_analysis.robot.floor import leave_ground
+from pupper_analysis.robot.floor import disable_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
     command_elsewhere,
@@ -73,7 +79,9 @@ class Bare:
     @classmethod
     def of(cls, model: mujoco.MjModel, robot: Robot) -> Bare:
         """Finds a robot's base and joints in a model that has them."""
-        drives = tuple(drive_of(model, model.joint(name).id) for name in robot.joint_names)
+        drives = tuple(
+            classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
+        )
         base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
         return cls(model, _ground(model), max(base, 0), drives)  # one that is held may be the world
 
@@ -145,7 +153,7 @@ def with_requested_gains(
         stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
         if stiffness == 0:  # the joint follows others
             continue
-        kind, actuators = bare.drives[index], drives_of(model, model.joint(name).id)
+        kind, actuators = bare.drives[index], list_joint_actuators(model, model.joint(name).id)
         if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:
             added.append(MadeServo(name, stiffness, damping, kind))
         else:
@@ -168,7 +176,7 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     if grounded and free is None and _has(model, robot):
         return mjcf.model
     spec = mjcf.spec.copy()
-    name_all(spec, set())
+    name_elements(spec, set())
     if not grounded:
         SpecTree(spec).add_floor()
     if free is not None:
@@ -193,9 +201,9 @@ def imported_model(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
             base.add_freejoint()
         else:
             base = base.parent
-    kinds = Floor | Options | Servo | Apart
+    kinds = Floor | Options | Servo | ContactExclusion
     given = (one for one in robot.description.added if isinstance(one, kinds))
-    put_all(given, SpecTree(spec))
+    apply_additions(given, SpecTree(spec))
     SpecTree(spec).stiffen_couplings()
     try:
         return compile_with_shells(spec.copy)[0]
@@ -225,7 +233,7 @@ def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int)
             numbers = np.asarray(getattr(key, name))
             if numbers.size:
                 setattr(key, name, np.delete(numbers, own[own < numbers.size]))
-    leave_ground(spec)
+    disable_ground(spec)
 
 
 def _has(model: mujoco.MjModel, robot: Robot) -> bool:
@@ -364,12 +372,12 @@ def hold_of(
         joint, drive = model.joint(name).id, bare.drives[index]
         torque = 0.0 if torques is None else float(torques[index])
         goal = float(targets[index])
-        if drive in _COMMANDED or _is_unequal(model, drives_of(model, joint), drive):
-            _command(model, drives_of(model, joint), ctrl, goal, torque)
+        if drive in _COMMANDED or _is_unequal(model, list_joint_actuators(model, joint), drive):
+            _command(model, list_joint_actuators(model, joint), ctrl, goal, torque)
         elif name in made:
             dof = int(model.jnt_dofadr[joint])
             rows.append((dof, made[name].kp, made[name].kd, goal, torque))
-            lever = _lever(model, data, dof, drives_of(model, joint))
+            lever = _lever(model, data, dof, list_joint_actuators(model, joint))
             if lever is not None:
                 motors[dof] = lever
     dofs, kp, kd, goals, ahead = np.array(rows, dtype=float).reshape(-1, 5).T
@@ -386,7 +394,7 @@ def _is_unequal(model: mujoco.MjModel, motors: list[int], drive: Drive) -> bool:
     if drive is not Drive.OTHER or len(motors) != 1:
         return False
     fixed = model.actuator_gaintype[motors[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
-    law = law_of(model, motors[0])
+    law = read_actuator_law(model, motors[0])
     return bool(fixed and law.gain > 0 and law.stiffness > 0)
 
 
@@ -398,7 +406,7 @@ def _command(
     As whoever takes them for position servos does: ctrl = q* + tau / kp. A bias beside, or a gain
     that is not the stiffness, is not made up for: it is what the file does.
     """
-    laws = {motor: law_of(model, motor) for motor in motors}
+    laws = {motor: read_actuator_law(model, motor) for motor in motors}
     whole = sum(law.at_joint[0] for law in laws.values())
     for motor, law in laws.items():
         if law.gain == 0 or law.at_joint[0] == 0:
@@ -486,7 +494,7 @@ def self_controlled(bare: Bare, robot: Robot) -> tuple[str, ...]:
     """
     model, found = bare.model, []
     for name, drive in zip(robot.joint_names, bare.drives, strict=True):
-        motors = drives_of(model, model.joint(name).id) if drive is Drive.OTHER else []
+        motors = list_joint_actuators(model, model.joint(name).id) if drive is Drive.OTHER else []
         if any(model.actuator_ctrlnum[m] > 1 or model.actuator_actnum[m] for m in motors):
             found.append(name)
     return tuple(found)

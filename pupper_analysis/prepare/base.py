@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import (
-    placement_of,
+    make_placement,
     rotation_from_quaternion,
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
@@ -163,11 +163,11 @@ def _raise_frame(
     if base.explicitinertial:
         base.ipos = base.ipos - there
     start = model.body(base.name)
-    base.pos = placement_of(start.quat, start.pos).act(there)
+    base.pos = make_placement(start.quat, start.pos).act(there)
     for key in spec.keys:
         qpos = np.array(key.qpos)
         if len(qpos) >= place + 7:
             quaternion = qpos[place + 3 : place + 7].copy()
             mujoco.mju_normalize4(quaternion)  # of zeros it makes none, as its compiler
-            qpos[place : place + 3] = placement_of(quaternion, qpos[place : place + 3]).act(there)
+            qpos[place : place + 3] = make_placement(quaternion, qpos[place : place + 3]).act(there)
             key.qpos = qpos

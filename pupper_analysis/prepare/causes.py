@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import Drive, actuator_gear, drives_of
+from pupper_analysis.models.transmission import Drive, actuator_gear, list_joint_actuators
 from pupper_analysis.prepare.bare import (
     SETTLES,
     Bare,
@@ -185,7 +185,9 @@ def _joints_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
 def _motors_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
     """Returns the ids of the motors at the robot's joints in a model."""
     joints = _joints_of(bare, robot).tolist()
-    return np.array([m for joint in joints for m in drives_of(bare.model, joint)], dtype=np.int64)
+    return np.array(
+        [m for joint in joints for m in list_joint_actuators(bare.model, joint)], dtype=np.int64
+    )
 
 
 def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:

@@ -23,7 +23,7 @@ from pupper_analysis.models.attributes import BY_KIND, UNSTATED
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
+from pupper_analysis.models.transmission import Drive, MadeServo, classify_joint_drive
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare import notes, start
@@ -259,7 +259,7 @@ def _driven(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     for index, name in enumerate(built.joint_names):
         if name in added:
             joint = mujoco.mj_name2id(mjcf.model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            what = Drive.NONE if joint < 0 else drive_of(mjcf.model, joint)
+            what = Drive.NONE if joint < 0 else classify_joint_drive(mjcf.model, joint)
             made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
     described = replace(built.description, made_servos=tuple(made))
     return replace(built, description=described)

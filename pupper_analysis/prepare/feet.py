@@ -10,14 +10,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import across
+from pupper_analysis.base.arrays import project_perpendicular
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.additions import Addition, Ball, Untouching
+from pupper_analysis.models.additions import Addition, Ball, DisabledContacts
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import free_name, to_text
+from pupper_analysis.models.xml import make_unique_name, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
 from pupper_analysis.robot.alike import limbs_of
 from pupper_analysis.robot.configuration import Configuration
@@ -278,7 +278,7 @@ def with_feet(
         points = []
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
-            frame = free_name(f"{name} (contact)", taken)
+            frame = make_unique_name(f"{name} (contact)", taken)
             own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
             bodies[model.body(own).name].add_site(name=frame, pos=point.center)
             world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
@@ -298,7 +298,7 @@ def with_feet(
         if len(points) > 1:
             several[foot.name] = tuple(points)
     for reason, names_of in shapes.items():  # the balls have their contact before it is turned off
-        added.append(Untouching(reason, tuple(dict.fromkeys(names_of))))
+        added.append(DisabledContacts(reason, tuple(dict.fromkeys(names_of))))
     described = replace(
         robot.description,
         urdf=to_text(tree.root),
@@ -373,14 +373,14 @@ def _in_urdf(
     for place in (world, world + apart):
         if any(np.linalg.norm(place - there) < _SAME_PLACE for there in own):
             return place
-    return world + across(apart, still.joint_axis(joint))
+    return world + project_perpendicular(apart, still.joint_axis(joint))
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:
     """Names the geoms that have no name, so that they are found again."""
     known = {geom.name for geom in spec.geoms}
     for number, geom in enumerate(spec.geoms):
-        geom.name = geom.name or free_name(f"geom_{number}", known)
+        geom.name = geom.name or make_unique_name(f"geom_{number}", known)
 
 
 def _link_of(robot: Robot, body: int) -> str:

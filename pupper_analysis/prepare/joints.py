@@ -12,7 +12,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.transmission import drives_by_joint
+from pupper_analysis.models.transmission import group_actuators_by_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.matching.match import Match
@@ -117,7 +117,9 @@ def check_motors(model: mujoco.MjModel, source: Path) -> None:
     Raises:
         ModelError: If a hinge or slide has several.
     """
-    several = [joint for joint, motors in drives_by_joint(model).items() if len(motors) > 1]
+    several = [
+        joint for joint, motors in group_actuators_by_joint(model).items() if len(motors) > 1
+    ]
     if several:
         names = [str(model.joint(joint).name) for joint in several]
         raise ModelError(source, diagnose("joints-of-several-motors", joints=names))

@@ -17,9 +17,9 @@ from pupper_analysis.prepare.self_check import (
     name_remaining_cause,
     own_run_explained,
 )
-from pupper_analysis.robot.alike import structure
+from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.as_published import ServoSource
-from pupper_analysis.robot.build import efforts_nobody_meant
+from pupper_analysis.robot.build import report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
@@ -91,7 +91,7 @@ def judge(
     overloaded = () if statics is None else _overloaded(robot, statics)
     remarks = (
         *(remark for remark in (null, unknown) if remark is not None),
-        *structure(robot),
+        *report_limbs_without_feet(robot),
         *(robot.description.replaced_soles() if stand.stance_feet else ()),
         *remarks_of_files(robot),
         *_buried(robot, stand, statics),
@@ -194,7 +194,7 @@ def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
         messages.insert(0, diagnose("joints-damped-negatively", joints=damped.tolist()))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
-    return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))
+    return (*made_up, *elsewhere, *report_placeholder_efforts(robot), *import_refused(robot))
 
 
 @check_arguments

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.transmission import Drive, drives_of, law_of
+from pupper_analysis.models.transmission import Drive, list_joint_actuators, read_actuator_law
 from pupper_analysis.prepare.bare import (
     Bare,
     Hold,
@@ -35,7 +35,7 @@ from pupper_analysis.prepare.bare import (
 from pupper_analysis.prepare.servo_tuning import FINER
 from pupper_analysis.prepare.start import stands_at
 from pupper_analysis.robot.as_published import (
-    GIVES_WAY,
+    MIN_UNHELD_DISPLACEMENT,
     JointOff,
     OwnCommands,
     OwnRun,

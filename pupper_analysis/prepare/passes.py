@@ -25,12 +25,12 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.additions import (
     STIFF_FRICTION_OPTIONS,
     Addition,
+    DisabledContacts,
     Floor,
     Options,
-    Untouching,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import has_free_joint, name_all
+from pupper_analysis.models.mjcf import has_free_joint, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
@@ -63,7 +63,7 @@ from pupper_analysis.prepare.simulable import (
 )
 from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
-from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
+from pupper_analysis.robot.build import build_robot, copy_metadata, with_additions
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
@@ -269,7 +269,7 @@ def _stands_on_no_feet(draft: Draft) -> bool:
 @_pass(Term("names bodies and joints that have none"), _any)
 def _name_elements(draft: Draft) -> Made:
     spec = draft.spec.copy()
-    name_all(spec, set())
+    name_elements(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
         leave_out_visuals(spec)
     known = start.choose_keyframes(
@@ -432,7 +432,7 @@ def _stand_on_hulls(draft: Draft) -> Made:
     own = draft.robot.description.foot_geoms
     kept = {foot.name for foot in draft.feet if foot in feet}
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
-    described = with_feet(draft.footless, feet, balls).given(Untouching(message, soft))
+    described = with_feet(draft.footless, feet, balls).given(DisabledContacts(message, soft))
     sunk = start.resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk, _rest_depth(draft))
     if start.first_stand(robot) is None:
@@ -486,7 +486,7 @@ def _rest_at_start(draft: Draft) -> Made:
     with contextlib.suppress(PupperAnalysisError):  # where it does not, no verdict will have it
         stand = solve_stand_on_soft_ground(draft.robot, explain=False)
         draft = replace(
-            draft, built=equipped_robot(draft.robot, start_of(draft.robot, stand, found))
+            draft, built=with_additions(draft.robot, start_of(draft.robot, stand, found))
         )
     return draft, ()
 
@@ -499,7 +499,7 @@ def _build_whole(draft: Draft) -> Made:
         return draft, ()
     whole = replace(robot.description, mjcf=spec)
     built = build_robot(whole, fixed_base=draft.request.fixed_base)
-    return replace(draft, built=with_knowledge_of(built, robot)), ()
+    return replace(draft, built=copy_metadata(built, robot)), ()
 
 
 @_pass(Term("fixes the base where it does not stand"), _stands_on_no_feet, after_refusal=True)

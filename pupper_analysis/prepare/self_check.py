@@ -46,7 +46,7 @@ from pupper_analysis.prepare.own_run import (
     simulate_model_from_keyframe,
 )
 from pupper_analysis.robot.as_published import (
-    LEFT,
+    MIN_POSTURE_DEVIATION,
     Cause,
     OwnCommands,
     OwnRun,
@@ -291,7 +291,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     driven = robot.mj_convention.actuator_index >= 0
     off = np.maximum(high[dofs] - wanted.torques, wanted.torques - low[dofs])[driven]
     moved, sticks = np.abs(data.qpos[places] - qpos[-robot.nu :]), np.zeros(robot.nu)
-    error, collapses, alike = None, not float(moved.max()) <= LEFT, True
+    error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
     if robot.floating:
         com = float(start.subtree_com[bare.base][2])
         predicted = InitialHeight(com, 0.0, bare.ground or 0.0)

@@ -19,10 +19,10 @@ from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.additions import Options
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.robot.build import equipped_robot
+from pupper_analysis.robot.build import with_additions
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -53,7 +53,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
         numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
         bad = ~((least <= numbers) & (numbers <= most)).all(axis=1)
         for row in np.flatnonzero(bad).tolist():
-            raise refuse_file(
+            raise make_file_error(
                 _place(mjcf, kind, field, row),
                 diagnose(
                     "number-not-simulated",
@@ -118,7 +118,7 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
         place, kind = urdf.place("link", name), "link"
     where = f"{place.file.name}:{place.line}" if place.line else place.file.name
     problem = diagnose("moving-link-without-mass", subject=(kind, name), place=where)
-    return refuse_file(place, problem)
+    return make_file_error(place, problem)
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
@@ -132,7 +132,7 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
         if inertia <= 0:
             robot.check_bodies()  # a mass below zero is called so
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
-            raise refuse_file(urdf.place("joint", name), problem)
+            raise make_file_error(urdf.place("joint", name), problem)
 
 
 INEXACT = 0.01
@@ -200,7 +200,7 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     share = Quantity(part, "1")
     if mujoco.mj_isSparse(robot.mj_model):
         message = diagnose("solver-made-dense", share=share)
-        dense = equipped_robot(robot, Options(message, {"jacobian": "dense"}))
+        dense = with_additions(robot, Options(message, {"jacobian": "dense"}))
         if solver_error(dense) is None:
             return dense, [message]
     return robot, [diagnose("solver-inexact", share=share)]

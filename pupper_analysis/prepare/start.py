@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
-from pupper_analysis.models.additions import Start
+from pupper_analysis.models.additions import StartKeyframe
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -536,7 +536,7 @@ def find_start_pose(
 
 def start_of(
     robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
-) -> Start:
+) -> StartKeyframe:
     """Returns the pose to start from: a stand, and the commands with which servos hold it.
 
     Args:
@@ -554,7 +554,7 @@ def start_of(
     drive, data = model_with_servos(robot, kp, kd), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     ctrl = np.round(drive.command(robot, qpos[-robot.nu :], torques), _KEY_DIGITS)
-    return Start(reason, tuple(data.qpos.tolist()), tuple(ctrl.tolist()))
+    return StartKeyframe(reason, tuple(data.qpos.tolist()), tuple(ctrl.tolist()))
 
 
 def _at(robot: Robot, joints: Array, sunk: float) -> Robot:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.models.additions import Apart, Untouching
+from pupper_analysis.models.additions import ContactExclusion, DisabledContacts
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.contact_points import contact_points, lowest_point
 from pupper_analysis.prepare.feet import Foot, geoms_of, joints_to, with_feet
-from pupper_analysis.robot.build import build_robot, equipped_robot
+from pupper_analysis.robot.build import build_robot, with_additions
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import find_posture
@@ -138,7 +138,7 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
     message = diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)
-    return equipped_robot(robot, Untouching(message, geoms)), [message]
+    return with_additions(robot, DisabledContacts(message, geoms)), [message]
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
@@ -162,7 +162,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         for (one, two), by in deep.items()
     ]
     message = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
-    return equipped_robot(robot, *(Apart(message, *both) for both in deep)), [message]
+    return with_additions(robot, *(ContactExclusion(message, *both) for both in deep)), [message]
 
 
 def _start_of(robot: Robot) -> Array | None:

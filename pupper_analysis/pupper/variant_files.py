@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantE
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import STANDARD_INPUT, is_input
 from pupper_analysis.base.kinds import MODEL
-from pupper_analysis.base.runs import note_input
+from pupper_analysis.base.runs import register_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -57,7 +57,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
         spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
     )
     for file in (urdf_source, *_files(_read(mjcf_source, _stamp(mjcf_source)))):
-        note_input(file)  # each time: what is derived is kept
+        register_input(file)  # each time: what is derived is kept
     return Description(
         name=spec.name,
         urdf=urdf_text,

@@ -117,7 +117,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def structure(robot: Robot) -> tuple[Diagnostic, ...]:
+def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the limbs without a foot if at least half of the similar limbs have a foot.
 
     The result is empty if the user named the feet.

@@ -48,24 +48,24 @@ class ServosUsed:
         return tuple(servo for servo in self.made if servo.instead_of.bad)
 
 
-GIVES_WAY = 0.05
+MIN_UNHELD_DISPLACEMENT = 0.05
 """Minimum displacement [rad, m] of a joint without servo, in a robot with servos, that counts as
 not held. Such a joint has no stiffness, and moves until a stop."""
 
 
-CLOSE = 0.05
+MAX_TORQUE_DEVIATION = 0.05
 """Maximum torque deviation of a published robot that agrees with the computed robot, relative to
 the largest torque. Solo 12, with spheres instead of mesh feet, deviates by 0.016. Paths are tracked
 as accurately."""
 
-CLOSE_IMPORTED = 0.1
-"""As ``CLOSE``, for MuJoCo's import of a URDF with its own shapes and with added servos. Feet with
-meshes have contacts at slightly different positions (Go2: 0.065)."""
+MAX_IMPORTED_TORQUE_DEVIATION = 0.1
+"""As ``MAX_TORQUE_DEVIATION``, for MuJoCo's import of a URDF with its own shapes and with added
+servos. Feet with meshes have contacts at slightly different positions (Go2: 0.065)."""
 
-CLOSE_JOINT = 0.02
+MAX_JOINT_DEVIATION = 0.02
 """Maximum joint deviation [rad, m] of a published robot with feed-forward; v3 deviates by 5e-5."""
 
-LEFT = 0.5
+MIN_POSTURE_DEVIATION = 0.5
 """Minimum displacement [rad, m] of a joint that has left its posture."""
 
 
@@ -97,10 +97,10 @@ class JointOff:
     def commanded_away(self) -> bool:
         """Whether the servo was commanded away from the initial position.
 
-        True if the displacement exceeds ``GIVES_WAY`` and the absolute commanded offset exceeds
-        half of the displacement.
+        True if the displacement exceeds ``MIN_UNHELD_DISPLACEMENT`` and the absolute commanded
+        offset exceeds half of the displacement.
         """
-        if self.commanded is None or abs(self.off) <= GIVES_WAY:
+        if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
         return abs(self.commanded) > abs(self.off) / 2
 
@@ -125,7 +125,7 @@ class Cause:
     difference: Diagnostic | None = None
 
 
-OF_PREPARATION = {"shapes-beside-feet", "balls", "other-drive"}
+PREPARATION_CODES = {"shapes-beside-feet", "balls", "other-drive"}
 """Codes of causes that are changes on loading. If the published robot stands, such a deviation is
 reported, but does not fail the verdict."""
 
@@ -148,11 +148,11 @@ class OwnRun(BodyMotion):
         limp: Whether most joints have torque motors, or no actuators, without commands.
         worst: Joint with the largest displacement; None if the simulation diverged.
         unheld: Joint without servo with the largest displacement, in a robot with servos; None
-            below ``GIVES_WAY``.
+            below ``MIN_UNHELD_DISPLACEMENT``.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions.
         standing: Whether the robot stands on the ground. Otherwise the base is fixed, and a joint
-            that ends ``LEFT`` away has left the posture.
+            that ends ``MIN_POSTURE_DEVIATION`` away has left the posture.
         causes: Causes of a failure, if found.
     """
 
@@ -172,7 +172,11 @@ class OwnRun(BodyMotion):
     def left(self) -> bool:
         """Whether a joint of a robot with fixed base has left its posture without such command."""
         worst = None if self.standing else self.worst
-        return worst is not None and abs(worst.off) > LEFT and not worst.commanded_away
+        return (
+            worst is not None
+            and abs(worst.off) > MIN_POSTURE_DEVIATION
+            and not worst.commanded_away
+        )
 
     @property
     def lifted(self) -> bool:
@@ -235,8 +239,8 @@ class PublishedRun:
     @property
     def close(self) -> bool:
         """Whether the run agrees with the prediction, except for changes on loading."""
-        near = not self.feedforward or self.joint_error <= CLOSE_JOINT
-        most = CLOSE_IMPORTED if self.imported else CLOSE
+        near = not self.feedforward or self.joint_error <= MAX_JOINT_DEVIATION
+        most = MAX_IMPORTED_TORQUE_DEVIATION if self.imported else MAX_TORQUE_DEVIATION
         return not self.collapses and self.torque_error <= most and near
 
 
@@ -259,7 +263,7 @@ class Published:
         """Whether the published robot stands, and deviates only because of changes on loading."""
         codes = {cause.code for cause in self.causes}
         run = self.worst
-        return run is not None and not run.collapses and bool(codes) and codes <= OF_PREPARATION
+        return run is not None and not run.collapses and bool(codes) and codes <= PREPARATION_CODES
 
     @property
     def worst(self) -> PublishedRun | None:

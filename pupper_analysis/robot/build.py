@@ -22,7 +22,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.units import DOWN
@@ -45,16 +45,16 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.floor import floor_of, leave_ground
+from pupper_analysis.robot.floor import disable_ground, find_floor
 from pupper_analysis.robot.robot import (
     Robot,
     Touching,
     acts_at_rest,
-    effort_notes,
     efforts_of,
+    report_efforts,
     with_friction,
 )
-from pupper_analysis.robot.tendons import tell_bonds_not_kept, tell_ranges_not_kept
+from pupper_analysis.robot.tendons import report_ignored_equalities, report_ignored_tendon_ranges
 
 Array = NDArray[np.float64]
 
@@ -84,9 +84,9 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _build_pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    notes = [*added, *option_notes(mj_model), *_check_forces_at_rest(mj_model)]
-    notes += tell_ranges_not_kept(mj_model)
-    notes += tell_bonds_not_kept(mj_model)
+    notes = [*added, *report_options(mj_model), *_check_forces_at_rest(mj_model)]
+    notes += report_ignored_tendon_ranges(mj_model)
+    notes += report_ignored_equalities(mj_model)
     notes += _copy_armature(
         mj_model,
         mj_convention,
@@ -152,16 +152,16 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
         ModelError: If a model cannot be built.
     """
     description = replace(robot.description, **changes)
-    return with_knowledge_of(build_robot(description, fixed_base=not robot.floating), robot)
+    return copy_metadata(build_robot(description, fixed_base=not robot.floating), robot)
 
 
-def equipped_robot(robot: Robot, *additions: Addition) -> Robot:
+def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to its MJCF; see ``rebuild_robot``."""
     description = robot.description.given(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 
 
-def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
+def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy data that no description contains from a robot to its rebuilt version.
 
     Args:
@@ -220,7 +220,7 @@ def _copy_armature(
 ) -> list[Diagnostic]:
     """Copy the armature of MuJoCo's model to Pinocchio's, in place; report armature and efforts."""
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
-    notes = effort_notes(limits)
+    notes = report_efforts(limits)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
@@ -275,8 +275,8 @@ def _compile_mujoco_model(
     if fixed_base:
         for element in (*free, *spec.keys):
             spec.delete(element)
-        notes += leave_ground(spec) if free else []  # a fixed robot may intersect the ground
-    elif free and not floor_of(spec):
+        notes += disable_ground(spec) if free else []  # a fixed robot may intersect the ground
+    elif free and not find_floor(spec):
         SpecTree(spec).add_floor()
         notes.append(diagnose("ground-added"))
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
@@ -386,7 +386,7 @@ def _build_pinocchio_model(
         data = mujoco.MjData(mj_model)
         mujoco.mj_kinematics(mj_model, data)
         body = mj_model.body(mj_base).id
-        pose = placement_of(data.xquat[body], data.xpos[body])
+        pose = make_placement(data.xquat[body], data.xpos[body])
         model.inertias[0] = pose.act(model.inertias[0])
         for joint in range(1, model.njoints):
             if model.parents[joint] == 0:
@@ -416,7 +416,7 @@ _REPORTED_FLAGS = (
 """Flags that disable forces which support a robot."""
 
 
-def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
+def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth."""
     gravity = acting_gravity(model)
     if float(np.linalg.norm(gravity - DOWN)) > _GRAVITY_ATOL:
@@ -486,20 +486,20 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=messages)))
 
 
-def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
+def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report effort limits that appear to be placeholders, except limits passed by the caller."""
     efforts = {
         limit.joint: max(-limit.lower, limit.upper)
         for limit in robot.efforts
         if limit.origin is None or limit.origin.file
     }
-    joints = list(placeholders_among(robot, efforts))
+    joints = list(find_placeholder_efforts(robot, efforts))
     if not joints:
         return ()
     return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
 
 
-def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
+def find_placeholder_efforts(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
     """Return {joint: reason} of efforts that appear to be placeholders.
 
     See ``placeholder_efforts`` for the criteria.

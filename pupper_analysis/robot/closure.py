@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.coordinates import MujocoConvention
-from pupper_analysis.robot.impedance import Softness
+from pupper_analysis.robot.impedance import EqualityCompliance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -284,8 +284,8 @@ class Closure:
         rows: Array = values.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
 
-    def _make_softness(self, qpos: Array) -> Softness:
-        return Softness(self._model, self._evaluate_constraints(qpos))
+    def _make_softness(self, qpos: Array) -> EqualityCompliance:
+        return EqualityCompliance(self._model, self._evaluate_constraints(qpos))
 
     def _force_distribution(self, qpos: Array) -> Array:
         """Return the constraint forces (m, k) per unit load on the dependent joints.
@@ -395,7 +395,7 @@ def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(names)
 
 
-def closure_of(
+def find_closure(
     model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
 ) -> Closure | None:
     """Return the loops and couplings of a robot; None if there are none.

@@ -22,13 +22,13 @@ _LEVEL_ATOL = 1e-9
 quaternion."""
 
 
-def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
+def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
     """Return the first plane that is fixed to the world; None if there is none."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
 
-def leave_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
+def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Disable the contacts of planes and height fields of the world, in place.
 
     Returns:
@@ -43,7 +43,7 @@ def leave_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return [diagnose("ground-touches-nothing")] if ground_geoms else []
 
 
-def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
+def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
     """Set the orientation of a floor to a quaternion (w, x, y, z), which replaces other forms."""
     floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     floor.quat = quat
@@ -73,7 +73,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     if floors:
         floor, notes = _level_floor(spec, floors)
     else:
-        existing = floor_of(spec)
+        existing = find_floor(spec)
         floor = existing or SpecTree(spec).add_floor()
         notes = [] if existing else [diagnose("ground-added")]
     notes += _replace_pairs(spec, floor)

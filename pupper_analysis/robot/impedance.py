@@ -78,7 +78,7 @@ def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, f
     return dmin + y * rise, slope
 
 
-class Softness:
+class EqualityCompliance:
     """Compliance of the equality constraints of a model at a configuration, for any opening.
 
     At rest a constraint with opening x has the force k d^2 x / ((1 - d) A), with the impedance d at

@@ -32,8 +32,8 @@ from pupper_analysis.models.efforts import (
     effort_of,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import drives_by_joint
-from pupper_analysis.robot.closure import Closure, closure_of
+from pupper_analysis.models.transmission import group_actuators_by_joint
+from pupper_analysis.robot.closure import Closure, find_closure
 from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.shapes import CarriedShape, shapes_of
@@ -68,7 +68,7 @@ def efforts_of(
         null: {joint: empty force range of the MJCF}.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
-    actuators_by_joint = drives_by_joint(mj_model)
+    actuators_by_joint = group_actuators_by_joint(mj_model)
     for name, effort in zip(joint_names, urdf, strict=True):
         joint, original = int(mj_model.joint(name).id), original_limits.get(name)
         drives = actuators_by_joint.get(joint, ())
@@ -81,7 +81,7 @@ def efforts_of(
     return tuple(limits)
 
 
-def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
+def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     """Return diagnostics of missing, differing and asymmetric effort limits."""
     unstated = [
         limit.joint
@@ -402,7 +402,7 @@ class Robot:
     @cached_property
     def closure(self) -> Closure | None:
         """Closed loops and couplings of the MJCF's joints; None if there are none."""
-        return closure_of(self.mj_model, self.mj_convention, self.joint_names)
+        return find_closure(self.mj_model, self.mj_convention, self.joint_names)
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:

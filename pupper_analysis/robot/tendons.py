@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
-BONDS = frozenset(
+SUPPORTED_EQUALITIES = frozenset(
     {
         mujoco.mjtEq.mjEQ_CONNECT,
         mujoco.mjtEq.mjEQ_WELD,
@@ -25,16 +25,20 @@ _DISABLING_FLAGS = (
 )
 
 
-def tell_bonds_not_kept(model: mujoco.MjModel) -> list[Diagnostic]:
+def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
     """Report the types of active equality constraints that stances ignore, such as flexes."""
     kinds = [mujoco.mjtEq(int(kind)) for kind in model.eq_type[model.eq_active0.astype(bool)]]
     ignored = sorted(
-        {kind.name.removeprefix("mjEQ_").lower() for kind in kinds if kind not in BONDS}
+        {
+            kind.name.removeprefix("mjEQ_").lower()
+            for kind in kinds
+            if kind not in SUPPORTED_EQUALITIES
+        }
     )
     return [diagnose("equalities-not-kept", kinds=ignored)] if ignored else []
 
 
-def tell_ranges_not_kept(model: mujoco.MjModel) -> list[Diagnostic]:
+def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
     """Report the tendons with a range, which MuJoCo enforces and stances ignore."""
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():

@@ -17,14 +17,14 @@ from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters
-from pupper_analysis.robot.floor import floor_of, is_fixed, turn_floor
+from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, Touching
 
 Array = NDArray[np.float64]
 
 
-def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
+def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
     """Return a robot whose MuJoCo model has the ground and the welds of a task.
 
     The floor is tilted, and a box is added for each step, with the contact parameters of the floor.
@@ -85,7 +85,7 @@ def close_welds(
     that the configuration is an equilibrium.
 
     Args:
-        robot: Robot ``on_ground``.
+        robot: Robot ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
         qpos: Configuration (nq,).
         pushes: {welded part: generalised force (nv,) of its weld}.
@@ -160,9 +160,9 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened:
 def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Tilt the floor, and add steps and planes to a spec; see ``on_ground``."""
-    floor = floor_of(spec) or SpecTree(spec).add_floor()
-    turn_floor(floor, quaternion_from_rotation(ground.rotation()))
+    """Tilt the floor, and add steps and planes to a spec; see ``build_on_ground``."""
+    floor = find_floor(spec) or SpecTree(spec).add_floor()
+    rotate_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
     exclusive_feet = [

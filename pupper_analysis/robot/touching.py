@@ -19,17 +19,16 @@ import pinocchio as pin
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.models.additions import Addition, Ball, Untouching
+from pupper_analysis.models.additions import Addition, Ball, DisabledContacts
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import (
     build_robot,
     rebuild_robot,
-    with_knowledge_of,
     with_touching,
 )
-from pupper_analysis.robot.floor import floor_of
+from pupper_analysis.robot.floor import find_floor
 from pupper_analysis.robot.joints import default_positions
 from pupper_analysis.robot.plane import Bar, Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
@@ -180,7 +179,7 @@ def _free_base(robot: Robot) -> Robot:
         body.add_freejoint().armature = _BASE_ARMATURE_FACTOR * robot.total_mass
         for key in spec.keys:
             key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
-    if floor_of(spec) is None:  # a floor that is not in the file must not touch
+    if find_floor(spec) is None:  # a floor that is not in the file must not touch
         floor = SpecTree(spec).add_floor()
         floor.contype = floor.conaffinity = 0
     built = with_knowledge_of(build_robot(replace(description, mjcf=spec)), robot)
@@ -223,7 +222,9 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         reason = diagnose("hand-touches-by-ball", name=name, radius=size)
         notes += [] if touching.welded else [reason]
         added.append(Ball(reason, frame, body, radius, tuple(place.tolist()), model_geom))
-        added.append(Untouching(reason, (frame,)))  # ``terrain`` enables contact with the plane
+        added.append(
+            DisabledContacts(reason, (frame,))
+        )  # ``terrain`` enables contact with the plane
         frames[name], geoms[name] = (frame, frame), (frame, radius)
     given = replace(description, mjcf=mjcf.spec).given(*added)
     built = rebuild_robot(

@@ -15,7 +15,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.as_published import LEFT
+from pupper_analysis.robot.as_published import MIN_POSTURE_DEVIATION
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import (
     FALLEN_TILT,
@@ -144,7 +144,7 @@ class Upright:
         """Tells whether a robot no longer stands in a state, or has left its posture."""
         if self.robot.bolted:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
-            return not bool((np.abs(joints - self.joints) < LEFT).all())
+            return not bool((np.abs(joints - self.joints) < MIN_POSTURE_DEVIATION).all())
         place = self._place(state)
         away = horizontal_distance(self.place, place)
         return has_collapsed(self.lean(state), float(self.place[2] - place[2]), away, self.size)

@@ -17,7 +17,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.robot.terrain import close_welds, on_ground
+from pupper_analysis.robot.terrain import build_on_ground, close_welds
 from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -84,7 +84,7 @@ def begin_stand(
     """
     robot = stand.check(robot)
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
-    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
+    robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
     if robot.welds:
         close_welds(robot, drive.model, stand.qpos, weld_pushes(robot, stand, prediction))

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.arrays import across
+from pupper_analysis.base.arrays import project_perpendicular
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import free_joints
@@ -264,7 +264,7 @@ def _first_event(
         feet = monitor.foot_centres(robot, watcher.data)
         places = places or feet
         moved = {
-            foot: np.linalg.norm(across(feet[foot] - places[foot], out[foot]))
+            foot: np.linalg.norm(project_perpendicular(feet[foot] - places[foot], out[foot]))
             - min(creeps[foot], CREEPING) * seen.time
             for foot in stand.stance_feet
         }

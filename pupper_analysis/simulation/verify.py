@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.arrays import across, rotation_from_quaternion
+from pupper_analysis.base.arrays import project_perpendicular, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
@@ -420,7 +420,8 @@ def _measured(
         tilt=monitor.turned_by(robot, stand.task.rotation(), states[-1]),
         foot_slip={
             foot: max(
-                float(np.linalg.norm(across(drops[point], out[foot]))) for point in robot.feet[foot]
+                float(np.linalg.norm(project_perpendicular(drops[point], out[foot])))
+                for point in robot.feet[foot]
             )
             for foot in robot.feet_with(drops)
         },

@@ -1,5 +1,5 @@
 """How a robot can stand."""
 
-from pupper_analysis.base.exports import exports_of
+from pupper_analysis.base.exports import make_lazy_exports
 
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)
+__getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

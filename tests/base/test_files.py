@@ -18,17 +18,17 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.base.errors import OutputError, VariantError
-from pupper_analysis.base.files import Writing, whole_file, write_all
+from pupper_analysis.base.files import Writing, write_all, write_atomically
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN, RESULTS, Kind
-from pupper_analysis.base.provenance import marked_json
-from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.base.provenance import to_marked_json
+from pupper_analysis.base.runs import ensure_run, register_input
 from tests.support.commands import run_command
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.repository import ROOT
 
 
 def write(path: Path, kind: Kind = OWN, text: str = "all of it") -> None:
-    with whole_file(path, kind) as file:
+    with write_atomically(path, kind) as file:
         file.write(text.encode())
 
 
@@ -41,7 +41,7 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("old")
 
     def fail() -> None:
-        with whole_file(path, OWN) as file:
+        with write_atomically(path, OWN) as file:
             file.write(b"half of")
             raise KeyError("stop")
 
@@ -198,7 +198,7 @@ def held(*a):
 os.fdopen = held
 @click.command()
 def slow():
-    with files.whole_file(Path("out"), kinds.OWN) as file: file.write(b"x")
+    with files.write_atomically(Path("out"), kinds.OWN) as file: file.write(b"x")
 cli.run(slow, [])
 """
 """A command that is held while its temporary file is there."""
@@ -238,15 +238,15 @@ def test_what_a_run_reads_is_not_written(link: Callable[..., None] | None, tmp_p
         other = read
     else:
         link(read, other)
-    with running() as run:
-        note_input(read)
+    with ensure_run() as run:
+        register_input(read)
         run.force = True
         for refuse in (files.check_writable, write):
             with pytest.raises(OutputError, match="which this run reads"):
                 refuse(other, RESULTS)
-        with whole_file(tmp_path / "new", OWN) as file:
+        with write_atomically(tmp_path / "new", OWN) as file:
             file.write(b"made here")
-        note_input(tmp_path / "new")  # to prove it
+        register_input(tmp_path / "new")  # to prove it
         write(tmp_path / "new", text="again")
         write(read, EDITED, "edited")
         with pytest.raises(OutputError, match="which this run reads"):
@@ -260,16 +260,16 @@ def test_what_is_to_be_written_is_not_read(tmp_path: Path) -> None:
     mesh, out = tmp_path / "foot.stl", tmp_path / "out.json"
     mesh.write_text("solid")
     out.symlink_to(mesh)
-    with running() as run:
+    with ensure_run() as run:
         run.force = True
         files.check_writable(out, RESULTS)
         with pytest.raises(OutputError, match=r"out\.json.*foot\.stl"):
-            note_input(mesh)
+            register_input(mesh)
 
 
 def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
-    ours = marked_json({"a": 1})
+    ours = to_marked_json({"a": 1})
     for before, replaced in ((ours, True), ("", True), ('{"a": 1}\n', False), ("<mujoco/>", False)):
         path.write_text(before)
         for attempt in (files.check_writable, write):
@@ -282,7 +282,7 @@ def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
     write(path, MODEL, "<mujoco/>")  # the same content: nothing is lost
     with pytest.raises(OutputError, match="it exists"):
         write(path, MODEL, "<mujoco />")
-    with whole_file(path, MODEL, force=True) as file:
+    with write_atomically(path, MODEL, force=True) as file:
         file.write(b"<robot/>")
     assert path.read_text() == "<robot/>"
 

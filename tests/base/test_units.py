@@ -10,7 +10,7 @@ import sys
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 
 import pupper_analysis as pa
-from pupper_analysis.base.provenance import marked_json
+from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import DIMENSIONLESS, VARIES, units_of
 
@@ -75,7 +75,7 @@ def test_units_stay_if_a_docstring_is_reworded() -> None:
         name: str = ""
 
     assert units_of(Load) == {"torque": "N m"}
-    written = json.loads(marked_json({"load": Load(1.0, 0.5)}))
+    written = json.loads(to_marked_json({"load": Load(1.0, 0.5)}))
     assert written["provenance"]["units"] == {"torque": "N m"}
 
 

@@ -13,12 +13,12 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.efforts import effort_of
-from pupper_analysis.models.transmission import Drive, drive_of
+from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.limits import describe_null_efforts
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
-from pupper_analysis.robot.robot import effort_notes
+from pupper_analysis.robot.robot import report_efforts
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.conversions import compiled, converted, standing_urdf
@@ -146,7 +146,7 @@ def test_motors_that_differ_by_direction() -> None:
     mujoco.mj_forward(drive.model, data)
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
-    assert any(note.code == "motors-uneven" for note in effort_notes(robot.efforts))
+    assert any(note.code == "motors-uneven" for note in report_efforts(robot.efforts))
 
 
 @pytest.mark.parametrize("feedforward", [False, True])
@@ -356,7 +356,7 @@ def drive(actuators: str) -> Drive:
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
     )
-    return drive_of(model, 0)
+    return classify_joint_drive(model, 0)
 
 
 def position(kp: float, gear: float = 1.0) -> str:
@@ -390,5 +390,5 @@ def test_a_joint_of_a_driven_tendon_has_an_actuator(coefficient: float, expected
     data.ctrl[1] = 1.0
     mujoco.mj_forward(model, data)
     assert bool(data.qfrc_actuator[1]) is (expected is Drive.TENDON)
-    assert drive_of(model, 1) is expected
-    assert drive_of(model, 0) is Drive.MOTOR
+    assert classify_joint_drive(model, 1) is expected
+    assert classify_joint_drive(model, 0) is Drive.MOTOR

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ModelError, OutputError
-from pupper_analysis.base.runs import running
+from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import find_file
@@ -109,7 +109,7 @@ def test_xacro_is_expanded_if_it_is_installed(
 
     package.process_file = expand  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "xacro", package)
-    with running() as run:
+    with ensure_run() as run:
         read = read_model(file)
         # What it includes is read as well, and never written over.
         with pytest.raises(OutputError, match="which this run reads"):

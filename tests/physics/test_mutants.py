@@ -13,8 +13,8 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
 from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.floor import floor_of, level_ground
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.floor import find_floor, level_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.branches import _unwound
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
@@ -96,12 +96,12 @@ def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
     spec.compile()
     for geom in spec.geoms:
         geom.contype, geom.conaffinity = foot if geom.id in robot.foot_geoms else (0, 0)
-    ground = floor_of(spec)
+    ground = find_floor(spec)
     assert ground is not None
     ground.contype, ground.conaffinity = floor
     stand = stand_of("original")
     step = pa.Ground(heights={robot.contact_points[0]: 0.01})
-    there = on_ground(rebuild_robot(robot, mjcf=spec), step, stand.foot_targets)
+    there = build_on_ground(rebuild_robot(robot, mjcf=spec), step, stand.foot_targets)
     sunk = stand.qpos.copy()
     sunk[2] -= 2e-3
     data = mujoco_at(there, sunk)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.base.runs import running
+from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES
@@ -88,7 +88,7 @@ def test_a_spec_names_itself() -> None:
 def test_a_run_knows_the_files_of_a_variant_that_are_read() -> None:
     """None of them is written over, also where what was derived of them is kept."""
     for _ in range(2):
-        with running() as run:
+        with ensure_run() as run:
             pa.load_variant("v3-heavy")
         meshes = {f"{name}.stl" for name in ("calf", "hip", "thigh", "torso")}
         parts = {"pupper_v3.xml", "pupper_v3_body.xml", "pupper_v3_shared.xml"}

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import silence_mujoco, spec_from, state_of, to_xml
+from pupper_analysis.models.mjcf import silence_mujoco, spec_from_data, spec_to_data, to_xml
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.variants import load, stand_of
 
@@ -153,7 +153,7 @@ def test_a_shape_without_mass_weighs_nothing_when_it_comes_back() -> None:
     spec = mujoco.MjSpec.from_string(WEIGHTLESS)
     masses = spec.copy().compile().body_mass
     written = mujoco.MjModel.from_xml_string(to_xml(spec))
-    for back in (spec_from(pickled(state_of(spec))).compile(), written):
+    for back in (spec_from_data(pickled(spec_to_data(spec))).compile(), written):
         np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
 
 
@@ -172,10 +172,10 @@ def test_limits_that_are_infinite_come_back(tiny: pa.Robot) -> None:
 def test_meshes_come_along(tmp_path: Path) -> None:
     pa.pupper.write_variant("v3", tmp_path)
     spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
-    model, state = spec.copy().compile(), state_of(spec)
+    model, state = spec.copy().compile(), spec_to_data(spec)
     for mesh in (tmp_path / "mjcf" / "meshes").iterdir():
         mesh.unlink()
-    assert_same_model(model, spec_from(state).compile(), REBUILT)
+    assert_same_model(model, spec_from_data(state).compile(), REBUILT)
 
 
 # -------------------------------------------------------------------------------------- processes

@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.alike import structure
+from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.conversions import standing_urdf
 from tests.support.legged import edited_by
@@ -20,7 +20,7 @@ def slipped(folder: Path, old: str, new: str) -> Path:
 
 
 def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
-    assert structure(pa.load_robot(standing_urdf(tmp_path))) == ()
+    assert report_limbs_without_feet(pa.load_robot(standing_urdf(tmp_path))) == ()
 
 
 @pytest.mark.slow
@@ -28,7 +28,7 @@ def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
-    [message] = structure(robot)
+    [message] = report_limbs_without_feet(robot)
     assert (message.values["feet"], message.values["alike"]) == (3, 4)
     verdict = judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
@@ -42,11 +42,11 @@ def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
 
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
-    [message] = structure(robot)
+    [message] = report_limbs_without_feet(robot)
     assert "RR_calf has none" in str(message)
 
 
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
     robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3
-    assert structure(robot) == ()
+    assert report_limbs_without_feet(robot) == ()

@@ -6,7 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.impedance import Softness, _solve_opening, clip_solimp, solimp_impedance
+from pupper_analysis.robot.impedance import (
+    EqualityCompliance,
+    _solve_opening,
+    clip_solimp,
+    solimp_impedance,
+)
 
 KINDS = {
     "joint": '<joint joint1="a" joint2="b" {words}/>',
@@ -52,7 +57,7 @@ def test_what_opens_at_rest_is_as_simulated(kind: str, seed: int) -> None:
         mujoco.mj_step(model, data)
     mujoco.mj_forward(model, data)
     assert np.abs(data.qvel).max() < 1e-8
-    soft = Softness(model, data)
+    soft = EqualityCompliance(model, data)
     moved = np.abs(data.efc_pos) > 1e-6
     assert moved.any()
     opened = -soft.opened(data.efc_force)
@@ -71,7 +76,7 @@ def test_softness_does_not_depend_on_where_it_is_asked(kind: str) -> None:
         if kind == "joint":
             data.qpos[:] = distance, 0, 0, 0
         mujoco.mj_forward(model, data)
-        found.append(Softness(model, data).opened(np.full(data.nefc, 2.0)))
+        found.append(EqualityCompliance(model, data).opened(np.full(data.nefc, 2.0)))
     # A weld's and a connect's A depend on the configuration; along this way they stay.
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], rtol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from tests.support.engines import mujoco_at
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import load
@@ -96,7 +96,7 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
     """Else it would sink through the step on to the floor, and be carried by both."""
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights={"RR": 0.001})))
-    on_step = on_ground(robot, stand.task.ground, stand.foot_targets)
+    on_step = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     qpos = stand.qpos.copy()
     qpos[2] -= 0.003
     data = mujoco_at(on_step, qpos)

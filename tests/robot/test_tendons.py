@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.tendons import BONDS, tell_bonds_not_kept
+from pupper_analysis.robot.tendons import SUPPORTED_EQUALITIES, report_ignored_equalities
 from tests.support.legged import quadruped, rewritten
 
 ENDING = "</mujoco>"
@@ -39,16 +39,16 @@ def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
 
 def test_every_kind_of_equality_is_kept_told_or_gone() -> None:
     """By MuJoCo's own list: a kind that a new version brings is to be looked at."""
-    known = {kind.name for kind in BONDS} | {*TOLD, GONE}
+    known = {kind.name for kind in SUPPORTED_EQUALITIES} | {*TOLD, GONE}
     assert {name for name in dir(mujoco.mjtEq) if name.startswith("mjEQ_")} == known
     scene = """<mujoco><worldbody><body pos="0 0 1"><geom size="0.1"/></body>
       <flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" mass="1" radius="0.01">
         <edge equality="true"/></flexcomp></worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(scene)
-    [message] = tell_bonds_not_kept(model)
+    [message] = report_ignored_equalities(model)
     assert "(flex)" in str(message)
     model.eq_active0[:] = 0
-    assert not tell_bonds_not_kept(model)
-    for kind in np.array([kind.value for kind in BONDS]):
+    assert not report_ignored_equalities(model)
+    for kind in np.array([kind.value for kind in SUPPORTED_EQUALITIES]):
         model.eq_active0[:], model.eq_type[:] = 1, kind
-        assert not tell_bonds_not_kept(model)
+        assert not report_ignored_equalities(model)

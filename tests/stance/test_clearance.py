@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
@@ -69,7 +69,7 @@ def test_height_above_slope_and_steps(name: str) -> None:
     robot, shapes = load(name), ClearanceShapes(load(name))
     ground = pa.Ground(0.2, 0.8, {"FL": 0.03, "RR": 0.05})
     feet = pa.Configuration(robot, robot.home).foot_positions()
-    there, seen = on_ground(robot, ground, feet), 0
+    there, seen = build_on_ground(robot, ground, feet), 0
     for seed in range(40):
         qpos, _ = random_state(robot, seed)
         qpos[:3] = 0.05 * np.tanh(qpos[:3]) + (0, 0, 0.3)
@@ -134,7 +134,7 @@ def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
     assert "height" in error.possible
     assert error.nearest is not None
     nearest = error.nearest
-    there = on_ground(robot, nearest.task.ground, nearest.foot_targets)
+    there = build_on_ground(robot, nearest.task.ground, nearest.foot_targets)
     near = min(ground_distances(there, nearest.qpos))
     assert near == pytest.approx(nearest.ground_clearance.distance, abs=1e-9)
     assert near == pytest.approx(0, abs=1e-3)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import Pair, quadruped
@@ -95,7 +95,7 @@ def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
     shapes = ClearanceShapes(robot)
     ground = pa.Ground(0.2, 0.8, dict(zip(robot.contact_points, (0.05, 0.08), strict=False)))
     places = pa.Configuration(robot, robot.home).foot_positions()
-    there, seen = on_ground(robot, ground, places), 0
+    there, seen = build_on_ground(robot, ground, places), 0
     model = there.mj_model
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-9, 200
     still = np.flatnonzero(model.geom_bodyid == 0)

@@ -19,7 +19,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.present.scene import describe_scene
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
@@ -240,7 +240,7 @@ def test_friction_is_the_planes_in_mujoco_and_in_statics() -> None:
     robot, contacts = load("v3"), roof(20)
     own = pa.Contact(pa.Plane(contacts["FL"].plane.point, contacts["FL"].plane.normal, 0.7))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts | {"FL": own}))
-    grounded = on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
+    grounded = build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
     data = mujoco.MjData(grounded.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_forward(grounded.mj_model, data)
@@ -279,7 +279,7 @@ def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed:
         config.foot_positions()[HAND], data.geom(HAND).xpos, atol=1e-12
     )  # both engines' place
     stand = pa.solve_stand(armed, task)
-    model = on_ground(robot, stand.task.ground, stand.rigid_targets).mj_model
+    model = build_on_ground(robot, stand.task.ground, stand.rigid_targets).mj_model
     top = model.geom(f"step_{HAND}").id
     meets = [
         model.geom(geom).name
@@ -464,7 +464,7 @@ def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> No
     np.testing.assert_allclose(stand.normals["FL"], out, atol=1e-12)
     wanted = (x + radius * out[0], y, 0.02 + radius * out[2])
     np.testing.assert_allclose(stand.contact_points["FL"], wanted, atol=1e-9)
-    model = on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets).mj_model
+    model = build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets).mj_model
     assert model.geom("step_FL").type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER.value
     seen = describe_scene(robot, stand, None)
     for step in seen.steps.values():  # cylinders about the bar

@@ -14,8 +14,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.floor import floor_of
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.floor import find_floor
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance import search as search_module
 from pupper_analysis.stance.stand import stand_statics
 from tests.support import random_legged
@@ -162,7 +162,7 @@ def test_a_step_has_the_floors_contact(priority: int) -> None:
     """Friction, softness and who decides: of a floor that is like no default."""
     plain = load("v3")
     spec = plain.description.mjcf.copy()
-    floor = floor_of(spec)
+    floor = find_floor(spec)
     assert floor is not None
     floor.friction, floor.condim = (1.31, 0.0171, 0.00031), 4
     floor.solref, floor.solimp = (0.013, 0.9), (0.31, 0.83, 0.0021, 0.4, 3.0)
@@ -170,7 +170,7 @@ def test_a_step_has_the_floors_contact(priority: int) -> None:
     robot = build_robot(replace(plain.description, mjcf=spec))
     heights = {"RR": 0.02, "FL": 0.01}
     stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights=heights)))
-    there = on_ground(robot, stand.task.ground, stand.foot_targets)
+    there = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     qpos = stand.qpos.copy()
     qpos[2] -= 5e-4
     data, touched = mujoco_at(there, qpos), set()

@@ -13,7 +13,7 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.robot import lend
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 from tests.support.variants import load
@@ -218,7 +218,7 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(contacts=slopes(0.6, {"FR": 0.0})))
     ground = stand.task.ground
-    grounded = on_ground(robot, ground, stand.rigid_targets)
+    grounded = build_on_ground(robot, ground, stand.rigid_targets)
     model = grounded.mj_model
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand.qpos)

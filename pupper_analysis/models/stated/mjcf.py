@@ -114,7 +114,7 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
     return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
 
 
-def line_of(file: MjcfFile, element: object, body: str) -> Place:
+def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
     """Return the location of an element without a name, from the line that MuJoCo's parser records.
 
     Args:
@@ -266,7 +266,7 @@ _WORD_GROUPS: Final = {
 """{group: its attributes}."""
 
 
-def touching_geoms(model: mujoco.MjModel) -> set[int]:
+def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the geoms that can collide, by their contact bits or in a contact pair.
 
     The result is empty if contacts are disabled. Other geoms are only visual.
@@ -287,13 +287,13 @@ def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, V
         }
     return {
         attribute.word: _to_tuple(
-            getattr(model, attribute.mujoco)[rows_of(model, attribute.mujoco, row)]
+            getattr(model, attribute.mujoco)[select_rows(model, attribute.mujoco, row)]
         )
         for attribute in attributes
     }
 
 
-def rows_of(model: mujoco.MjModel, array: str, row: int) -> int | slice:
+def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
     """Return the row of an element in an array; for ``dof_`` arrays, a slice of the joint."""
     if not array.startswith("dof_"):
         return row

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -55,7 +55,7 @@ class Inertial:
     @property
     def rigid(self) -> pin.Inertia:
         """The spatial inertia, as Pinocchio's type."""
-        return inertia_of(self.mass, self.com, self.inertia)
+        return make_inertia(self.mass, self.com, self.inertia)
 
     @property
     def moments(self) -> Array:

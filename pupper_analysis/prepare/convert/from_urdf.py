@@ -29,13 +29,13 @@ from pupper_analysis.models.attributes import (
 )
 from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
-from pupper_analysis.models.places import refusal_at
+from pupper_analysis.models.places import make_element_error
 from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml import (
     add_element,
-    free_name,
     is_zero,
+    make_unique_name,
     to_text,
     write_halves,
     write_numbers,
@@ -197,13 +197,13 @@ class UrdfBodies:
         links, worldbody = self.tree.links, mjcf.section("worldbody")
         if WORLD in links and (self.root != WORLD or free):
             problem = diagnose("link-named-world", subject=("link", WORLD))
-            raise refusal_at(self.urdf.path, links[WORLD].element, problem)
+            raise make_element_error(self.urdf.path, links[WORLD].element, problem)
         if self.root == WORLD:
             self._fill(worldbody, links[self.root])
             return
         body = add_element(worldbody, "body", name=self.root)
         if free:
-            add_element(body, "freejoint", name=free_name("root", set(self.tree.joints)))
+            add_element(body, "freejoint", name=make_unique_name("root", set(self.tree.joints)))
         self._fill(body, links[self.root])
 
     def _fill(self, body: etree._Element, link: UrdfLink) -> None:
@@ -228,7 +228,7 @@ class UrdfBodies:
         joint, kind, name = stated.element, stated.kind, stated.name
         if kind in ("floating", "planar"):
             problem = diagnose("joint-free-inside", subject=("joint", name), kind=Term(kind))
-            raise refusal_at(self.urdf.path, joint, problem)
+            raise make_element_error(self.urdf.path, joint, problem)
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
@@ -289,7 +289,7 @@ class UrdfBodies:
         axis = joint.find("axis")
         if axis is not None and is_zero(axis.get("xyz") or _ZERO):
             problem = diagnose("axis-without-direction", subject=("joint", str(joint.get("name"))))
-            raise refusal_at(self.urdf.path, axis, problem)
+            raise make_element_error(self.urdf.path, axis, problem)
 
     def _add_shape(
         self,
@@ -305,7 +305,7 @@ class UrdfBodies:
         xyz, rpy = _origin(shape)
         name = None
         if kind == "collision":
-            name = free_name(str(shape.get("name") or f"{link}_collision"), self._geoms)
+            name = make_unique_name(str(shape.get("name") or f"{link}_collision"), self._geoms)
         add_element(
             body,
             "geom",
@@ -353,7 +353,7 @@ class UrdfBodies:
             return None
         known = next((key for key, value in self.materials.items() if value == rgba), None)
         if known is None:
-            known = free_name(name or "color", {FLOOR_NAME, *self.materials})
+            known = make_unique_name(name or "color", {FLOOR_NAME, *self.materials})
             self.materials[known] = rgba
         return known
 

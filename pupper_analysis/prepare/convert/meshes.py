@@ -18,7 +18,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import add_element, free_name
+from pupper_analysis.models.xml import add_element, make_unique_name
 
 _PACKAGE = "package://"
 
@@ -115,7 +115,7 @@ class Meshes:
         if touches:
             self._touching.add((path, scale))
         if (path, scale) not in self._names:
-            self._names[path, scale] = free_name(path.stem, self._taken)
+            self._names[path, scale] = make_unique_name(path.stem, self._taken)
         return self._names[path, scale]
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
@@ -181,7 +181,8 @@ class Meshes:
             return path
         if path not in self._places:  # two of one name may come from different folders
             folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
-            name = f"{free_name(path.stem, self._stems)}{ending if ending in READABLE else '.obj'}"
+            stem = make_unique_name(path.stem, self._stems)
+            name = f"{stem}{ending if ending in READABLE else '.obj'}"
             self._places[path] = folder / name
         return self._places[path]
 

@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.places import refuse_file
+from pupper_analysis.models.places import make_file_error
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
@@ -238,7 +238,7 @@ def _repaired(bodies: Bodies, body: str) -> Repair:
     moments, axes = np.linalg.eigh(np.array(old.inertia))
     mass = float(old.mass if old.mass > 0 else LIGHT)
     wanted = nearest_moments(moments, mass)
-    new = inertia_of(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
+    new = make_inertia(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
     bodies.tree.links[body].set_inertia(new, NUM_DIGITS)
     moved = _carrier(bodies, body)[0]
     joint = bodies.tree.above.get(moved)
@@ -270,14 +270,14 @@ def _carrier(bodies: Bodies, body: str, *, bare: bool = False) -> tuple[str, pin
 def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
     mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
-    return refuse_file(urdf.place("link", name, "inertial/inertia"), problem)
+    return make_file_error(urdf.place("link", name, "inertial/inertia"), problem)
 
 
 def _weightless(urdf: UrdfFile, body: str) -> ModelError:
     above = urdf.tree.above.get(body)
     joint = None if above is None else above.name
     problem = diagnose("link-without-mass", subject=("link", body), joint=joint)
-    return refuse_file(urdf.place("link", body), problem)
+    return make_file_error(urdf.place("link", body), problem)
 
 
 def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:

@@ -14,7 +14,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import INERTIA_ENTRIES, placement_of
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, make_placement
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -34,7 +34,7 @@ from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_
 from pupper_analysis.models.xml import (
     NUM_DIGITS,
     add_element,
-    free_name,
+    make_unique_name,
     new_file_text,
     write_numbers,
 )
@@ -88,14 +88,14 @@ class UrdfLinks:
         name = self._link_name(base)
         free = base in model.jnt_bodyid[free_joints(model)]
         if free or model.body_jntnum[base] == 0:
-            placed = placement_of(model.body_quat[base], model.body_pos[base])
+            placed = make_placement(model.body_quat[base], model.body_pos[base])
             if not free and not placed.isIdentity(1e-12):
-                world = free_name("world", self._names)
+                world = make_unique_name("world", self._names)
                 self._frame(world)
                 self._joint(f"{world}_to_{name}", "fixed", world, name, placed)
             self._link(base, name, pin.SE3.Identity())
         else:
-            world = free_name("world", self._names)
+            world = make_unique_name("world", self._names)
             self._frame(world)
             self._moved(base, name, world, pin.SE3.Identity())
         for body in range(base + 1, model.nbody):
@@ -114,7 +114,7 @@ class UrdfLinks:
             inside: Where the parent body's frame is in that link.
         """
         model = self.model
-        placement = inside * placement_of(model.body_quat[body], model.body_pos[body])
+        placement = inside * make_placement(model.body_quat[body], model.body_pos[body])
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         fixed = self.fix_balls and count == 1 and model.jnt_type[first] == JointKind.BALL
         if count == 0 or fixed:
@@ -196,7 +196,7 @@ class UrdfLinks:
                 continue
             self._names.add(name)
             link, inside = self.links[body]
-            placed = inside * placement_of(model.site_quat[site], model.site_pos[site])
+            placed = inside * make_placement(model.site_quat[site], model.site_pos[site])
             self._frame(name)
             self._joint(self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
 
@@ -211,10 +211,10 @@ class UrdfLinks:
         return self._free(str(self.model.body(body).name) or f"body_{body}")
 
     def _free(self, wanted: str) -> str:
-        return free_name(wanted, self._names)
+        return make_unique_name(wanted, self._names)
 
     def _joint_name(self, wanted: str) -> str:
-        return free_name(wanted, self._joint_names)
+        return make_unique_name(wanted, self._joint_names)
 
 
 @dataclass(frozen=True)
@@ -395,7 +395,7 @@ class UrdfShapes:
             self.left.append(diagnose("mesh-moved", subject=("mesh", name)))
             return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
-        own = placement_of(model.mesh_quat[mesh], model.mesh_pos[mesh])
+        own = make_placement(model.mesh_quat[mesh], model.mesh_pos[mesh])
         scale = np.array(model.mesh_scale[mesh])
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
@@ -412,7 +412,7 @@ class UrdfShapes:
         known = key in self._materials
         if not known:
             wanted = str(model.mat(material).name) if material >= 0 else "color"
-            self._materials[key] = free_name(wanted or "color", self._names)
+            self._materials[key] = make_unique_name(wanted or "color", self._names)
         node = add_element(shape, "material", name=self._materials[key])
         if not known:
             add_element(node, "color", rgba=write_numbers(key))

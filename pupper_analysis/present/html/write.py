@@ -31,9 +31,9 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.kinds import PAGE, hash_of
-from pupper_analysis.base.provenance import find_provenance
+from pupper_analysis.base.files import write_atomically
+from pupper_analysis.base.kinds import PAGE, hash_content
+from pupper_analysis.base.provenance import collect_provenance
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.shapes import Mesh
 from pupper_analysis.present.document import (
@@ -243,7 +243,7 @@ def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dic
     """
     shapes, found = shapes_of(model, MOST_FACES)
     meshes = {number: _mesh(mesh) for number, mesh in found.items()}
-    names = {number: hash_of(orjson.dumps(mesh))[:16] for number, mesh in meshes.items()}
+    names = {number: hash_content(orjson.dumps(mesh))[:16] for number, mesh in meshes.items()}
     geoms = [
         {
             "shape": shape.form.kind,
@@ -369,7 +369,7 @@ def write_report(
         robots,
         [result for _, result in named if isinstance(result, Table)],
     )
-    with whole_file(Path(path), PAGE, force=force) as file:
+    with write_atomically(Path(path), PAGE, force=force) as file:
         file.write(render_page(shown, language).encode())
 
 
@@ -402,7 +402,7 @@ def render_page(shown: Report, language: str = "en") -> str:
             title=shown.title,
             language=LANGUAGES[language],
             version=__version__,
-            provenance=find_provenance().lines(),
+            provenance=collect_provenance().lines(),
             sections=sections,
             overview=[_block(block, scenes) for block in shown.overview],
             words=_spoken(),

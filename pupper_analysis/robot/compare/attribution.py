@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
+from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
     MujocoBehaviour,
@@ -34,7 +34,7 @@ from pupper_analysis.robot.compare.differences import (
     convention_changes,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
-    as_it_is,
+    make_passive_model,
     mjcf_only_effects,
     split_mimics,
     without_effects,
@@ -111,7 +111,7 @@ def explain_differences(
             effects = relative_error.effects(urdf, behaviour(change.apply(first, second)))
         differences.append(change.difference(effects))
     differences += armature_differences(first, behaviour, relative_error)
-    full_model = as_it_is(reference.model)
+    full_model = make_passive_model(reference.model)
     for extra in mjcf_only:
         extra.switch(reduced_model, full_model)
         effects = (
@@ -202,7 +202,7 @@ def armature_differences(
         yield Difference("armature", values.base, None, value, unit, message, effects)
     stated = {name: joint.armature for name, joint in values.joints.items()}
     frequency = Counter(stated.values())
-    for pair in unlike_pairs(mirror_pairs(values.joints), stated):
+    for pair in find_unlike_pairs(find_mirror_pairs(values.joints), stated):
         # The rarer value is considered wrong.
         name, reference_joint = sorted(pair, key=lambda joint_name: frequency[stated[joint_name]])
         joint = replace(values.joints[name], armature=stated[reference_joint])

@@ -31,15 +31,15 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
-from pupper_analysis.base.tools import offering
+from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
-from pupper_analysis.models.mjcf import silence_mujoco, start_data
+from pupper_analysis.models.mjcf import make_start_data, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import LEG_JOINT_NAME
-from pupper_analysis.models.stated.mjcf import place_of_geom, read_mjcf_model, touching_geoms
+from pupper_analysis.models.stated.mjcf import find_collidable_geoms, place_of_geom, read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -58,7 +58,7 @@ from pupper_analysis.robot.compare.differences import (
     Explanation,
     PatternCause,
     change_of,
-    in_degrees,
+    guess_degrees,
     with_names_of_models,
 )
 from pupper_analysis.robot.contact import limb_ends
@@ -123,7 +123,7 @@ def compare_collisions(
         return [], []  # a file has no collision shapes
     if conventions.base is not None or conventions.zeros:
         return [], [diagnose("collisions-not-compared")]
-    data = start_data(mjcf.model)
+    data = make_start_data(mjcf.model)
     moved_bodies = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
     ends = limb_ends(mjcf.model)
     shapes_by_joint = {
@@ -196,7 +196,7 @@ def _collect_limb_shapes(
 
 def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the geoms that can collide with geoms of the world, or all if there are none."""
-    ids = sorted(touching_geoms(model))
+    ids = sorted(find_collidable_geoms(model))
     world_geoms = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
     if not world_geoms:
         return ids
@@ -283,7 +283,9 @@ def _find_lowest_shape(
     return heights[index], shapes[index].shape.diagnostic, shapes[index]
 
 
-def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Diagnostic | None:
+def report_base_tilt(
+    matched: Match, urdf: etree._Element, tolerances: Tolerances
+) -> Diagnostic | None:
     """Return a diagnostic of the tilt of a fixed base between the files; None if there is none.
 
     Args:
@@ -442,7 +444,7 @@ def compare_files(
     matched = match_models(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
-    mount = mount_of(matched, urdf_file.root, tolerances)
+    mount = report_base_tilt(matched, urdf_file.root, tolerances)
     robot = matched.robot
     if not robot.total_mass > 0:
         mass = Quantity(robot.total_mass, "kg")
@@ -510,7 +512,9 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
         *of: Robot, tree of the MJCF in the URDF's link frames, all differences, tolerances, and
             bodies of the MJCF whose mass is computed from geoms.
     """
-    modules = (import_module(f"{package}.causes") for package in offering("causes").values())
+    modules = (
+        import_module(f"{package}.causes") for package in find_tool_modules("causes").values()
+    )
     return next((tuple(module.find_causes(*of)) for module in modules), ())
 
 
@@ -619,7 +623,7 @@ def _compare_servo_gains(
             if abs(mjcf_gain - urdf_gain) > tolerances.damping * max(
                 abs(urdf_gain), abs(mjcf_gain)
             ):
-                details = {"what": Term(kind), "guess": in_degrees(urdf_gain, mjcf_gain)}
+                details = {"what": Term(kind), "guess": guess_degrees(urdf_gain, mjcf_gain)}
                 code, subject = "joint-number-differs", ("joint", name)
                 change = change_of(
                     code, kind, subject, (urdf_gain, mjcf_gain), unit, FORMAT_NAMES, details

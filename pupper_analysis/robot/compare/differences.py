@@ -36,7 +36,7 @@ from pupper_analysis.models.multibody import (
     MultibodyTree,
     TreeBody,
     TreeJoint,
-    with_value_of,
+    copy_value,
 )
 from pupper_analysis.models.urdf_file import MAX_SLIDE_POSITION
 from pupper_analysis.robot.matching.alignment import with_base
@@ -403,7 +403,7 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
     return diagnose("relative-change", change=Quantity(ratio - 1, "1"))
 
 
-def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
+def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     """Return the guess that one value is in degrees, if the ratio is 57.3 within 1 %."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
@@ -413,7 +413,7 @@ def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     return None
 
 
-def quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
+def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
     """Return the guess that the MJCF's quaternion is in the order (x, y, z, w), if this fits."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
@@ -438,7 +438,7 @@ class Change(Stated):
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
         """Return the first tree with the second tree's value."""
-        return with_value_of(first, second, self.kind, self.element)
+        return copy_value(first, second, self.kind, self.element)
 
 
 ZERO_TOLERANCES = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
@@ -606,7 +606,7 @@ def _compare_joints(
             angle=Quantity(angle, "rad"),
             axis=Vector.rounded(rotation_vector / angle),
             about_its_axis=abs(float(rotation_vector @ one.axis)) > (1 - 1e-6) * angle,
-            guess=quaternion_order(one.rotation, two.rotation),
+            guess=guess_quaternion_order(one.rotation, two.rotation),
         )
         yield Change("rotation", name, one.rotation, two.rotation, "1", message)
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
@@ -646,7 +646,7 @@ def _compare_joint_parameters(
         )
         if is_unlimited_slide and math.isinf(second) and not sides.alike:
             continue  # a URDF requires limits of a slide
-        guess = in_degrees(first, second)
+        guess = guess_degrees(first, second)
         if kind == "effort" and first == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")
         code, details = "joint-number-differs", {"what": Term(kind), "guess": guess}

@@ -22,7 +22,11 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Quantity, Term, Vector, diagnose
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, motor_targets
+from pupper_analysis.models.transmission import (
+    actuator_gear,
+    is_at_one_joint,
+    list_actuator_targets,
+)
 from pupper_analysis.robot.compare.differences import Stated
 from pupper_analysis.robot.matching.trees import Mimics, Reference
 
@@ -42,10 +46,10 @@ class MjcfOnlyEffect(Stated):
     slots: tuple[Slot, ...] = ()
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
-        """Disable the element in a model from `as_it_is`, or restore the values of another model.
+        """Disable the element in a passive model, or restore the values of another model.
 
         Args:
-            model: Model to modify.
+            model: Model from `make_passive_model`; modified.
             like: Model with the values to restore; None to disable.
         """
         for name, rows in self.slots:
@@ -56,7 +60,7 @@ class MjcfOnlyEffect(Stated):
                 getattr(model, name)[rows] = 0 if like is None else getattr(like, name)[rows]
 
 
-def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
+def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model without contacts, limits, dry friction and commands.
 
     Contacts, joint and tendon limits, dry friction and the control of actuators are disabled.
@@ -89,7 +93,7 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
     """Return ``as_it_is(model)`` with some effects disabled."""
-    result = as_it_is(model)
+    result = make_passive_model(model)
     for effect in effects:
         effect.switch(result, None)
     return result
@@ -241,7 +245,7 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """
     model = scene.model
     for motor in range(model.nactuator):
-        object_type, targets = motor_targets(model, motor)
+        object_type, targets = list_actuator_targets(model, motor)
         if not any(scene.holds(object_type, target) for target in targets):
             continue
         subject = "actuator", scene.name("actuator", motor)
@@ -249,7 +253,7 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         nonzero = scene.numbers("actuator", motor, (*linear, "dampingpoly"))
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
             message = diagnose("dc-motor-of-the-mjcf-alone", subject=subject)
-            group = ("actuator_group", motor)  # `as_it_is` disables group 0
+            group = ("actuator_group", motor)  # `make_passive_model` disables group 0
             yield MjcfOnlyEffect("actuator", subject[1], None, "DC motor", "", message, (group,))
         if nonzero:
             gear: Numbers = {"gear": list(map(float, actuator_gear(model, motor)))}

@@ -60,12 +60,15 @@ def align_frames(
     tolerances = tighten_tolerances(tolerances)
     names = list(first.joints if only is None else only)
     nearest = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=False)
-    if only is not None or not digits_in_all(first, nearest.values, tolerances):
+    if only is not None or not measure_tree_deviation(first, nearest.values, tolerances):
         return nearest
     # If a file rotates several successive frames, and rotates back after the last, no single
     # transformation decreases the deviation, but all together do (thumb of a Shadow Hand).
     rotated = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=True)
-    costs = [digits_in_all(first, alignment.values, tolerances) for alignment in (nearest, rotated)]
+    costs = [
+        measure_tree_deviation(first, alignment.values, tolerances)
+        for alignment in (nearest, rotated)
+    ]
     return rotated if costs[1] < costs[0] - _MIN_SAVED_BITS else nearest
 
 
@@ -93,7 +96,7 @@ def _align_by_cost(
         joint, other_joint = first.joints[name], result.joints[name]
         if joint.parent != other_joint.parent or joint.slides != other_joint.slides:
             continue
-        best, least_cost = result, digits_of(first, result, name, tolerances)
+        best, least_cost = result, measure_joint_deviation(first, result, name, tolerances)
         if least_cost == 0:
             continue
         rotations = list(_candidate_rotations(first, result, name))
@@ -104,7 +107,7 @@ def _align_by_cost(
             rotated = in_axes(result, name, rotation)
             for step in _candidate_steps(first, rotated, name, still=name in fixed):
                 candidate = with_origin(rotated, name, step)
-                cost = digits_of(first, candidate, name, tolerances)
+                cost = measure_joint_deviation(first, candidate, name, tolerances)
                 if cost < least_cost - _MIN_SAVED_BITS:
                     best, least_cost, shift = candidate, cost, rotation.T @ step
         result = best
@@ -120,12 +123,12 @@ def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
     )
 
 
-def count_digits(size: float, tolerance: float) -> float:
+def measure_deviation_bits(size: float, tolerance: float) -> float:
     """Return log2(1 + size / tolerance) of a deviation; 0 within the tolerance."""
     return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
 
 
-def digits_of(
+def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
     """Return the deviation [bits] of a joint, its body, and the placements of its children."""
@@ -136,7 +139,9 @@ def digits_of(
     return total
 
 
-def digits_in_all(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> float:
+def measure_tree_deviation(
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
+) -> float:
     """Return the deviation [bits] of all joints and their bodies."""
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
@@ -146,33 +151,35 @@ def _joint_bits(
 ) -> float:
     """Return the deviation [bits] of a joint, its body and its frames."""
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
-    total += count_digits(
+    total += measure_deviation_bits(
         _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
     )
-    total += digits_of_body(first.bodies[name], second.bodies[name], tolerances)
+    total += measure_body_deviation(first.bodies[name], second.bodies[name], tolerances)
     for frame in first.carried_by(name):
         owner, position = second.frames[frame]
         if owner == name:
             distance = float(np.linalg.norm(position - first.frames[frame][1]))
-            total += count_digits(distance, tolerances.position)
+            total += measure_deviation_bits(distance, tolerances.position)
     return total
 
 
-def digits_of_body(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
+def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
     """Return the deviation [bits] of the CoM and inertia of two bodies; 0 if a body has no mass."""
     if not (first.mass and second.mass):
         return 0.0
     scale = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)
     relative_deviation = float(np.abs(second.inertia - first.inertia).max()) / scale
-    total = count_digits(float(np.linalg.norm(second.com - first.com)), tolerances.com)
-    return total + count_digits(relative_deviation, tolerances.inertia)
+    total = measure_deviation_bits(float(np.linalg.norm(second.com - first.com)), tolerances.com)
+    return total + measure_deviation_bits(relative_deviation, tolerances.inertia)
 
 
 def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
     """Return the deviation [bits] of position and rotation of two joints."""
     distance = float(np.linalg.norm(second.position - first.position))
     angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
-    return count_digits(distance, tolerances.position) + count_digits(angle, tolerances.rotation)
+    return measure_deviation_bits(distance, tolerances.position) + measure_deviation_bits(
+        angle, tolerances.rotation
+    )
 
 
 def _angle_between(first: Array, second: Array) -> float:
@@ -192,7 +199,7 @@ def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str)
     yield full
     if first_joint.slides or float(first_joint.axis @ (full @ second_joint.axis)) < 0.99:
         return
-    offset = offset_of_limits(first_joint, second_joint)
+    offset = find_limit_offset(first_joint, second_joint)
     if offset:
         yield pin.exp3(-offset * first_joint.axis) @ full
 
@@ -211,7 +218,7 @@ def _matching_points(
             yield first.frames[frame][1], position
 
 
-def offset_of_limits(first: TreeJoint, second: TreeJoint) -> float:
+def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
     """Return the offset between the limits of two joints [rad, m]; 0 if lower and upper differ."""
     lower, upper = first.lower - second.lower, first.upper - second.upper
     if not (math.isfinite(lower) and math.isfinite(upper)):

@@ -27,11 +27,11 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 from pupper_analysis.robot.matching.alignment import (
     align_frames,
-    count_digits,
-    digits_in_all,
-    digits_of,
-    digits_of_body,
-    offset_of_limits,
+    find_limit_offset,
+    measure_body_deviation,
+    measure_deviation_bits,
+    measure_joint_deviation,
+    measure_tree_deviation,
     with_base,
 )
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -88,8 +88,8 @@ def find_conventions(
     if base is not None:
         # A new base frame must not increase the deviation of the whole tree.
         unchanged = align_frames(second, first, tolerances).values
-        bits_as_is = digits_in_all(first, unchanged, tolerances)
-        if bits_as_is < digits_in_all(placed, in_place, tolerances):
+        bits_as_is = measure_tree_deviation(first, unchanged, tolerances)
+        if bits_as_is < measure_tree_deviation(placed, in_place, tolerances):
             base, placed, in_place = None, first, unchanged
     first, second = placed, in_place
     zeros = {}
@@ -139,7 +139,7 @@ def _find_zero_offset(
     limits = [first_joint.lower, first_joint.upper, second_joint.lower, second_joint.upper]
     if not any(math.isfinite(limit) for limit in limits):
         return offset
-    shift = offset_of_limits(first_joint, second_joint)
+    shift = find_limit_offset(first_joint, second_joint)
     # The rotation determines the angle up to full turns.
     full_turns = (
         0.0 if first_joint.slides else 2 * math.pi * round((shift - offset) / (2 * math.pi))
@@ -184,7 +184,7 @@ def _find_base_pose(
     for pose in _candidate_base_poses(first, second):
         angle = float(np.linalg.norm(pin.log3(pose.rotation)))
         distance = float(np.linalg.norm(pose.translation))
-        pose_bits = count_digits(distance, tolerances.position) + count_digits(
+        pose_bits = measure_deviation_bits(distance, tolerances.position) + measure_deviation_bits(
             angle, tolerances.rotation
         )
         if pose_bits == 0:
@@ -209,10 +209,10 @@ def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
     """Return the deviations [bits] of the body of the base, and of each joint on the base."""
-    body = digits_of_body(first.bodies[first.base], second.bodies[second.base], tolerances)
+    body = measure_body_deviation(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)
     second = align_frames(second, first, tolerances, only=names).values
-    return body, [digits_of(first, second, name, tolerances) for name in names]
+    return body, [measure_joint_deviation(first, second, name, tolerances) for name in names]
 
 
 def _is_axis_permutation(rotation: Array) -> bool:
@@ -248,7 +248,7 @@ def quarter_turns() -> Iterator[Array]:
                 yield matrix
 
 
-def take_conventions(
+def apply_conventions(
     root: etree._Element, link: str, conventions: Conventions, first: MultibodyTree
 ) -> None:
     """Convert a URDF to the conventions of the MJCF, in place: base frame and zeros.

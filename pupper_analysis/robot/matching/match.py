@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -32,21 +32,21 @@ from pupper_analysis.models.attributes import BY_KIND, PASSIVE_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.efforts import null_efforts
-from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
+from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.spec_tree import SpecTree, delete_joint, join_free_base, state_number
-from pupper_analysis.models.urdf_file import UrdfFile, for_engines
+from pupper_analysis.models.urdf_file import UrdfFile, to_engine_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.conventions import (
     Conventions,
+    apply_conventions,
     describe_pose,
     find_conventions,
-    take_conventions,
 )
-from pupper_analysis.robot.matching.pairs import common_frames, pair_up, without_affixes
+from pupper_analysis.robot.matching.pairs import common_frames, match_joints, match_without_affixes
 from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import (
@@ -56,8 +56,8 @@ from pupper_analysis.robot.matching.trees import (
     kinematic_trees,
     links_of,
     moving_joints,
+    remove_base_mass,
     strip_roots,
-    take_mass_of_base,
     urdf_mimics,
     urdf_tree,
     without_shapes,
@@ -82,7 +82,7 @@ class RemovablePart:
     mass: float
 
 
-def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
+def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     """Return the diagnostic of a part that one file contains and the other lacks."""
     return diagnose(
         "part-of-one-file",
@@ -95,11 +95,11 @@ def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     )
 
 
-Ways = list[tuple[str, list[list[RemovablePart]]]]
+Removals = list[tuple[str, list[list[RemovablePart]]]]
 """(carrier, alternative lists of removable parts, from small to large) of each carrier."""
 
 
-def ways_off(tree: ModelTree, extra: Collection[str]) -> Ways:
+def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """Return the carriers of joints that the other file lacks, and alternatives to remove these.
 
     The first alternative of a carrier contains the moving parts; further alternatives include more
@@ -154,10 +154,10 @@ def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovableP
     return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
 
 
-def take_off(
+def remove_parts(
     trees: tuple[UrdfTree, SpecTree],
     files: tuple[Path, Path],
-    ways: tuple[Ways, Ways],
+    ways: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
     """Remove parts that the other file lacks, in place; return their diagnostics.
@@ -168,7 +168,7 @@ def take_off(
     Args:
         trees: Trees of URDF and MJCF.
         files: URDF and MJCF.
-        ways: Alternatives for both files, from ``ways_off``.
+        ways: Alternatives for both files, from ``list_removals``.
         pairs: {joint in the URDF: joint in the MJCF}.
     """
     if not any(ways):
@@ -192,7 +192,7 @@ def take_off(
                 index for index, mass in enumerate(remaining) if mass <= min(remaining) + 1e-6
             )
             for part in ([], *alternatives)[best_index]:
-                notes.append(tell_lacking(part, *file_types))
+                notes.append(report_part(part, *file_types))
                 tree.remove_subtree(part.root)
     return notes
 
@@ -293,7 +293,7 @@ def match_models(
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
     urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
-    naming_notes = name_all(spec, urdf_joint_names)
+    naming_notes = name_elements(spec, urdf_joint_names)
     joined = join_free_base(spec, stated=urdf_joint_names)
     scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
     scene_notes = drop_other_objects(spec, mjcf.path, root)
@@ -305,10 +305,12 @@ def match_models(
     notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
     requested = dict(names or {})
     _check_names(requested, (urdf_joints, root, urdf.path), (mjcf_joints, spec, mjcf.path))
-    matched = pair_up(root, tree, (urdf.path, mjcf.path), (urdf_joints, mjcf_joints), requested)
+    matched = match_joints(
+        root, tree, (urdf.path, mjcf.path), (urdf_joints, mjcf_joints), requested
+    )
     pairs, notes = matched.pairs, [*notes, *matched.notes]
     if is_fused(spec, pairs.values()):
-        notes += take_mass_of_base(root, urdf.path)
+        notes += remove_base_mass(root, urdf.path)
     only_urdf = (*other_urdf_joints, *(name for name in urdf_joints if name not in pairs))
     partners = set(pairs.values())
     only_mjcf = (*balls, *(name for name in mjcf_joints if name not in partners))
@@ -317,19 +319,19 @@ def match_models(
     if complete:
         _refuse_loops(spec, only_mjcf, mjcf.path)
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
-    ways = ways_off(sides[0], only_urdf), ways_off(sides[1], only_mjcf)
+    ways = list_removals(sides[0], only_urdf), list_removals(sides[1], only_mjcf)
     mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
     # For a stand, the weight of the parts matters, so these are kept.
-    parts = [] if complete else take_off(sides, paths, ways, pairs)
+    parts = [] if complete else remove_parts(sides, paths, ways, pairs)
     own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
     models = scene_model, scene_model if joined else own_model
-    notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
-    unstated = {} if strict else take_unstated(root, tree.joints, urdf.unknown, pairs)
+    notes += copy_unknown_values(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
+    unstated = {} if strict else copy_unstated_values(root, tree.joints, urdf.unknown, pairs)
     frames = common_frames(root, spec, requested)
     _check_feet(feet, frames, urdf.path)
     description = Description(
         name=spec.modelname,
-        urdf=for_engines(root),
+        urdf=to_engine_xml(root),
         urdf_source=urdf.path,
         mjcf=spec,
         mjcf_source=mjcf.path,
@@ -376,8 +378,8 @@ def _build_in_mjcf_convention(
     robot = build_robot(description)
     conventions, notes = _compare_conventions(robot, tolerances)
     if conventions.base is not None or conventions.zeros:
-        take_conventions(root, robot.base, conventions, kinematic_trees(robot)[0])
-        text = for_engines(root)
+        apply_conventions(root, robot.base, conventions, kinematic_trees(robot)[0])
+        text = to_engine_xml(root)
         robot = build_robot(replace(description, urdf=text))
     return robot, conventions, notes
 
@@ -472,7 +474,7 @@ def _unify_joints(
     return mimics
 
 
-def take_unstated(
+def copy_unstated_values(
     root: etree._Element,
     theirs: Mapping[str, TreeJoint],
     unknown: Mapping[str, tuple[str, ...]],
@@ -513,7 +515,7 @@ def take_unstated(
     return {kind: tuple(names) for kind, names in copied.items()}
 
 
-def take_unknown(
+def copy_unknown_values(
     root: etree._Element,
     spec: mujoco.MjSpec,
     models: Collection[mujoco.MjModel],
@@ -659,7 +661,7 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
     """
     urdf_joints = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
     mjcf_joints = [joint.name for joint in spec.joints]
-    joint_names = {*urdf_joints, *without_affixes(urdf_joints, mjcf_joints, {}).values()}
+    joint_names = {*urdf_joints, *match_without_affixes(urdf_joints, mjcf_joints, {}).values()}
     return [
         body
         for body in spec.worldbody.bodies
@@ -708,7 +710,7 @@ def mjcf_tree(
         body = int(compiled.body_parentid[body])
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
-    return with_base(tree, placement_of(data.xquat[body], data.xpos[body]).inverse())
+    return with_base(tree, make_placement(data.xquat[body], data.xpos[body]).inverse())
 
 
 _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)

@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
+from pupper_analysis.robot.matching.trees import list_joint_axes_at_zero, urdf_tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Pairs:
     notes: list[Diagnostic]
 
 
-def pair_up(
+def match_joints(
     root: etree._Element,
     tree: MultibodyTree,
     files: tuple[Path, Path],
@@ -66,9 +66,9 @@ def pair_up(
     taken = set(pairs.values())
     mjcf_names, used = set(mjcf_joints), {*pairs, *taken}
     pairs |= {name: name for name in urdf_joints if name in mjcf_names and name not in used}
-    guessed = without_affixes(urdf_joints, mjcf_joints, pairs)
+    guessed = match_without_affixes(urdf_joints, mjcf_joints, pairs)
     pairs |= guessed
-    guess = guess_of_trees(urdf_tree(root, files[0]), tree, pairs)
+    guess = match_by_structure(urdf_tree(root, files[0]), tree, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
     choices = {
@@ -119,7 +119,7 @@ _GENERIC_WORDS = {"joint", "jnt", "link"}
 """Words without information about the joint."""
 
 
-def without_affixes(
+def match_without_affixes(
     mine: Sequence[str], theirs: Sequence[str], pairs: Mapping[str, str]
 ) -> dict[str, str]:
     """Match names that are equal except for prefixes (``panda_``) and suffixes (``_joint``).
@@ -249,7 +249,7 @@ class Guess:
     choices: Mapping[str, tuple[str, ...]]
 
 
-def guess_of_trees(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by structure.
 
     Joints match below the same parent, with parallel axes at zero angles, if each is the nearest of
@@ -278,7 +278,7 @@ def guess_of_trees(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str,
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis at zero angles."""
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
-    urdf_places, mjcf_places = at_zero(urdf), at_zero(mjcf)
+    urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)
     size = max(float(np.linalg.norm(place[0])) for place in urdf_places.values())
     partner = {urdf.base: mjcf.base, **pairs}
     guessed: dict[str, str] = {}

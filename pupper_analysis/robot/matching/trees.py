@@ -13,7 +13,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -24,7 +24,7 @@ from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.urdf_file import for_engines
+from pupper_analysis.models.urdf_file import to_engine_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot
@@ -55,10 +55,10 @@ def base_pose(robot: Robot) -> pin.SE3:
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.mj_model.body(robot.mj_base).id
-    return placement_of(data.xquat[body], data.xpos[body])
+    return make_placement(data.xquat[body], data.xpos[body])
 
 
-def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
+def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
     """Return {base or joint: pose of its body at zero angles} in the frame of the base."""
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
@@ -67,9 +67,9 @@ def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
     return poses
 
 
-def at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
+def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
     """Return {joint: (position (3,) [m], axis (3,))} at zero angles in the frame of the base."""
-    poses = poses_at_zero(tree)
+    poses = compute_poses_at_zero(tree)
     return {
         name: (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
         for name, joint in tree.joints.items()
@@ -168,10 +168,10 @@ def strip_roots(
         if joints[0].kind == "floating":
             candidates.clear()  # a floating joint must be removed
         candidates.append((tree.root, notes))
-    other_joints = at_zero(other)
+    other_joints = list_joint_axes_at_zero(other)
 
     def distance(tree: etree._Element) -> float:
-        joints = at_zero(urdf_tree(tree, source))
+        joints = list_joint_axes_at_zero(urdf_tree(tree, source))
         common = [name for name in joints if name in other_joints]
         total = sum(
             float(np.linalg.norm(joints[name][0] - other_joints[name][0])) for name in common
@@ -185,7 +185,7 @@ def strip_roots(
     return best[0], best[1]
 
 
-def take_mass_of_base(root: etree._Element, source: Path) -> list[Diagnostic]:
+def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
     """Remove the inertias of the base and of links fixed to it, in place; report their mass.
 
     For an MJCF whose base is the world, which has no mass. The mass of a fixed base has no effect.
@@ -244,7 +244,7 @@ def urdf_tree(
     Raises:
         ModelError: If Pinocchio cannot read the URDF.
     """
-    model = pinocchio_from_urdf(for_engines(root), source, floating=True)
+    model = pinocchio_from_urdf(to_engine_xml(root), source, floating=True)
     names = list(model.names)[2:]
     return multibody.from_pinocchio(model, base, names, {name: name for name in frames})
 

@@ -29,7 +29,7 @@ from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.posture import AT_END
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
@@ -452,7 +452,7 @@ def steady_state(
     """
     robot = touching(robot, stand.task.contacts)
     check_request(robot, stand, feet, seconds)
-    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
+    robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
     if pose.failures or math.isinf(lasts := let_creep(way, pose)):

@@ -20,7 +20,7 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos, servo_gains
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     FORCED,
@@ -169,7 +169,7 @@ class _Trial:
 
     def __init__(self, robot: Robot, stand: Stand, integrator: str, duration: float) -> None:
         self.plain, self.stand, self.integrator = robot, stand, integrator
-        self.robot = robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
+        self.robot = robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
         self.timestep = float(robot.mj_model.opt.timestep)
         self.steps = round(duration / self.timestep)
         balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)

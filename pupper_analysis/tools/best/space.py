@@ -16,7 +16,7 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import continue_stand, search_stand
 from pupper_analysis.stance.solver import SearchContext
@@ -105,7 +105,7 @@ class StanceSpace:
         ground = Ground(task.ground.slope, task.ground.uphill)
         left = self._from_limits(self.nominal) - task.joint_margin
         self._reserve = np.clip(left, STEP_OVER, JOINT_RESERVE)
-        self._grounded = on_ground(robot, ground, {})
+        self._grounded = build_on_ground(robot, ground, {})
         self._data = mujoco.MjData(self._grounded.mj_model)
         self._touching = self._touches(nominal)
         self._nominal_values = _singular_values(Configuration(robot, nominal.qpos))

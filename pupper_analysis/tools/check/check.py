@@ -16,8 +16,8 @@ from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.errors import OutputError, PupperAnalysisError
 from pupper_analysis.base.files import check_writable
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.runs import running
-from pupper_analysis.base.tools import offering
+from pupper_analysis.base.runs import ensure_run
+from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
@@ -146,7 +146,7 @@ class RepositoryCheck(Result):
 
 
 @check_arguments
-@running()
+@ensure_run()
 def check_repository(
     config: str | Path | None = None, *, update_baseline: bool = False, since: str | None = None
 ) -> RepositoryCheck:
@@ -266,7 +266,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
-    packages = offering("guard")
+    packages = find_tool_modules("guard")
     for tool, sources in pair.guards.items() if not _refused(remarks) else ():
         try:
             found = import_module(f"{packages[tool]}.guard").guard(files, sources, pair.names)

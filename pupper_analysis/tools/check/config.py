@@ -15,10 +15,10 @@ from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
-from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, is_input, read_input, read_toml
 from pupper_analysis.base.kinds import MODEL
-from pupper_analysis.base.tools import offering
+from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
 from pupper_analysis.models.xml import blank_late_declaration
@@ -241,7 +241,9 @@ class _Reader:
     def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
         self.check(
-            entry, ("pair", self._entry), {**_PAIR, **dict.fromkeys(offering("guard"), _NAMES)}
+            entry,
+            ("pair", self._entry),
+            {**_PAIR, **dict.fromkeys(find_tool_modules("guard"), _NAMES)},
         )
         patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
         if not any(char in text for text in patterns.values() for char in _WILD):
@@ -301,7 +303,7 @@ class _Reader:
             strict=strict,
             disabled=both["disable"],
             guards={tool: tuple(self.file(tool, text) for text in entry[tool])
-                    for tool in offering("guard") if tool in entry},
+                    for tool in find_tool_modules("guard") if tool in entry},
         )  # fmt: skip
 
     def file(self, key: str, text: str) -> Path:
@@ -372,7 +374,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     entries = entries_of(folder)
     if not entries:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
-    with whole_file(path, MODEL) as file:
+    with write_atomically(path, MODEL) as file:
         file.write("\n".join([_HEAD, *map(_table, entries)]).encode(errors="replace"))
     return path, tuple(entry["name"] for entry in entries)
 

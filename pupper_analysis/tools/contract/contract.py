@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
 )
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.places import refuse_input
+from pupper_analysis.models.places import make_input_error
 from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, readers
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
@@ -193,7 +193,7 @@ def _read(request: Request) -> list[Source]:
     try:
         return [source for one in able for source in one.read(request)]
     except InputError as error:
-        raise refuse_input(Path(error.path), error) from error
+        raise make_input_error(Path(error.path), error) from error
     except RecursionError as error:
         raise ModelError(request.path, diagnose("contract-too-deep")) from error
 

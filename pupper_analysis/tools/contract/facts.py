@@ -18,7 +18,7 @@ import yaml
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.places import Place, one_line, refuse_file
+from pupper_analysis.models.places import Place, make_file_error, one_line
 
 GROUP: Final = "pupper_analysis.contract"
 """The group of entry points by which a distribution offers readers: ``name = "its.module"``."""
@@ -347,7 +347,7 @@ def read_marked(path: Path, text: str) -> list[Node]:
         mark = error.problem_mark or error.context_mark
         problem = one_line(error.problem or error.context or "")
         message = diagnose("contract-no-yaml", problem=problem)
-        raise refuse_file(Place(path, mark.line + 1 if mark else None), message) from error
+        raise make_file_error(Place(path, mark.line + 1 if mark else None), message) from error
     except yaml.YAMLError as error:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
 
@@ -356,7 +356,7 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:
-        raise refuse_file(place, diagnose("contract-too-much", most=MOST))
+        raise make_file_error(place, diagnose("contract-too-much", most=MOST))
     if isinstance(node, yaml.MappingNode):
         found, merged = dict[str, Node](), dict[str, Node]()
         for key, value in node.value:
@@ -368,7 +368,7 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
                     merged |= part.value if isinstance(part.value, dict) else {}
             elif name in found:
                 place = Place(path, key.start_mark.line + 1)
-                raise refuse_file(place, diagnose("contract-twice", key=name))
+                raise make_file_error(place, diagnose("contract-twice", key=name))
             else:
                 found[name] = made
         return Node(merged | found, place)

@@ -11,7 +11,7 @@ from itertools import product
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.sides import mirror_pairs
+from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Kind, Role, Statement, kind_of
 from pupper_analysis.tools.contract.orders import (
@@ -276,7 +276,7 @@ def _mirrored(
     quantity: str, kind: Kind, placed: Sequence[Placed], model: Joints
 ) -> Iterator[Disagreement]:
     """Yields where a source has another number left than right: it contradicts itself."""
-    for source, pair in product(placed, mirror_pairs(model.order)):
+    for source, pair in product(placed, find_mirror_pairs(model.order)):
         both = [source.facts.get((quantity, each)) for each in pair]
         one, two = (None if said is None or said.value is None else said for said in both)
         if one is None or two is None or (one.implied and two.implied):

@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.models.sides import mirror_pairs
+from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.models.stated.model import RobotModel
-from pupper_analysis.robot.matching.pairs import without_affixes
+from pupper_analysis.robot.matching.pairs import match_without_affixes
 from pupper_analysis.tools.contract.facts import CALLED, QUANTITIES, Fact, Role, Source, Statement
 
 
@@ -64,7 +64,7 @@ class Joints:
         """Returns {a source's name: the joint it means}: as given, the same, or but for affixes."""
         pairs = {name: self.given[name] for name in names if self.given.get(name) in self.order}
         pairs |= {name: name for name in names if name in self.order and name not in pairs}
-        return {**pairs, **without_affixes(names, self.order, pairs)}
+        return {**pairs, **match_without_affixes(names, self.order, pairs)}
 
     def mirrored_sign(self, one: str, two: str) -> int:
         """Returns 1 if mirrored postures have the same angle at two joints, -1 if the opposite one.
@@ -182,7 +182,7 @@ def _unlike(order: tuple[str, ...], source: Source, model: Joints) -> float:
     """Returns the share of pairs of left and right that a source's lists contradict in an order."""
     said = {(one.quantity, order[one.index]): one.value for one in source.statements
             if one.index is not None and one.count == len(order)}  # fmt: skip
-    signs = {pair: (1, model.mirrored_sign(*pair)) for pair in mirror_pairs(order)}
+    signs = {pair: (1, model.mirrored_sign(*pair)) for pair in find_mirror_pairs(order)}
     alike = [like_mirror(said[what, one], said[what, two], sign[kind.mirrored < 0])
              for what, kind in QUANTITIES.items() if kind.mirrored
              for (one, two), sign in signs.items() if (what, one) in said]  # fmt: skip

@@ -23,7 +23,7 @@ from typing import Any, Final, cast
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import is_input, read_text
-from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MOST, Node, decimals_of
 
 MOST_BITS: Final = 1_000
@@ -185,9 +185,9 @@ class Evaluator:
             tree = ast.parse(text)
         except SyntaxError as error:
             message = diagnose("contract-no-python", problem=error.msg)
-            raise refuse_file(Place(path, error.lineno), message) from error
+            raise make_file_error(Place(path, error.lineno), message) from error
         except (MemoryError, ValueError) as error:
-            raise refuse_file(Place(path), diagnose("contract-too-deep")) from error
+            raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
         made = self.modules[path] = Module(path, re.split("\r\n?|\n", text))
         with suppress(_Leave, _Next, _Return):
             self.run(tree.body, Scope(made))
@@ -208,7 +208,7 @@ class Evaluator:
         self.steps += 1
         if self.steps > MOST:
             place = self._place(node, scope)
-            raise refuse_file(place, diagnose("contract-too-much", most=MOST))
+            raise make_file_error(place, diagnose("contract-too-much", most=MOST))
 
     def _lose(self, *_: object) -> None:
         raise Lost

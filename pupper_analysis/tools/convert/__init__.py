@@ -1,7 +1,7 @@
 """Convert a URDF to an MJCF, or back."""
 
-from pupper_analysis.base.exports import exports_of
+from pupper_analysis.base.exports import make_lazy_exports
 
 HEADING = "Files"
 
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)
+__getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWN
-from pupper_analysis.models.additions import Addition, Ball, Floor, Start, put_all
+from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
 from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
+from pupper_analysis.models.stated.mjcf import Value, element_values, find_collidable_geoms
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, new_file_text, write_numbers
 from pupper_analysis.prepare.bare import Bare, place_as
@@ -279,7 +279,7 @@ def _add_stand(
     except ModelError as error:
         if options.feet is not None:
             raise
-        put_all(ground_of_urdf(), mjcf)
+        apply_additions(ground_of_urdf(), mjcf)
         messages = [addition.reason for addition in ground_of_urdf()]
         messages += _add_servos_of_fixed_base(bare, options)
         _lift_base(mjcf, bodies, bare.file().model)
@@ -291,9 +291,9 @@ def _add_stand(
     except PupperAnalysisError as error:
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-        added = tuple(addition for addition in added if not isinstance(addition, Start))
+        added = tuple(addition for addition in added if not isinstance(addition, StartKeyframe))
     published = Bare.of(bare.file().model, robot)
-    put_all([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
+    apply_additions([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
     _lift_base(mjcf, bodies, published.model)
     messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     return messages, failure, _find_joints_on_balls(robot)
@@ -314,7 +314,7 @@ def _convert_start_pose(addition: Addition, published: Bare, robot: Robot) -> Ad
 
     The frame of the base in the new file may be below the feet, where `load_robot` moves it.
     """
-    if not isinstance(addition, Start):
+    if not isinstance(addition, StartKeyframe):
         return addition
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = addition.qpos
@@ -330,9 +330,11 @@ def _add_servos_of_fixed_base(bare: BareMjcf, options: MjcfOptions) -> list[Diag
     robot = _free_legged_robot(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
     # A robot that hangs from the world needs neither a ground nor a pose of its base.
     added = [
-        addition for addition in robot.description.added if not isinstance(addition, Floor | Start)
+        addition
+        for addition in robot.description.added
+        if not isinstance(addition, Floor | StartKeyframe)
     ]
-    put_all(added, mjcf)
+    apply_additions(added, mjcf)
     return list(dict.fromkeys(addition.reason for addition in added))
 
 
@@ -524,7 +526,9 @@ def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> 
         robot: Ids of the bodies that become links.
     """
     geoms = [
-        geom for geom in sorted(touching_geoms(model)) if int(model.geom_bodyid[geom]) in robot
+        geom
+        for geom in sorted(find_collidable_geoms(model))
+        if int(model.geom_bodyid[geom]) in robot
     ]
     losses = []
     for tag, rows in (("geom", geoms), ("option", [0])):

@@ -22,7 +22,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.files import Writing, check_writable, write_all
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -32,7 +32,7 @@ from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.prepare.simulable import check_simulable
-from pupper_analysis.robot.alike import structure
+from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -52,7 +52,7 @@ from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urd
 
 @check_arguments
 @silence_mujoco()
-@running()
+@ensure_run()
 def convert_model(
     source: str | Path,
     output: str | Path,
@@ -99,7 +99,7 @@ def convert_model(
         OutputError: If the output or a mesh exists, is an input file, or cannot be written.
     """
     source, output = Path(source), Path(output)
-    note_input(source)
+    register_input(source)
     check_writable(output, MODEL, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
@@ -134,7 +134,7 @@ def convert_model(
     if draft.failure is None:
         pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
         robot = robot_of(*pair, feet=feet, fixed_base=not draft.stands)
-        unlike = (*structure(robot), *remarks_of_files(robot))
+        unlike = (*report_limbs_without_feet(robot), *remarks_of_files(robot))
         failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))

@@ -27,7 +27,7 @@ from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
-from pupper_analysis.models.transmission import actuator_gear, drives_of
+from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
@@ -39,7 +39,7 @@ from pupper_analysis.robot.compare.differences import (
 )
 from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.matching.trees import kinematic_trees, poses_at_zero
+from pupper_analysis.robot.matching.trees import compute_poses_at_zero, kinematic_trees
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Link
         aligned: The same in others.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
-    here, there = poses_at_zero(raw), poses_at_zero(aligned)
+    here, there = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
     found: dict[str, list[ComparedLink]] = {}
     for index in np.flatnonzero(mujoco_model.body_mass > 0):
         name = str(mujoco_model.body(index).name)
@@ -405,7 +405,7 @@ def before_gears(case: PatternCase) -> Found:
     for kind, name in case.open:
         if kind == "effort":
             effort = case.first.joints[name].effort
-            motors = drives_of(model, model.joint(name).id)
+            motors = list_joint_actuators(model, model.joint(name).id)
             gear = abs(float(actuator_gear(model, motors[0])[0])) if len(motors) == 1 else 1.0
             own = case.second.joints[name].effort
             if gear != 1.0 and math.isclose(effort * gear, own, rel_tol=1e-6):

@@ -61,7 +61,7 @@ from pupper_analysis.robot.compare.behaviour import (
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, Difference, Explanation
 from pupper_analysis.robot.compare.mjcf_only import (
-    as_it_is,
+    make_passive_model,
     mjcf_only_effects,
     split_mimics,
     without_effects,
@@ -713,7 +713,7 @@ def _evaluations(
         MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states),
     }
     if in_mujoco is not None:
-        in_mujoco = as_it_is(in_mujoco)
+        in_mujoco = make_passive_model(in_mujoco)
         # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
         in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
         evaluations[URDF_MUJOCO] = mujoco_evaluation(

@@ -34,7 +34,7 @@ from pupper_analysis.robot.compare.differences import (
 )
 from pupper_analysis.robot.matching.alignment import align_frames
 from pupper_analysis.robot.matching.conventions import find_conventions
-from pupper_analysis.robot.matching.pairs import guess_of_trees
+from pupper_analysis.robot.matching.pairs import match_by_structure
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import (
     ElementDifference,
@@ -170,7 +170,7 @@ class _Comparison:
         second = replace(second, base=one.tree.base)
         # By name, and by structure; {old name: new name} of the joints that both have.
         alike = {name: name for name in one.tree.joints if name in second.joints}
-        self.pairs = alike | dict(guess_of_trees(one.tree, second, alike).pairs)
+        self.pairs = alike | dict(match_by_structure(one.tree, second, alike).pairs)
         self.new_name = {**self.pairs, one.tree.base: two.tree.base}
         self.old_name = {new: old for old, new in self.new_name.items()}
         self.first, self.second = self._alike(one.tree, second)

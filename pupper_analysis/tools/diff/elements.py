@@ -30,8 +30,8 @@ from pupper_analysis.models.mjcf import (
     compile_spec,
     equality_name,
     has_free_joint,
+    make_start_data,
     silence_mujoco,
-    start_data,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -40,9 +40,9 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import (
     Value,
     element_values,
+    find_collidable_geoms,
     joint_name,
     place_of_geom,
-    touching_geoms,
 )
 from pupper_analysis.models.stated.model import UrdfModel
 from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
@@ -87,7 +87,7 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     model = file.model
     found: dict[Key, Element] = {}
     names = geom_names(model)
-    touching = touching_geoms(model)
+    touching = find_collidable_geoms(model)
     condim = max((3, *model.geom_condim.tolist()))
     for geom, name in enumerate(names):
         values = element_values(model, "geom", geom)
@@ -670,7 +670,7 @@ def _ground_under(model: mujoco.MjModel) -> float:
     Home poses are published with feet centimetres in the ground; who is in it by more than a
     quarter of his height up to the com is below it, and is put on one at his lowest point.
     """
-    data = start_data(model)
+    data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
     up = data.geom_xmat[:, 6:]
     reach = data.geom_xpos[:, 2] + (up * middle).sum(axis=1) - (np.abs(up) * half).sum(axis=1)

@@ -26,13 +26,13 @@ from pupper_analysis.models.git import (
     pointed_file,
     run_git,
 )
-from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
+from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place, one_line
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.transmission import actuator_gear, motor_targets
+from pupper_analysis.models.transmission import actuator_gear, list_actuator_targets
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.mjcf_only import NamedModel, mjcf_only_effects
@@ -107,7 +107,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     if file.spec.compiler.fusestatic:
         file = _kept_apart(file)
     spec = file.spec.copy()
-    named, joined = name_all(spec, set()), join_free_base(spec)
+    named, joined = name_elements(spec, set()), join_free_base(spec)
     whole = compile_spec(spec.copy(), file.path)
     dropped = drop_other_objects(spec, file.path, None)
     _, _, held = list_hinges(spec, file.path)
@@ -179,7 +179,7 @@ def _motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
 
 
 def _target(scene: NamedModel, motor: int) -> str:
-    what, (target, _) = motor_targets(scene.model, motor)
+    what, (target, _) = list_actuator_targets(scene.model, motor)
     kind = what.name.removeprefix("mjOBJ_").lower()
     return f"{kind} {scene.joint_name(target) if kind == 'joint' else scene.name(kind, target)}"
 

@@ -3,8 +3,8 @@
 Fit: what the robot in front of one really weighs, and what measurements cannot tell.
 """
 
-from pupper_analysis.base.exports import exports_of
+from pupper_analysis.base.exports import make_lazy_exports
 
 HEADING = "Real robot"
 
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)
+__getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
-from pupper_analysis.base.provenance import marked_json
+from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.estimate import Posterior
@@ -221,7 +221,7 @@ def _json(
         "diagnostics": messages,
         **({} if fit is None else {"fit": fit}),
     }
-    return marked_json(document).encode()
+    return to_marked_json(document).encode()
 
 
 # Writes what a fit found: models, offsets, and samples for those who train policies.

@@ -19,7 +19,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
-from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -231,7 +231,7 @@ class StancePath(Tabular):
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
-        with whole_file(Path(path), PATH_TABLE, force=force) as file:
+        with write_atomically(Path(path), PATH_TABLE, force=force) as file:
             file.write(csv_text([header, *rows.tolist()]).encode())
 
 

@@ -26,7 +26,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.rollout import place_on_ground, simulate
@@ -115,7 +115,7 @@ def path_commands(
     if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
         raise ConfigurationError("path", diagnose("path-of-another-robot", robot=robot.name))
     first = path.stances[0]
-    robot = on_ground(first.check(robot), first.task.ground, first.rigid_targets)
+    robot = build_on_ground(first.check(robot), first.task.ground, first.rigid_targets)
     drive = drive_of(robot)
     if timestep is None:
         timestep = _select_timestep(robot, first, drive)

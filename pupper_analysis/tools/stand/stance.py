@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
-from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import STAND_TABLE
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
@@ -95,7 +95,7 @@ class Stance(Tabular):
         columns = self._columns()
         header = [name + unit for name, unit in zip(columns, units, strict=True)]
         rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
-        with whole_file(Path(path), STAND_TABLE, force=force) as file:
+        with write_atomically(Path(path), STAND_TABLE, force=force) as file:
             file.write(csv_text([header, *rows]).encode())
 
     @property

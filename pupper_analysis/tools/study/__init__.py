@@ -3,8 +3,8 @@
 Many designs: which numbers vary, what is measured, and the engine that loses nothing.
 """
 
-from pupper_analysis.base.exports import exports_of
+from pupper_analysis.base.exports import make_lazy_exports
 
 HEADING = "Design"
 
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)
+__getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

@@ -27,7 +27,7 @@ def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> No
 
 
 _FOLDER = kinds.Folder(
-    {"study.json": kinds.Kind("study", kinds.begins('{\n  "format": ', '{"format": '))}
+    {"study.json": kinds.Kind("study", kinds.match_prefix('{\n  "format": ', '{"format": '))}
 )
 """What is written beside shards."""
 

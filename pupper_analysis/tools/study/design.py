@@ -44,7 +44,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import state_of
+from pupper_analysis.models.mjcf import spec_to_data
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variant_files import describe_variant, split_word
 from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
@@ -224,7 +224,7 @@ def digest_of(description: Description) -> str:
     """Returns a hash of all that a description says: the same files have the same hash."""
     parts = {
         "urdf": description.urdf,
-        "mjcf": state_of(description.mjcf),
+        "mjcf": spec_to_data(description.mjcf),
         "feet": dict(description.contact_points),
         "soles": dict(description.feet),
         "geoms": dict(description.foot_geoms),

@@ -19,7 +19,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_entries, inertia_of
+from pupper_analysis.base.arrays import inertia_entries, make_inertia
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.conversion import inertia_of_body
@@ -163,7 +163,7 @@ def stretched_inertia(inertia: pin.Inertia, matrix: Array, shift: Array, s: floa
     tensor = np.array(inertia.inertia)
     second = s * matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T
     lever = matrix @ inertia.lever + shift
-    return inertia_of(s * inertia.mass, lever, np.trace(second) * np.eye(3) - second)
+    return make_inertia(s * inertia.mass, lever, np.trace(second) * np.eye(3) - second)
 
 
 def _sizes(matrix: Array, rotation: Array) -> Array | None:

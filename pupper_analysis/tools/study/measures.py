@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
-from pupper_analysis.base.tools import offering
+from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import own_clauses
@@ -217,7 +217,7 @@ _ALL = (
 
 def _of_tools() -> Iterator[Metric]:
     """Yields what tools let studies measure: the ``METRICS`` of their ``metrics.py``."""
-    for package in offering("metrics").values():
+    for package in find_tool_modules("metrics").values():
         offered = importlib.import_module(f"{package}.metrics").METRICS
         yield from (Metric(name, **more) for name, more in offered.items())
 

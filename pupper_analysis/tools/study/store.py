@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import (
     OutputError,
     StudyError,
 )
-from pupper_analysis.base.files import Writing, clear_left, whole_file, write_all
+from pupper_analysis.base.files import Writing, remove_stale_files, write_all, write_atomically
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
 from pupper_analysis.base.locks import lock_file
@@ -72,7 +72,7 @@ class Store:
             raise OutputError(self.folder, error.strerror or error) from error
         with held:
             for folder in (self.folder, self.shards):
-                clear_left(folder)
+                remove_stale_files(folder)
             yield
 
     def write_asked(self, asked: dict[str, Any]) -> None:
@@ -125,7 +125,7 @@ class Store:
         table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
         named = "".join(sorted(row["design"] for row in rows))
         name = hashlib.sha256(named.encode()).hexdigest()[:24]
-        with whole_file(self.shards / f"{name}.parquet", OWN) as file:
+        with write_atomically(self.shards / f"{name}.parquet", OWN) as file:
             pq.write_table(table, file)
 
     def designs(self) -> NDArray[np.uint64]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.multibody import MultibodyTree, with_value_of
+from pupper_analysis.models.multibody import MultibodyTree, copy_value
 from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
@@ -109,7 +109,7 @@ class MatchedRobots:
         one, two = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
         result = one
         for kind, element in taken:
-            result = with_value_of(result, two, kind, element)
+            result = copy_value(result, two, kind, element)
         if side == "urdf":  # it was given the MJCF's zeros: what it keeps is its own
             for name, offset in self.matched.conventions.zeros.items():
                 result = with_zero(result, name, -offset)

@@ -96,7 +96,7 @@ class MjcfInPlace:
         bodies = {str(e.get("name")): e for e in found if e.get("name")}
         if len(spec.bodies) == len(found) + 1:  # no body is a copy of another
             for number, element in enumerate(found, start=1):
-                if not element.get("name"):  # as `mjcf.name_all` calls it
+                if not element.get("name"):  # as `mjcf.name_elements` calls it
                     bodies[f"body_{number}"] = element
         return bodies
 

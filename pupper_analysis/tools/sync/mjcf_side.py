@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import (
     inertia_entries,
-    placement_of,
+    make_placement,
     quaternion_from_rotation,
     rotation_from_quaternion,
 )
@@ -25,7 +25,7 @@ from pupper_analysis.models.efforts import (
     stated_by_joint,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import actuator_gear, drives_of
+from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import (
@@ -180,7 +180,7 @@ class MjcfSide(Side):
         parent = self.sides.own.joints[name].parent
         before = self.sides.mjcf_frames[parent].inverse()
         frame = self._body_pose(int(self.model.body_parentid[body]))
-        now = placement_of(self.model.body_quat[body], self.model.body_pos[body])
+        now = make_placement(self.model.body_quat[body], self.model.body_pos[body])
         joint = before * self.wanted.joints[name].placement * self.sides.mjcf_frames[name]
         own = self.sides.own.joints[name].placement
         wanted = frame.inverse() * joint * own.inverse() * frame * now
@@ -264,7 +264,7 @@ def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
         wanted: {("kp", joint): stiffness at the joint (N m/rad), ("kd", joint): damping there}.
     """
     model = side.model
-    drives = drives_of(model, model.joint(name).id)
+    drives = list_joint_actuators(model, model.joint(name).id)
     elements = side.elements.drives(name)
     now = own_servos(side.robot).get(name)
     if now is None or len(drives) != 1:
@@ -325,7 +325,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     wanted = side.wanted.joints[name].effort
     joint = model.joint(name).id
     element = side.joint_in_file(name)
-    drives, motors = drives_of(model, joint), side.elements.drives(name)
+    drives, motors = list_joint_actuators(model, joint), side.elements.drives(name)
     if element is None or len(motors) != len(drives):
         side.left[key] = diagnose("actuators-are-copies")
         return

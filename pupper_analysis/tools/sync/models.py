@@ -13,7 +13,7 @@ from typing import Final
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
-from pupper_analysis.base.files import Writing, clear_left, target_of, write_all
+from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target, write_all
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
@@ -216,7 +216,7 @@ def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
 def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Replaces all files, or none; returns them, and the copies of the old ones."""
     for document in plan.documents():
-        clear_left(target_of(document.path)[0].parent)
+        remove_stale_files(resolve_target(document.path)[0].parent)
     changed = [d for d in plan.documents() if d.rendered() != d.data]
     if not force:
         for document in changed:

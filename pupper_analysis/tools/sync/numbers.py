@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.base.files import Writing, clear_left, target_of
+from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
-from pupper_analysis.base.kinds import hash_of, made_model
-from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.base.kinds import generated_model_kind, hash_content
+from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.conversion import joint_armature, joint_damping
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
@@ -86,21 +86,26 @@ class WrittenNumbers:
         Raises:
             OutputError: If that is where the robot's own files are.
         """
-        with running() as run:
+        with ensure_run() as run:
             for source in self.sources:
-                note_input(source)
+                register_input(source)
             for place in self.contents:
                 run.expect(folder / place)
-                clear_left(target_of(folder / place)[0].parent)
+                remove_stale_files(resolve_target(folder / place)[0].parent)
         return [
-            Writing(folder / place, content, made_model((made or {}).get(str(place))), force=force)
+            Writing(
+                folder / place,
+                content,
+                generated_model_kind((made or {}).get(str(place))),
+                force=force,
+            )
             for place, content in self.contents.items()
             if not _holds(folder / place, content)
         ]
 
     def hashes(self) -> dict[str, str]:
         """Returns {place: hash} of what is written, by which it is known again."""
-        return {str(place): hash_of(content) for place, content in self.contents.items()}
+        return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 
 def _holds(path: Path, content: bytes) -> bool:

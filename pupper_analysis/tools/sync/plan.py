@@ -19,7 +19,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.build import placeholders_among
+from pupper_analysis.robot.build import find_placeholder_efforts
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS
 from pupper_analysis.robot.matching.match import match_models
@@ -178,7 +178,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
         stated = (both.urdf if other == "urdf" else both.mjcf).joints
         efforts = {name: stated[name].effort for name in matched.robot.joint_names}
         warned = dict[Key, Diagnostic]()
-        for name, why in placeholders_among(matched.robot, efforts).items():
+        for name, why in find_placeholder_efforts(matched.robot, efforts).items():
             note = diagnose("effort-taken-is-placeholder", why=why)
             if ("effort", name) in keys and note not in warned.values():  # one for all alike
                 warned["effort", name] = note

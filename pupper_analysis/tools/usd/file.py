@@ -17,12 +17,12 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, MissingPackageError
 from pupper_analysis.base.inputs import read_input
-from pupper_analysis.base.runs import note_input
+from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.places import (
     Place,
+    make_file_error,
+    make_input_error,
     one_line,
-    refuse_file,
-    refuse_input,
 )
 from pupper_analysis.models.xml import LFS_POINTER
 
@@ -101,9 +101,9 @@ def read_usd(path: str | Path) -> UsdFile:
             stage.Reload()  # a layer that was open already may be older than its file
             for layer in stage.GetUsedLayers():
                 if Path(layer.realPath).is_file():  # the session's is none
-                    note_input(Path(layer.realPath))
+                    register_input(Path(layer.realPath))
         except pxr.Tf.ErrorException as error:
-            raise refuse_file(
+            raise make_file_error(
                 Place(path), diagnose("usd-not-valid", message=_words(error))
             ) from error
         missing = sorted({name for text in said() for name in _MISSING.findall(text)})
@@ -117,7 +117,7 @@ def read_usd(path: str | Path) -> UsdFile:
             joints.append(prim)
         motors += prim.GetTypeName() == "MjcActuator"
     if not bodies:
-        raise refuse_file(Place(path), diagnose("usd-without-bodies"))
+        raise make_file_error(Place(path), diagnose("usd-without-bodies"))
     if motors:
         notes = (*notes, diagnose("usd-actuators-not-read", count=motors))
     return UsdFile(path, stage, _named(bodies), _named(joints), notes)
@@ -142,11 +142,11 @@ def _check_file(path: Path) -> None:
     try:
         data = read_input(path, MAX_BYTES)
     except InputError as error:
-        raise refuse_input(path, error) from error
+        raise make_input_error(path, error) from error
     if data.startswith(LFS_POINTER):
-        raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
+        raise make_file_error(Place(path), diagnose("model-is-lfs-pointer"))
     if not data[: len(LFS_POINTER)].strip():
-        raise refuse_file(Place(path), diagnose("file-is-empty"))
+        raise make_file_error(Place(path), diagnose("file-is-empty"))
     if data.startswith(b"#usda"):
         _check_depth(path, data)
 
@@ -157,7 +157,7 @@ def _check_depth(path: Path, text: bytes) -> None:
     for bracket in _BRACKETS.findall(text):
         depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
         if depth > MAX_DEPTH:
-            raise refuse_file(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
+            raise make_file_error(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
 
 
 def _named(prims: list[Any]) -> dict[str, str]:

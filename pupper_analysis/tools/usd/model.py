@@ -22,7 +22,7 @@ import numpy as np
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
-from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.shapes import Array, Pose
 from pupper_analysis.models.stated.model import (
     BALL,
@@ -404,7 +404,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     for name, place in places.items():
         if np.ptp(place.scale) > 1e-4 * place.scale.max():
             message = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
-            raise refuse_file(file.place("body", name), message)
+            raise make_file_error(file.place("body", name), message)
     edges = {edge.name: edge for edge in _edges(file, places, units, cache)}
     trees = _Forest(list(prims), edges, _article_roots(file))
     base = trees.base
@@ -466,7 +466,7 @@ def _edges(
             target = file.stage.GetPrimAtPath(targets[0]) if targets else None
             if targets and not target:
                 message = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
-                raise refuse_file(Place(file.path, None, path), message)
+                raise make_file_error(Place(file.path, None, path), message)
             body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
             if target:
                 matrix = world_matrix(file, target, cache)
@@ -714,7 +714,7 @@ def value_of(prim: Any, name: str, kind: str) -> Any:
     if not fits:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         message = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
-        raise refuse_file(Place(file, None, str(prim.GetPath())), message)
+        raise make_file_error(Place(file, None, str(prim.GetPath())), message)
     return value
 
 
@@ -741,7 +741,7 @@ def axis_of(prim: Any, name: str, usual: str) -> str:
     if axis not in AXES:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         message = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
-        raise refuse_file(Place(file, None, str(prim.GetPath())), message)
+        raise make_file_error(Place(file, None, str(prim.GetPath())), message)
     return axis
 
 
@@ -777,7 +777,7 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
         return cache.GetLocalToWorldTransform(prim)
     except Tf.ErrorException as error:
         message = diagnose("usd-transform-without-value")
-        raise refuse_file(Place(file.path, None, str(prim.GetPath())), message) from error
+        raise make_file_error(Place(file.path, None, str(prim.GetPath())), message) from error
 
 
 def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> Placed:
@@ -791,7 +791,7 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
     turn = whole[:3, :3] / np.where(scale > 0, scale, 1.0)
     if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
         message = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
-        raise refuse_file(Place(file.path, None, str(prim.GetPath())), message)
+        raise make_file_error(Place(file.path, None, str(prim.GetPath())), message)
     scale = np.where(np.abs(scale - 1.0) < SCALE_ROUNDING, 1.0, scale)
     left, _, right = np.linalg.svd(turn)
     return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)

@@ -22,7 +22,7 @@ from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.loading import Check, CheckFinding
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.spec_tree import (
     MIN_RANGE,
@@ -115,7 +115,7 @@ def urdf_of(model: UsdModel) -> UrdfTree:
                 continue  # a free base has no joint
             if joint.kind in (BALL, FREE):
                 place = model.file.place("joint", joint.name)
-                raise refuse_file(place, diagnose("usd-joint-of-several-axes"))
+                raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
             _add_joint(tree, model, joint, poses)
     return tree
 
@@ -238,7 +238,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
                 message = diagnose(
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
-                raise refuse_file(model.file.place("body", name), message)
+                raise make_file_error(model.file.place("body", name), message)
             set_inertia(body, inertial.rigid)
         _add_joints(model, link, body)
     for edge in model.loops:
@@ -256,7 +256,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
             continue
         if joint.kind == FREE and link.parent is not None:
             place = model.file.place("joint", joint.name)
-            raise refuse_file(place, diagnose("usd-joint-of-several-axes"))
+            raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
         added = body.add_joint(name=joint.name, type=_TYPES[joint.kind])
         if not joint.moves:
             continue
@@ -331,7 +331,7 @@ def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
     """
     one, two = edge.bodies
     if not (one and two) or edge.kind in (SLIDE, FREE):
-        raise refuse_file(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
+        raise make_file_error(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
     weld = edge.kind == FIXED
     equality = spec.add_equality(name=edge.name, name1=one, name2=two)
     equality.objtype = mujoco.mjtObj.mjOBJ_BODY
@@ -353,7 +353,7 @@ def notes_of(model: UsdModel) -> Iterator[Diagnostic]:
     by_shapes = [n for n, w in model.weights.items() if w.origin in (Origin.WATER, Origin.SHAPES)]
     if by_shapes:
         place = model.file.place("body", by_shapes[0])
-        raise refuse_file(place, diagnose("usd-weighed-by-shapes", names=by_shapes))
+        raise make_file_error(place, diagnose("usd-weighed-by-shapes", names=by_shapes))
     unknown = [name for name, one in model.weights.items() if one.inertial is None]
     if unknown:
         yield diagnose("usd-masses-unknown", names=unknown)

@@ -14,7 +14,7 @@ from pupper_analysis.base.errors import ConfigurationError
 
 def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
     """Returns a metric of ``POLICY[@VX,VY,W]``, 0.5 m/s forward by default, and a hash of it."""
-    from pupper_analysis.base.runs import note_input
+    from pupper_analysis.base.runs import register_input
     from pupper_analysis.tools.walk.gait import command_of, simulate_walk
     from pupper_analysis.tools.walk.policy import Policy
 
@@ -26,7 +26,7 @@ def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[An
     policy, digest = Policy.load(file), hashlib.sha256(repr(command.tolist()).encode())
     for path in (Path(file), Path(file).with_suffix(".toml")):
         if path.is_file():
-            note_input(path)
+            register_input(path)
             digest.update(path.read_bytes())
 
     def walked(design: Any) -> float:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, MissingPackageError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, is_input, read_input, read_toml
-from pupper_analysis.models.places import Place, refuse_file, refuse_input
+from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     OnnxFile,
@@ -372,10 +372,10 @@ def read_rtneural(path: Path) -> dict[str, Any]:
     try:
         values = orjson.loads(read_input(path, MAX_FILE_BYTES))
     except InputError as error:
-        raise refuse_input(path, error) from error
+        raise make_input_error(path, error) from error
     except orjson.JSONDecodeError as error:
         message = diagnose("contract-no-json", problem=error.msg)
-        raise refuse_file(Place(path, error.lineno), message) from error
+        raise make_file_error(Place(path, error.lineno), message) from error
     if not isinstance(values, dict) or not isinstance(values.get("layers"), list):
         raise ModelError(path, diagnose("contract-no-rtneural"))
     return values

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.additions import Floor, Servo, Start
+from pupper_analysis.models.additions import Floor, Servo, StartKeyframe
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import standing_urdf
@@ -110,7 +110,7 @@ def test_all_that_is_added_says_why(tmp_path: Path) -> None:
     added = robot.description.added
     kinds = [type(each) for each in added]
     assert kinds.count(Servo) == robot.nu
-    assert kinds.count(Floor) == kinds.count(Start) == 1
+    assert kinds.count(Floor) == kinds.count(StartKeyframe) == 1
     said = {each.reason.code for each in added}
     assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= said
     messages = {note.code for note in robot.notes}

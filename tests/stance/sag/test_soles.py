@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.terrain import build_on_ground
 from tests.support.random_legged import irregular_biped, written
 
 Point = tuple[float, float, float]
@@ -25,7 +25,7 @@ def bare_height(
     robot: pa.Robot, stand: pa.Stand, kp: float, qpos: np.ndarray | None = None, nudge: float = 0.0
 ) -> float:
     """Where MuJoCo leaves the base that is let go, commanded the stand's pose alone, after 6 s."""
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    robot = build_on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = model_with_servos(robot, kp, 0.03 * kp, "implicitfast")
     data, qvel = mujoco.MjData(drive.model), np.zeros(robot.nv)
     qvel[:3] = nudge

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.base.tools import offering
+from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import Severity
 from pupper_analysis.tools.check import config
@@ -149,7 +149,7 @@ def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
         for row in csv.DictReader(table):
             values[row["of"]] |= {name.strip() for name in row["key"].split(",")}
     assert values["the file"] | values["both"] == set(config._TOP)
-    assert values["a pair"] | values["both"] == {*config._PAIR, *offering("guard")}
+    assert values["a pair"] | values["both"] == {*config._PAIR, *find_tool_modules("guard")}
     page = (ROOT / "docs/how-to/check.md").read_text()
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.S)
     for name in ("urdf/go1.urdf", "mjcf/go1.xml"):

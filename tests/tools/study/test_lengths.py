@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.pupper.variants import variant_spec
 from pupper_analysis.robot.configuration import Configuration
@@ -45,7 +45,7 @@ def test_a_stretched_box_is_the_longer_box() -> None:
     matrix = np.eye(3) + np.outer(along, along)
     com = np.array([0.1, 0.2, 0.3])
     got = stretched_inertia(
-        inertia_of(short.body_mass[1], com, inertia(short)), matrix, np.zeros(3), 2.0
+        make_inertia(short.body_mass[1], com, inertia(short)), matrix, np.zeros(3), 2.0
     )
     assert got.mass == pytest.approx(long.body_mass[1], rel=1e-12)
     np.testing.assert_allclose(got.inertia, inertia(long), rtol=1e-9, atol=1e-12)

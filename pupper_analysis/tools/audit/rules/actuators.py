@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
-from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
+from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, read_actuator_law
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -56,7 +56,7 @@ def drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
         joint = int(model.actuator_trnid[actuator, 0])
         if is_at_one_joint(model, actuator):
             yield ActuatorDrive(
-                **asdict(law_of(model, actuator)),
+                **asdict(read_actuator_law(model, actuator)),
                 name=model.actuator(actuator).name or joint_name(model, joint),
                 id=actuator,
                 control=int(model.actuator_ctrladr[actuator]),

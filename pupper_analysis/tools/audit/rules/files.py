@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.tools import format_of
+from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -108,7 +108,7 @@ def mesh_problem(path: Path) -> Diagnostic | None:
     opened.
     """
     ending = path.suffix.lower()
-    if ending not in _FORMATS and format_of(path) is None:
+    if ending not in _FORMATS and find_format(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
     if path.stat().st_size > MAX_MESH_BYTES:
         return None

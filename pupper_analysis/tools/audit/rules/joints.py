@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,
@@ -121,7 +121,9 @@ def _inverted(robot: MjcfModel) -> Iterator[CheckFinding]:
                 low, high = np.array(getattr(element, name)).reshape(-1)[:2]
                 if getattr(element, switch) == auto and low > high:
                     around = element.parent.name if tag == "joint" else robot.base
-                    place = None if element.name else line_of(robot.file, element, around)
+                    place = (
+                        None if element.name else find_element_place(robot.file, element, around)
+                    )
                     message = diagnose("range-inverted", attribute=name, low=low, high=high)
                     yield CheckFinding(tag, element.name, message, place=place)
 

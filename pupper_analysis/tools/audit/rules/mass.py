@@ -18,7 +18,7 @@ from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import LEG_JOINT_NAME
-from pupper_analysis.models.stated.mjcf import joint_name, line_of
+from pupper_analysis.models.stated.mjcf import find_element_place, joint_name
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,
@@ -201,7 +201,9 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
                 mass=Quantity(robot.links[body.name].mass, "kg"),
                 body=body.name,
             )
-            place: Place | None = None if geom.name else line_of(robot.file, geom, body.name)
+            place: Place | None = (
+                None if geom.name else find_element_place(robot.file, geom, body.name)
+            )
             yield CheckFinding("geom", geom.name, message, place=place)
 
 

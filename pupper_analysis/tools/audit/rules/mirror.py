@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
+from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,
@@ -65,7 +65,7 @@ def mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> Mirror | None:
     Returns:
         The plane; None if a third of the pairs, or more, is not explained by any.
     """
-    pairs = mirror_pairs(robot.links)
+    pairs = find_mirror_pairs(robot.links)
     if not pairs:
         return None
     left = np.array([robot.links[name].pose.position for name, _ in pairs])
@@ -89,7 +89,7 @@ POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 
 def _body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
     """Yields pairs, the one that stands later in the file as the second."""
-    for one, other in mirror_pairs(robot.links):
+    for one, other in find_mirror_pairs(robot.links):
         yield robot.links[one], robot.links[other]
 
 
@@ -222,7 +222,7 @@ def joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
     mirror, joints = mirror_plane(robot), robot.joints
     if mirror is None:
         return
-    for pair in mirror_pairs(joints):
+    for pair in find_mirror_pairs(joints):
         one, other = (joints[name] for name in pair)
         if one.moves and one.kind == other.kind:
             yield mirror, one, other
@@ -296,7 +296,7 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
             for name, joint in robot.joints.items()
             if (value := joint.stated.get(attribute.kind)) is not None
         }
-        for one, other in unlike_pairs(pairs, stated):
+        for one, other in find_unlike_pairs(pairs, stated):
             unit = attribute.unit(robot.joints[other].kind != HINGE)
             message = diagnose(
                 "mirror-drive",

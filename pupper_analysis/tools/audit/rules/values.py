@@ -17,7 +17,7 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.tools.audit.registry import rule
@@ -47,7 +47,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
         return
     for geom in robot.file.spec.geoms:
         if min(geom.friction) < 0:
-            place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
+            place = None if geom.name else find_element_place(robot.file, geom, geom.parent.name)
             message = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
             yield CheckFinding("geom", geom.name, message, place=place)
 

@@ -11,11 +11,11 @@ from pupper_analysis.models.attributes import TREE_ATTRIBUTES
 from pupper_analysis.models.loading import kind_of, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import Joint, MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.transmission import drives_by_joint, law_of
+from pupper_analysis.models.transmission import group_actuators_by_joint, read_actuator_law
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
@@ -29,9 +29,9 @@ def read(request: Request) -> Iterator[Source]:
     model = read_stated(request.path)
     if isinstance(model, MjcfModel) and model.refusal is not None:
         problem, place = model.refusal
-        raise refuse_file(place or Place(request.path), problem)
+        raise make_file_error(place or Place(request.path), problem)
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
-    ids = {} if compiled is None else drives_by_joint(compiled)
+    ids = {} if compiled is None else group_actuators_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
     statements = [one for joint in model.joints.values() if joint.moves
                   for one in _of_joint(model, joint, drives.get(joint.name, []))]  # fmt: skip
@@ -74,7 +74,7 @@ def read_stated(path: Path) -> RobotModel:
 
 def _servo(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
     """Yields gains of a position servo, as they are at the joint."""
-    kp, kd = law_of(model.mj_model, drive).at_joint
+    kp, kd = read_actuator_law(model.mj_model, drive).at_joint
     place = _of_actuator(model, drive, ("kp", "kv", "biasprm", "gainprm"))
     if kp > 0:
         yield Statement("kp", kp, place, joint)

@@ -9,7 +9,7 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
-from pupper_analysis.models.places import Place, refuse_input
+from pupper_analysis.models.places import Place, make_input_error
 from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, scalar
 from pupper_analysis.tools.contract.readers.tables import of_table
 
@@ -54,7 +54,7 @@ def read_onnx(path: Path) -> OnnxFile:
         constants = {text_of(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
         ends = [dict(map(_named_sizes, graph.get(which, ()))) for which in (_INPUTS, _OUTPUTS)]
     except InputError as error:
-        raise refuse_input(path, error) from error
+        raise make_input_error(path, error) from error
     except (IndexError, KeyError, ValueError, TypeError) as error:
         raise ModelError(path, diagnose("contract-no-onnx")) from error
     inputs = {name: sizes for name, sizes in ends[0].items() if name not in constants}

@@ -17,7 +17,7 @@ from pupper_analysis.base.errors import (
     MeasurementError,
     UnknownNameError,
 )
-from pupper_analysis.base.files import reason_of
+from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.inputs import check_input
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.bags import MOST_FILE, is_bag, read_bag
@@ -216,4 +216,4 @@ def _check_files(bag: Path) -> None:
     except InputError as error:
         raise MeasurementError(error.path, error.cause) from error
     except OSError as error:
-        raise MeasurementError(str(bag), str(reason_of(error))) from error
+        raise MeasurementError(str(bag), str(describe_os_error(error))) from error

@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
-from pupper_analysis.base.files import Writing, clear_left, reason_of, target_of, write_all
+from pupper_analysis.base.files import (
+    Writing,
+    describe_os_error,
+    remove_stale_files,
+    resolve_target,
+    write_all,
+)
 from pupper_analysis.base.kinds import RECORD
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
@@ -133,7 +139,7 @@ def _locked(path: Path) -> Iterator[None]:
     Raises:
         OutputError: If another recording does, or the folder cannot be written to.
     """
-    target, _ = target_of(path)
+    target, _ = resolve_target(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
@@ -142,9 +148,9 @@ def _locked(path: Path) -> Iterator[None]:
                 raise OutputError(path, diagnose("recording-is-running"))
             held = stack.pop_all()
     except OSError as error:
-        raise OutputError(path, reason_of(error)) from error
+        raise OutputError(path, describe_os_error(error)) from error
     with held:
-        clear_left(target.parent)
+        remove_stale_files(target.parent)
         yield
 
 

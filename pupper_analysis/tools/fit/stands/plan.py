@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, PupperAnalysisError
-from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import PLAN
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -319,7 +319,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
     Raises:
         OutputError: If it cannot be written, or what is there must not be replaced.
     """
-    with whole_file(Path(path), PLAN, force=force) as file:
+    with write_atomically(Path(path), PLAN, force=force) as file:
         text = stands_text(_as_measured(plan.name, plan.stands, plan.place))
         file.write(text.encode())
 
