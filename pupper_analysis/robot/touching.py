@@ -182,7 +182,7 @@ def _free_base(robot: Robot) -> Robot:
     if find_floor(spec) is None:  # a floor that is not in the file must not touch
         floor = SpecTree(spec).add_floor()
         floor.contype = floor.conaffinity = 0
-    built = with_knowledge_of(build_robot(replace(description, mjcf=spec)), robot)
+    built = copy_metadata(build_robot(replace(description, mjcf=spec)), robot)
     for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
         values = getattr(robot.pin_model, name)  # what was changed since it was read stays
         getattr(built.pin_model, name)[-len(values) :] = values
