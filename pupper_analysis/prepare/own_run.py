@@ -397,7 +397,7 @@ def _joint_deviations(
 
 
 def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
-    """Return the joints without a position servo that moved by more than ``GIVES_WAY``.
+    """Return the joints without a position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
 
     Coupled joints (no actuator, and no added servo) are excluded. The result is empty unless more
     than half of the joints have a position servo.
@@ -411,7 +411,7 @@ def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
         for joint in joints
         if joint.drive is not Drive.SERVO
         and (joint.drive is not Drive.NONE or joint.joint in added)
-        and _absolute_displacement(joint) > GIVES_WAY
+        and _absolute_displacement(joint) > MIN_UNHELD_DISPLACEMENT
     ]
 
 
@@ -435,8 +435,8 @@ def _command_offset(bare: Bare, joint: str, ctrl: Array, position: float) -> flo
     Returns:
         Offset [rad, m]. None unless the joint has a single actuator, with positive stiffness.
     """
-    actuators = drives_of(bare.model, bare.model.joint(joint).id)
-    laws = [law_of(bare.model, actuator) for actuator in actuators]
+    actuators = list_joint_actuators(bare.model, bare.model.joint(joint).id)
+    laws = [read_actuator_law(bare.model, actuator) for actuator in actuators]
     if len(actuators) != 1 or laws[0].at_joint[0] <= 0:
         return None
     force = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[actuators[0]]])

@@ -25,6 +25,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import (
     build_robot,
+    copy_metadata,
     rebuild_robot,
     with_touching,
 )
