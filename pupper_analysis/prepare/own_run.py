@@ -397,7 +397,9 @@ def _joint_deviations(
 
 
 def _unheld_joints(robot: Robot, joints: list[JointOff]) -> list[JointOff]:
-    """Return the joints without a position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
+    """Return the joints without a position servo that moved more than the limit.
+
+    The limit is ``MIN_UNHELD_DISPLACEMENT``.
 
     Coupled joints (no actuator, and no added servo) are excluded. The result is empty unless more
     than half of the joints have a position servo.

@@ -81,10 +81,10 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
 def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
-        "from pupper_analysis.base.files import whole_file\n"
+        "from pupper_analysis.base.files import write_atomically\n"
         "from pupper_analysis.base.kinds import OWN\n"
         f"print('before', file=sys.{stream})\n"
-        "with whole_file(Path('out'), OWN) as file: file.write(b'result\\n')\n"
+        "with write_atomically(Path('out'), OWN) as file: file.write(b'result\\n')\n"
         f"print('after', file=sys.{stream})"
     )
     with (tmp_path / "out").open("w") as out:
