@@ -89,6 +89,7 @@ def edited(folder: Path, name: str, edit: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", rows())
 def test_a_command_answers_as_the_table_states(
     row: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]

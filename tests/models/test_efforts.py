@@ -298,6 +298,7 @@ def test_an_effort_that_the_urdf_does_not_state_is_the_mjcfs_or_unknown(tmp_path
     assert np.isnan(pa.stance.stand_statics(robot, stand).motor_utilisation).all()
 
 
+@pytest.mark.slow
 def test_an_effort_of_zero_fails_and_names_the_mjcfs(tmp_path: Path) -> None:
     """In MuJoCo with the forces clamped to zero the robot falls; the MJCF states 30 N m."""
     pair = _without_effort(quadruped(tmp_path), 'effort="0" velocity="0"')

@@ -29,6 +29,7 @@ def _height_after(mjcf: Path, seconds: float = 5.0) -> float:
     return float(data.qpos[2])
 
 
+@pytest.mark.slow
 def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> None:
     """With the requested gains in the file, bare MuJoCo stands; with the file's own it falls."""
 
@@ -49,6 +50,7 @@ def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> N
     assert not verdict.published.differs
 
 
+@pytest.mark.slow
 def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
     """A file that stands by itself in bare MuJoCo is not what is asked about."""
     robot = slipped(tmp_path, lambda text: text + "\n")
@@ -58,6 +60,7 @@ def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
     assert not judge_stand(robot, stand, kp=2, kd=0.1).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "timestep", "integrator"),
     [

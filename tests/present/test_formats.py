@@ -93,6 +93,7 @@ PRINTABLE = st.text(
 )
 
 
+@pytest.mark.slow
 @given(title=PRINTABLE, message=PRINTABLE)
 def test_junit_is_xml_whatever_is_said(title: str, message: str) -> None:
     root = ElementTree.fromstring(write_junit([Annotation("error", title, message)]).encode())

@@ -215,6 +215,7 @@ class Drawn:
     data: dict[str, Any]
 
 
+@pytest.mark.slow
 def test_names_in_a_view_cannot_end_their_script() -> None:
     robot = load("v3")
     drawn = drawn_of(StandScene(robot, stand_of("v3"), analysis().statics))

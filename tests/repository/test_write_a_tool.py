@@ -140,6 +140,7 @@ METRICS = {"own_margin": {"function": measure_margin, "unit": "m"}}
 """
 
 
+@pytest.mark.slow
 def test_a_metric_without_a_meaning_is_listed_by_its_name(tmp_path: Path) -> None:
     """``study --list-metrics`` ended in KeyError as soon as such a package was installed."""
     stated = tomllib.loads(PARTS["pyproject.toml"])

@@ -72,6 +72,7 @@ def test_sag_of_a_planar_robot_is_mujocos(tmp_path: Path) -> None:
     assert sag.height_loss > 1e-3
 
 
+@pytest.mark.slow
 def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) -> None:
     pair = planar(quadruped(tmp_path))
     for narrow in ("-2.6 -0.4", "-1.5 2.5"):

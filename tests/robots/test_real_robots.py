@@ -212,6 +212,7 @@ SAME = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("free", [True, False], ids=["free", "fixed"])
 @pytest.mark.parametrize("name", SAME)
 def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> None:
@@ -250,6 +251,7 @@ def test_a_root_link_off_the_base_is_no_difference(name: str, free: bool, tmp_pa
 stances = benchmark("stances")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", stances.OTHERS)
 def test_random_stands_of_other_quadrupeds(name: str) -> None:
     """Through `load_robot`: no verdict is wrong, once both files have the URDF's inertials."""
@@ -264,6 +266,7 @@ def test_random_stands_of_other_quadrupeds(name: str) -> None:
     assert max(outcome.error for outcome in held) < 1e-9
 
 
+@pytest.mark.slow
 def test_mini_cheetah_stands_as_predicted() -> None:
     """It has no servos of its own; with those added MuJoCo holds what Pinocchio predicts."""
     folder = file(MJCF, ".").parents[1]
@@ -293,6 +296,7 @@ def published(name: str) -> tuple[Path, Path]:
     return urdf, mjcf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Mini Cheetah", "Go1", "Go2", "HyQReal1", "HyQReal2"])
 def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
     row = corpus.stood(*published(name))
@@ -310,6 +314,7 @@ def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
         assert "the files describe different robots" in str(row.stand)
 
 
+@pytest.mark.slow
 def test_a_humanoid_on_two_flat_feet() -> None:
     """Without feed-forward its sag is MuJoCo's, to a per mille."""
     urdf, mjcf = published("G1")
@@ -343,6 +348,7 @@ LOST = {"mini cheetah", "hyqreal2, on a floating joint"}
 """Those whose collision meshes are not beside them: all else of them agrees and stands."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONVERTED)
 def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
     found = pa.convert_model(file(*CONVERTED[name]), tmp_path / "new.xml")
@@ -352,6 +358,7 @@ def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
     assert (found.verification is None) == name.startswith("panda")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("package", "name"),
     [(MJCF, "go2/go2.xml"), (MJCF, "aliengo/aliengo.xml"), (LAB, "unitree_g1/xmls/g1.xml")],

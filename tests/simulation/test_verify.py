@@ -145,6 +145,7 @@ def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
     np.testing.assert_array_equal(data.qpos[3:], stand.qpos[3:])
 
 
+@pytest.mark.slow
 def test_servos_too_weak_to_stand() -> None:
     """It goes down on its thighs, level, and quite steady."""
     result = pa.verify_stand(
@@ -196,6 +197,7 @@ def test_lifted_foot_is_named() -> None:
     assert result.force_error > 0.5
 
 
+@pytest.mark.slow
 def test_joint_off_its_place_is_told() -> None:
     """Motors that cannot give the torque: the joints are off, and it says so."""
     robot, stand = load("v3"), stand_of("v3")

@@ -504,6 +504,7 @@ def test_a_file_without_a_body_for_its_base_is_refused(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(contacts=BOLTED))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("welded", "asked"),
     [

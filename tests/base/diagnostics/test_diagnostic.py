@@ -144,6 +144,7 @@ def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
     assert sorted(found) == CODES
 
 
+@pytest.mark.slow
 def test_every_code_is_said_in_both_languages() -> None:
     for code in CODES:
         message = entry(code)

@@ -132,6 +132,7 @@ def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) ->
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
+@pytest.mark.slow
 def test_a_fit_goes_over_its_own_models_until_they_are_edited(v3: pa.Robot, tmp_path: Path) -> None:
     urdf = tmp_path / "urdf" / "pupper_v3.urdf"
     write_fit(v3, estimated(), tmp_path)

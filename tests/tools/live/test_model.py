@@ -118,6 +118,7 @@ def test_an_offset_is_the_bases() -> None:
     assert found.stand.qpos[:2] - centre[:2] == pytest.approx([0.01, -0.005], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_simulations_are_the_python_interfaces() -> None:
     found = model_of("original").answer(State(pitch=3.0, kp=40.0, kd=0.6))
     robot = load("original")

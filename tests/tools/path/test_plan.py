@@ -219,6 +219,7 @@ def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     assert tracking.passed, tracking.failures
 
 
+@pytest.mark.slow
 def test_files_hold_the_path(tmp_path: Path) -> None:
     path = path_of("v3", "lift")
     path.to_csv(tmp_path / "new" / "path.csv")
@@ -288,6 +289,7 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [Task(), Task(swing={"XX": 0.01})], 1.0)
 
 
+@pytest.mark.slow
 def test_a_path_keeps_its_clearances() -> None:
     """A knee that comes down to 30 mm, where 35 are asked for."""
     robot = load("v3")

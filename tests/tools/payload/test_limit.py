@@ -194,6 +194,7 @@ def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bo
     )
 
 
+@pytest.mark.slow
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

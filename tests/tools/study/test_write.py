@@ -43,6 +43,7 @@ def test_files_give_what_the_study_measured(heavy: WrittenDesign) -> None:
     assert heavy.measured["servo_sag"] > 1e-3  # not all are zeros that agree
 
 
+@pytest.mark.slow
 def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
     """Masses and gains, by the importers that MuJoCo and Pinocchio bring along."""
     base = pa.load_variant("v3")

@@ -473,6 +473,7 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
         assert file.read_bytes() in contents
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("done", [False, True], ids=["to do", "nothing to do"])
 def test_what_a_killed_sync_left_is_cleared_also_if_nothing_is_to_be_written(
     tmp_path: Path, done: bool

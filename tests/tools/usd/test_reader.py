@@ -76,6 +76,7 @@ SLIPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SLIPS)
 def test_a_changed_number_is_found_at_its_prim(kind: str, tmp_path: Path) -> None:
     change, element, prim = SLIPS[kind]

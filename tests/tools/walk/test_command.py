@@ -31,6 +31,7 @@ def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert len(scene["motions"][1]["time"]) == 75  # 3 s at 25 Hz
 
 
+@pytest.mark.slow
 def test_what_an_audit_calls_an_error_is_said(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ from tests.support.variants import load
 from tests.tools.walk import made
 
 
+@pytest.mark.slow
 def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
     path, design = made.still(tmp_path / "still.json"), SimpleNamespace(robot=load("v3"))
     [gait] = simulate_walk(load("v3"), Policy.load(path), (0, 0, 0)).gaits
