@@ -126,6 +126,7 @@ def test_a_repr_is_short_and_says_what_matters() -> None:
     assert repr(small) == "Sample(vector=[1.5, -2], number=3.25, feet=<1: FR>)"
 
 
+@pytest.mark.slow
 def test_tables_become_dataframes() -> None:
     robot, stand = load("v3"), stand_of("v3")
     held = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))

@@ -201,6 +201,7 @@ def test_a_hinge_whose_limit_states_no_range_has_none(
     assert bool(found) is ('lower="-1"' not in limit)
 
 
+@pytest.mark.slow
 def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, (KNEE, 'effort="80"'))
@@ -282,6 +283,7 @@ def test_of_two_limits_the_lesser_counts_and_it_is_said_whose_it_is(tmp_path: Pa
     ]
 
 
+@pytest.mark.slow
 def test_an_effort_that_the_urdf_does_not_state_is_the_mjcfs_or_unknown(tmp_path: Path) -> None:
     pair = _without_effort(quadruped(tmp_path))
     robot = pa.load_robot(*pair)

@@ -45,6 +45,7 @@ def test_crosscheck_and_convert_take_it_for_free(turning: str, place: str, tmp_p
     assert "pelvis_tx" not in (tmp_path / "back.urdf").read_text()
 
 
+@pytest.mark.slow
 def test_a_robot_stands_on_it_as_on_a_free_joint(tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     whole = quadruped(tmp_path / "whole")

@@ -82,6 +82,7 @@ def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path
     verified(robot)
 
 
+@pytest.mark.slow
 def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
     verified(load(with_springs(biped(tmp_path), "_ankle")))
 

@@ -109,6 +109,7 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
     assert "at 1 ms a step, as it shakes at longer ones" in in_words(verdict)
 
 
+@pytest.mark.slow
 def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:
     """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))

@@ -72,6 +72,7 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
     assert message in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gravity", "named"), [("0 0 -3.71", True), ("0 0 -9.81", False)])
 def test_a_gravity_that_is_not_the_earths_is_in_the_verdict(
     tmp_path: Path, gravity: str, named: bool

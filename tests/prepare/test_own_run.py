@@ -176,6 +176,7 @@ def test_angles_as_ctrl_of_torque_motors_are_the_named_cause(tmp_path: Path) -> 
     assert "motors-commanded-angles" in codes(judged(robot))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("below", [0.0, 0.6])
 def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) -> None:
     """The base's body is where it was; its frame, which nothing rests on, is elsewhere."""
@@ -193,6 +194,7 @@ def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) 
     assert own.end_height == pytest.approx(0.304, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_sleeps_is_judged(tmp_path: Path) -> None:
     """MuJoCo does not differentiate a step of what may sleep."""
     asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')

@@ -66,6 +66,7 @@ def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     assert motors.all()
 
 
+@pytest.mark.slow
 def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path: Path) -> None:
     """A file that was saved from memory has such sites, and may have been moved since."""
     pair = quadruped(tmp_path)

@@ -94,6 +94,7 @@ def test_options_of_a_file_with_servos_are_its_own(tmp_path: Path) -> None:
     assert with_unstated_options(bare, robot) is bare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drive", "few"),
     [

@@ -74,6 +74,7 @@ def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
     assert "keyframe-falls" not in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("legs", ["0 1.2 -2.3", "0 1.35 -2.6"])
 @pytest.mark.parametrize("gap", [2e-4, 1e-2])
 def test_a_robot_whose_legs_retract_before_its_feet_touch_collapses(

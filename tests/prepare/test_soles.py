@@ -84,6 +84,7 @@ def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
     holds(robot, within=1e-8)  # 3e-5 with balls where the mesh has its corners
 
 
+@pytest.mark.slow
 def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> None:
     """A box as a mesh has its four corners in contact, however it tilts."""
     box = " ".join(
@@ -171,6 +172,7 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
     assert stays_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
 
 
+@pytest.mark.slow
 def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     """Legs of three joints cannot lay them flat: corners carry that the prediction lacks."""
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'

@@ -15,6 +15,7 @@ from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:

@@ -46,6 +46,7 @@ def test_efforts_that_are_none_are_refused() -> None:
         with_efforts(robot, {"knee": 1.0})
 
 
+@pytest.mark.slow
 def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())

@@ -54,6 +54,7 @@ def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
     return urdf, mjcf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

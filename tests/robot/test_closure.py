@@ -283,6 +283,7 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
         pa.stance.solve_stand_on_soft_ground(robot)
 
 
+@pytest.mark.slow
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None

@@ -77,6 +77,7 @@ def test_unusable_files_are_refused(
     assert str(tmp_path) in caught.value.source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("urdf_foot", "mjcf_foot"), [("toe_tip", "foot"), ("foot", "toe_tip")])
 def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot: str) -> None:
     whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))

@@ -189,6 +189,7 @@ def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
     assert model.opt.tolerance == tolerance
 
 
+@pytest.mark.slow
 def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     """v3 on servos of which the damping is too much for Euler at 2 ms."""
     robot, stand = load("v3"), stand_of("v3")

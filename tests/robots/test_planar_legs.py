@@ -61,6 +61,7 @@ def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
+@pytest.mark.slow
 def test_sag_of_a_planar_robot_is_mujocos(tmp_path: Path) -> None:
     """Its feet, pinned, say each other's places sideways twice: the equations must bear it."""
     robot = load(planar(quadruped(tmp_path)))

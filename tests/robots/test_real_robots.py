@@ -132,6 +132,7 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
 # ------------------------------------------------------------------------------------- Go1
 
 
+@pytest.mark.slow
 def test_go1_lacks_the_hip_motors_rotors() -> None:
     """The URDF has a rotor of 0.089 kg per motor; the MJCF put 8 into the legs, and 4 nowhere."""
     comparison = comparison_of("go1")
@@ -148,6 +149,7 @@ def test_go1_lacks_the_hip_motors_rotors() -> None:
 # ------------------------------------------------------------------------------------- HyQReal
 
 
+@pytest.mark.slow
 def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:
     comparison = comparison_of("hyqreal2")
     names = {"01_lf": "FL", "02_rf": "FR", "03_lh": "RL", "04_rh": "RR"}
@@ -226,6 +228,7 @@ def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> No
     assert comparison.guessed == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "free"),
     [

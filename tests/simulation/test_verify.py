@@ -272,6 +272,7 @@ def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
     assert alone.height_deviation[0, 0] == pytest.approx(found, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kp", "kd"), [("original", 30.0, 0.5), ("v3", 10.0, 0.5)])
 def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> None:
     """One cell again: gains by hand, the force by hand, one step at a time."""

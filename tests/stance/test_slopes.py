@@ -167,6 +167,7 @@ def search_region(
     return tried[0], tried[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_where_a_com_is_in_balance_is_what_a_linear_programme_says(seed: int) -> None:
     """Cones of 24 edges are within 0.9 % of round ones; corners are of 48 sides, from inside."""

@@ -133,6 +133,7 @@ def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarr
     return forces[: 3 * count].reshape(-1, 3), load[6:] - pushed[6:] @ forces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [
@@ -376,6 +377,7 @@ def test_an_arm_that_its_file_bolts_down_leans_on_a_table(arm: pa.Robot) -> None
     np.testing.assert_allclose(found.weld_wrenches["base"][2], arm.total_mass * 9.81, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_stated_force_is_that_of_the_contact(arm: pa.Robot, armed: pa.Robot) -> None:
     """Beside a weld, and among feet, which bear the less for it."""
     pressed = {"hand": pa.Contact(HAND["hand"].plane, force=4.0)}
@@ -411,6 +413,7 @@ def test_a_stated_force_moves_where_a_com_is_in_balance(armed: pa.Robot) -> None
     assert least == pytest.approx(stand.com_margin, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
     for robot, task in (
         (arm, on_table(arm)),
@@ -531,6 +534,7 @@ def test_a_welded_stance_out_of_reach_is_refused_with_a_reachable_one(
         pa.solve_stand(robot, replace(task, **possible))
 
 
+@pytest.mark.slow
 def test_four_welded_feet_hold_the_robot_in_equilibrium() -> None:
     """24 rows of four welds act on 18 coordinates: at most 18 are independent.
 

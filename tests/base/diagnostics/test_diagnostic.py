@@ -163,6 +163,7 @@ def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -
     assert set(CODES) - used == set()
 
 
+@pytest.mark.slow
 def test_every_template_gets_its_values() -> None:
     lacking = {
         f"{where} {code}": missing

@@ -375,6 +375,7 @@ KNEE = '<joint name="knee0" type="revolute">'
 MIMIC = {KNEE: f'{KNEE}<mimic joint="hip0" multiplier="2" offset="0.1"/>'}
 
 
+@pytest.mark.slow
 def test_a_mimic_without_its_equality_is_named_and_an_equality_that_says_otherwise(
     tmp_path: Path,
 ) -> None:
@@ -466,6 +467,7 @@ def test_what_ties_the_robot_to_other_objects_is_found(
 # ------------------------------------------------------------------------------------- switches
 
 
+@pytest.mark.slow
 def test_flags_switch_off_what_is_written(tmp_path: Path) -> None:
     def flagged(word: str, text: str = MJCF) -> Comparison:
         option = f'<option><flag {word}="disable"/></option><worldbody>'

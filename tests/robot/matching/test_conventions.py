@@ -153,6 +153,7 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     assert comparison.differences[0].effects["gravity"].relative > 1e-4
 
 
+@pytest.mark.slow
 def test_other_coordinates_are_one_robot_and_no_agreement(tmp_path: Path) -> None:
     """All else still counts."""
     mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)

@@ -130,6 +130,7 @@ def test_a_joint_of_one_file_is_fixed_at_zero_and_named(tmp_path: Path, where: s
     assert not comparison.agree  # but the joints are not
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "extra",
     [

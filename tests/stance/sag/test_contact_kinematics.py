@@ -32,6 +32,7 @@ def differences(function: Callable[[np.ndarray], np.ndarray], size: int, step: f
     return np.array(columns).T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("slope", [0.0, 0.15])

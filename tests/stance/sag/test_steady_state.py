@@ -64,6 +64,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     assert np.abs(rest).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETTLING)
 def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
     robot, stand = load(name), stand_of(name)

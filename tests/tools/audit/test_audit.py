@@ -435,6 +435,7 @@ def test_every_rule_has_a_test() -> None:
     assert {case.rule for case in CASES} | apart == set(CHECKS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.name)
 def test_our_own_models_are_sound(path: Path) -> None:
     result = audit_model(path)

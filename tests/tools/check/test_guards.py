@@ -93,6 +93,7 @@ def test_a_file_that_is_not_there_is_told(folder: Path) -> None:
     assert "deploy.yaml" in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_it_needs_no_placo() -> None:
     code = (
         "import sys; import pupper_analysis.tools.contract.guard; "

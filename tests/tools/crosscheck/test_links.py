@@ -67,6 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("links")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lacks", ["MJCF", "URDF"])
 def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: Path) -> None:
     full, bare = urdf_text(geared()), mjcf_text(without(geared(), "_rotor"))
@@ -125,6 +126,7 @@ def test_a_decimal_point_in_the_masses_of_two_links_is_told(
     assert ("scaled links" in {cause.kind for cause in comparison.causes}) == reported
 
 
+@pytest.mark.slow
 def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> None:
     """The fold of the base has products of its own, as its links have places."""
     mjcf = {
@@ -138,6 +140,7 @@ def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> Non
     assert the_cause(comparison, "products").startswith("all products of inertia are 0 in the URDF")
 
 
+@pytest.mark.slow
 def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
     """A body that differs at random is no missing link, though its mass be exactly one's."""
     random = np.random.default_rng(5)

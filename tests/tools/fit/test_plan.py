@@ -81,6 +81,7 @@ def test_servos_that_are_too_soft_hold_no_stand() -> None:
 # --------- Random stands: com and joints keep off by what is not known of them, and what is refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "priors", [("mass=20%", "com=2mm"), ("mass=0", "com=0", "com:base_link=4mm")]
 )

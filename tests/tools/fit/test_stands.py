@@ -192,6 +192,7 @@ def check_slopes(residual: Callable[[Array], Array], columns: Array, places: Ite
         np.testing.assert_allclose(columns[:, place], found, atol=1e-3 * np.abs(found).max() + 1e-6)
 
 
+@pytest.mark.slow
 def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
     robot: Robot, stands: MeasuredStands
 ) -> None:
@@ -237,6 +238,7 @@ def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
     assert abs((forces - bare)[6 + joint]) > 1e-3
 
 
+@pytest.mark.slow
 def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     robot: Robot, stands: MeasuredStands
 ) -> None:

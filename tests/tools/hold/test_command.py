@@ -40,6 +40,7 @@ def test_what_is_written_is_what_python_finds(
     assert imread(out[1]).std() > 0.01
 
 
+@pytest.mark.slow
 def test_weak_motors_and_bad_input(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

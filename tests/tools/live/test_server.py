@@ -58,6 +58,7 @@ def test_who_waited_until_it_is_closed_gets_no_session(
     assert page.sessions == {}
 
 
+@pytest.mark.slow
 def test_a_served_page_collects_garbage_as_python_does(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -148,6 +148,7 @@ def test_out_of_reach_is_told_at_once_and_explained_later(page: Open) -> None:
     wait_for(lambda: not panels._nearest.visible, "there is a way to the nearest still")
 
 
+@pytest.mark.slow
 def test_a_stance_that_changes_during_a_simulation_ends_it(page: Open) -> None:
     page.session.simulate()
     assert "simulating" in page.result
@@ -219,6 +220,7 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
         assert f">{torque:+.4f}<" in page.numbers
 
 
+@pytest.mark.slow
 def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) -> None:
     payload = page.controls.sliders["payload"]
     assert payload.max < 12.0

@@ -174,6 +174,7 @@ def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None
             np.testing.assert_allclose(qvel[3:6], 2 * turn.coeffs()[:3], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_beyond_what_contacts_allow() -> None:
     robot, tasks = load("v3"), stances("v3", "squat")
     with pytest.raises(pa.StaticsInfeasibleError, match=r"at 0\.\d\d s, between stances") as caught:

@@ -137,6 +137,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     check_refusal(capfd, tmp_path, ["stand", *arguments, *output], message)
 
 
+@pytest.mark.slow
 def test_what_is_told_is_what_the_robot_has(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     files = read_urdf(pair.urdf), read_mjcf(pair.mjcf)

@@ -95,6 +95,7 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 # The page
 
 
+@pytest.mark.slow
 def test_the_front_is_drawn_and_in_a_table() -> None:
     """Each design of it by its two objectives, and by its number in the study."""
     found = outcome()

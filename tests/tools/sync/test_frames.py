@@ -90,6 +90,7 @@ def another_zero(**more: Any) -> Parts:
     return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
 
 
+@pytest.mark.slow
 def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
     part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):
@@ -120,6 +121,7 @@ def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
         assert [edit.attribute for edit in result.edits] == ["mass" if side == "urdf" else "value"]
 
 
+@pytest.mark.slow
 def test_places_in_a_frame_are_left(tmp_path: Path) -> None:
     """Bodies, joints and sites in a <frame> state their places in that."""
     text = mjcf_text(ROBOT)

@@ -119,6 +119,7 @@ def test_degrees_are_kept(tmp_path: Path) -> None:
     assert float(limit.new.split()[0]) == pytest.approx(math.degrees(-0.5), rel=1e-15)
 
 
+@pytest.mark.slow
 def test_directions_are_left(tmp_path: Path) -> None:
     """And what depends on none is written, where it was chosen by itself."""
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))

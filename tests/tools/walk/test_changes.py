@@ -204,6 +204,7 @@ def row(
     return {"kind": kind, "subject": subject, "component": part, **values}
 
 
+@pytest.mark.slow
 def test_where_a_fit_says_that_the_robot_is(still: Policy, tmp_path: Path) -> None:
     robot = load("v3")
     path = fit_file(
