@@ -55,7 +55,7 @@ def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
         assert abs(run.height_error) < 1e-8
         assert run.torque_error < 1e-4
     assert verdict.code is VerdictCode.HOLDS
-    assert "the file by itself, reset to its keyframe home: its centre of mass" in in_words(verdict)
+    assert "unmodified MJCF, from keyframe home, 5 s: CoM height" in in_words(verdict)
     assert not verdict.servos.made
 
 
@@ -152,8 +152,8 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     [
         ("kp of one has the wrong sign", "a servo whose stiffness is negative"),
         ("kp is 0", "a servo without stiffness"),
-        ("ctrl is of lying down", "the file by itself, reset to its keyframe home: it COLLAPSES"),
-        ("gear of all is -1", "the file by itself, reset to its keyframe home: it COLLAPSES"),
+        ("ctrl is of lying down", "unmodified MJCF, from keyframe home, 5 s: COLLAPSES"),
+        ("gear of all is -1", "unmodified MJCF, from keyframe home, 5 s: COLLAPSES"),
     ],
 )
 def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, said: str) -> None:

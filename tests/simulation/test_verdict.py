@@ -95,9 +95,9 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"own": own(collapses=True)},
         VerdictCode.OWN_DRIVES_FAIL,
         False,
-        "the file by itself, reset to its keyframe home: it COLLAPSES, its centre of mass is "
-        "285 mm high, after 5 s 40 mm, tilted by 1.1 deg; worst joint knee, 1.7 deg off "
-        "(position servo); HOLDS in MuJoCo",
+        "unmodified MJCF, from keyframe home, 5 s: COLLAPSES, CoM height "
+        "285 mm, finally 40 mm, tilt 1.1 deg; largest joint error 1.7 deg "
+        "(knee, position servo); HOLDS in MuJoCo",
     ),
     "nearly as published": (
         {"published": published(0.016)},

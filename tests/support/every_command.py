@@ -43,7 +43,7 @@ DIVERGED = (
 ABOVE, LOAD, SLOPE = (0.0, 0.0, 0.05), 0.3, math.radians(3)
 """Where the stance that a file states has a mass (m, kg), and on which slope it is (rad)."""
 
-OWN = "the file by itself"
+OWN = "unmodified MJCF"
 """With which the line of the own run begins."""
 
 ADDED = "servos that were added"

@@ -27,7 +27,7 @@ def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> No
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.
     first, _ = lines_to_read(verdict)
-    assert any("the file by itself" in str(line) for line in first)
+    assert any("unmodified MJCF" in str(line) for line in first)
 
 
 @pytest.mark.slow

@@ -240,4 +240,4 @@ def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.
     first, _ = lines_to_read(verdict)
-    assert any("the file by itself" in str(line) for line in first)
+    assert any("unmodified MJCF" in str(line) for line in first)

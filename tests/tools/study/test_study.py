@@ -339,10 +339,8 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
             with pytest.raises(pa.NotStandingError, match="DIVERGES"):
                 study.metrics[0].function(maker.design({}))
         message = " ".join(map(str, rests_on(study.base)))
-        assert (
-            "the file by itself, reset to its keyframe home: it DIVERGES" in message
-        ) is not stands
-        assert "the file by itself, reset to its keyframe home: it" in message
+        assert ("unmodified MJCF, from keyframe home: DIVERGES" in message) is not stands
+        assert "unmodified MJCF, from keyframe home" in message
         assert ("on servos that were added" in message) is not stands
 
 
