@@ -357,15 +357,16 @@ def _free_legged_robot(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
 def _list_unstated_numbers(mjcf: NewMjcf) -> list[Diagnostic]:
     """Count joints without armature and joints without damping."""
     joints = mjcf.joints
-    counts = {
+    missing = {
         attribute: sum(joint.get(attribute) is None for joint in joints)
         for attribute in ("armature", "damping")
     }
-    return [
-        diagnose(f"{attribute}-unstated", count=count, joints=len(joints))
-        for attribute, count in counts.items()
-        if count
-    ]
+    notes = []
+    if count := missing["armature"]:
+        notes.append(diagnose("armature-unstated", count=count, joints=len(joints)))
+    if count := missing["damping"]:
+        notes.append(diagnose("damping-unstated", count=count, joints=len(joints)))
+    return notes
 
 
 _HEIGHT_DECIMALS = 6

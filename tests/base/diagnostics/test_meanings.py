@@ -1,18 +1,24 @@
-"""What the fields of results mean: in both languages, in English as docstrings say it."""
+"""Meanings of result fields: in both languages, in English equal to the docstring and the unit.
+
+``python -m tests.base.diagnostics.test_meanings`` writes the English texts anew after docstrings
+have changed. Chinese texts are edited by hand.
+"""
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 from dataclasses import fields, is_dataclass
 from functools import cache
+from pathlib import Path
 
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics import LANGUAGES, meaning
+from pupper_analysis.base.diagnostics import LANGUAGES
 from pupper_analysis.base.results import Result
 from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
 
@@ -47,18 +53,35 @@ def all_results(kind: type = Result) -> set[type]:
     return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
 
 
-@pytest.mark.slow
-def test_each_field_that_pages_list_has_a_meaning_that_is_its_docstrings() -> None:
-    """Of a corrected docstring only ``en`` is to be corrected, too; the Chinese stays."""
+def with_unit(text: str, unit: str | None) -> str:
+    """Add the unit of a field to its text, if the text does not contain the unit."""
+    if unit in (None, "1") or re.search(rf"(^|[(, ]){re.escape(str(unit))}([),;. ]|$)", text):
+        return text
+    first, stop, rest = text.partition(".")
+    return f"{first} ({unit}){stop}{rest}"
+
+
+def english_meanings() -> dict[str, str]:
+    """Return the text of each field that pages list: docstring and unit, by ``class.field``."""
     wanted = {}
     for kind in all_results():
-        own = kind.__module__.startswith("pupper_analysis.")
-        if own and is_dataclass(kind) and not {one.__name__ for one in kind.__mro__} & OWN_PAGES:
+        is_ours = kind.__module__.startswith("pupper_analysis.")
+        if is_ours and is_dataclass(kind) and not {c.__name__ for c in kind.__mro__} & OWN_PAGES:
             for field in fields(kind):
-                owner = next(one for one in kind.__mro__ if field.name in documented(one))
-                wanted[f"{owner.__name__}.{field.name}"] = documented(owner)[field.name]
-                assert meaning(kind, field.name, "zh"), (kind, field.name)
-    assert {key: both["en"] for key, both in listed().items()} == wanted
+                if field.name.startswith("_"):
+                    continue
+                owner = next(c for c in kind.__mro__ if field.name in documented(c))
+                text = documented(owner)[field.name]
+                wanted[f"{owner.__name__}.{field.name}"] = with_unit(
+                    text, field.metadata.get("unit")
+                )
+    return wanted
+
+
+@pytest.mark.slow
+def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
+    assert {key: both["en"] for key, both in listed().items()} == english_meanings()
+    assert [key for key, both in listed().items() if not both["zh"]] == []
 
 
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
@@ -68,3 +91,20 @@ def test_meanings_are_in_both_languages_with_the_same_units() -> None:
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key
         if re.search("[a-z]{4}", both["en"]):
             assert HAN.search(both["zh"]), key
+
+
+def write_english_meanings() -> None:
+    """Replace the English texts of all catalogues by the docstrings."""
+    wanted = english_meanings()
+    for path in Path(pa.__file__).parent.rglob("*.toml"):
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        for index, line in enumerate(lines):
+            found = re.match(r'([A-Za-z]\w*\.\w+) = \{ en = ("(?:[^"\\]|\\.)*")(.*)', line, re.S)
+            if found and found[1] in wanted:
+                text = json.dumps(wanted[found[1]], ensure_ascii=False)
+                lines[index] = f"{found[1]} = {{ en = {text}{found[3]}"
+        path.write_text("".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_english_meanings()
