@@ -35,6 +35,12 @@ _CONE_MARGIN = 1e-6
 the solver's rounding stays inside the true cones."""
 
 
+_LARGE_FRICTION = 10.0
+"""Friction coefficient above which the rows of a cone are divided by the coefficient. Without this
+scaling Clarabel fails for coefficients of 1,000 and more. Chosen: far above real coefficients, whose
+rows stay unscaled."""
+
+
 _TANGENTIAL_WEIGHT = 1e3
 """Weight of tangential force components relative to normal components in `TangentialMetric`.
 Chosen: large enough that normal forces matter only where tangential forces are equal."""
@@ -311,7 +317,7 @@ class Balance:
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
-        scale = np.maximum(friction, 1.0)  # rows of similar size, also for large coefficients
+        scale = np.where(friction > _LARGE_FRICTION, friction, 1.0)
         rows[index, 0, index] = (friction / scale * (1 - _CONE_MARGIN))[:, None] * normals
         tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         rows[index, 1:, index] = tangential / scale[:, None, None]

@@ -61,7 +61,7 @@ def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
     assert not verdict.own.falls
     assert verdict.own.timestep is None
     assert verdict.own.worst is not None
-    assert "MuJoCo's own import of the URDF, from the computed pose" in in_words(verdict)
+    assert "MuJoCo's import of the URDF, from the computed pose" in in_words(verdict)
     assert verdict.published is not None
     assert not verdict.published.differs
     for run in verdict.published.runs:
@@ -106,7 +106,7 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
     assert "on-balls-for-soles" in {clause.message.code for clause in verdict_clauses(verdict)}
     assert verdict.own is not None
     assert verdict.own.timestep == 1e-3
-    assert "at 1 ms a step, as it shakes at longer ones" in in_words(verdict)
+    assert "at a time step of 1 ms (it shakes at longer ones)" in in_words(verdict)
 
 
 @pytest.mark.slow

@@ -30,8 +30,9 @@ NEVER = {
 }
 """Codes of what is seen, and is no cause."""
 
-CONSEQUENCES = {"motors-overloaded", "foot-buried"}
-"""Of what is too weak, or loads it; of feet that sink: told beside the cause, and true."""
+CONSEQUENCES = {"motors-overloaded", "foot-buried", "joint-held-by-nothing"}
+"""Codes of true consequences that may be reported beside the cause: overloaded motors, feet that
+sink, joints without position control."""
 
 
 def servos(words: str) -> Edit:

@@ -273,7 +273,7 @@ def test_patterns_name_many_models(folder: Path) -> None:
     assert names == ["all/hopper.urdf", *(f"all/urdf/{n}.urdf" for n in ("one", "three", "two"))]
     for wrong in ('urdf = "no/*.urdf"', 'urdf = "urdf/*.urdf"\nmjcf = "mjcf/?.xml"', 'urdf = "/*"'):
         config.write_text(f'[[pair]]\nname = "all"\n{wrong}\n')
-        with pytest.raises(pa.ModelError, match=r"pupper-analysis\.toml: "):
+        with pytest.raises(pa.ModelError, match=r"pupper-analysis\.toml:3: "):
             pa.guard.check_repository(config)
 
 

@@ -89,7 +89,7 @@ def test_a_file_that_is_not_there_is_told(folder: Path) -> None:
     (folder / "deploy.yaml").unlink()
     done = run(folder)
     assert done.returncode == 2
-    assert "pupper-analysis.toml: contract =" in done.stdout + done.stderr
+    assert "pupper-analysis.toml:6: contract =" in done.stdout + done.stderr
     assert "deploy.yaml" in done.stdout + done.stderr
 
 

@@ -44,8 +44,8 @@ BAD: dict[str, tuple[list[str], str]] = {
     "missing URDF": (["nobody.urdf", "robot.xml"], "nobody.urdf: there is no such file"),
     "a folder": (["folder", "robot.xml"], "folder: it is a folder"),
     "no XML": (["text.urdf", "robot.xml"], "text.urdf:1: not well-formed XML"),
-    "swapped": (["robot.xml", "robot.urdf"], "robot.xml:1: a URDF's root element is <robot>"),
-    "one file": (["robot.urdf"], "Missing argument 'MJCF'"),
+    "two URDFs": (["robot.urdf", "robot.urdf"], "robot.urdf"),
+    "one file": (["robot.urdf"], "Missing argument '[MJCF]'"),
     "map without =": (["robot.urdf", "robot.xml", "--map", "hip0"], "map: 'hip0' is not of the"),
     "map of an unknown name": (
         ["robot.urdf", "robot.xml", "--map", "hop=hip0"],

@@ -73,7 +73,7 @@ def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
     assert verdict.passed, in_words(verdict)
     assert verdict.own is not None
     assert verdict.own.imported
-    assert "MuJoCo's own import of the URDF" in in_words(verdict)
+    assert "MuJoCo's import of the URDF" in in_words(verdict)
 
 
 @pytest.mark.slow
