@@ -50,6 +50,7 @@ def four_bars(
     folder: Path,
     crank: float = ARM,
     *,
+    words: str = 'solref="0.005 1"',
     in_urdf: bool = True,
 ) -> Pair:
     """Knees are pulled by rods from cranks beside the thighs; the URDF is the tree without closure.
@@ -79,7 +80,7 @@ def four_bars(
         )
         anchor = f'anchor="{rod[0]} 0 {rod[2]}"'
         bodies = f'body1="{leg}_rod" body2="{leg}_calf"'
-        _add(equality, f'<connect {bodies} {anchor} solref="0.005 1"/>')
+        _add(equality, f"<connect {bodies} {anchor} {words}/>")
     return _written(pair, urdf, mjcf)
 
 
