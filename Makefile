@@ -56,7 +56,8 @@ setup-quick: $(VENV)/.ready-ci $(ROBOTS)/.ready ## install what the quick tests 
 setup-ci: setup-quick $(VENV)/.ready-torch $(CONVERTERS)/.ready ## install what all tests need, so that none is skipped
 
 analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
-	$(BIN)/python scripts/analyze_variant.py
+	@# Status 1: a variant fails, as v3-long-leg does on its own servos. The output names it.
+	$(BIN)/python scripts/analyze_variant.py || [ $$? -eq 1 ]
 
 test: $(VENV)/.ready ## run the quick tests: a minute
 	$(PYTEST)

@@ -22,7 +22,7 @@ from .base.errors import StudyError as StudyError
 from .base.errors import UnknownNameError as UnknownNameError
 from .base.errors import VariantError as VariantError
 from .prepare.judge import judge_stand as judge_stand
-from .pupper.named_robots import load_robot as load_robot
+from .pupper.loading import load_robot as load_robot
 from .pupper.variant_files import load_variant as load_variant
 from .pupper.variants import VARIANTS as VARIANTS
 from .robot import matching as matching

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import ParamSpec
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.prepare.convert import load
-from pupper_analysis.pupper.variant_files import load_variant, write_variant
 from pupper_analysis.pupper.variants import BASES, VARIANTS, model_folder, variant_spec
-from pupper_analysis.robot.robot import Robot
-
-P = ParamSpec("P")
 
 
 def is_variant(word: object) -> bool:
@@ -36,24 +27,8 @@ def variant_model_files(name: str) -> Iterator[tuple[Path, Path]]:
         base = BASES[spec.base]
         yield model_folder("urdf") / base.urdf, model_folder("mjcf") / base.mjcf
         return
+    # Imports PlaCo and Clarabel, which `audit` and `crosscheck` of files do not need.
+    from pupper_analysis.pupper.variant_files import write_variant
+
     with TemporaryDirectory() as folder:
         yield write_variant(name, folder)
-
-
-def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
-    """Let ``load_robot`` accept the name of a variant in place of files."""
-
-    @wraps(load_files)
-    def load_named(*models: P.args, **options: P.kwargs) -> Robot:
-        if len(models) != 1 or not is_variant(models[0]):
-            return load_files(*models, **options)
-        given = {name: value for name, value in options.items() if value not in (None, False)}
-        fixed_base = bool(given.pop("fixed_base", False))
-        if given:
-            raise ConfigurationError(next(iter(given)), diagnose("options-of-files-alone"))
-        return load_variant(str(models[0]), fixed_base=fixed_base)
-
-    return load_named
-
-
-load_robot = _accept_variants(load.load_robot)

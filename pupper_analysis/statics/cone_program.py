@@ -36,9 +36,9 @@ the solver's rounding stays inside the true cones."""
 
 
 _LARGE_FRICTION = 10.0
-"""Friction coefficient above which the rows of a cone are divided by the coefficient. Without this
-scaling Clarabel fails for coefficients of 1,000 and more. Chosen: far above real coefficients, whose
-rows stay unscaled."""
+"""Friction coefficient above which the rows of a cone are divided by the coefficient. Without
+scaling, Clarabel fails for coefficients of 1,000 and more. Chosen: far above real coefficients,
+whose rows stay unscaled."""
 
 
 _TANGENTIAL_WEIGHT = 1e3
