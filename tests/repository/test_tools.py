@@ -53,6 +53,7 @@ def without(tool: str, folder: Path) -> Path:
     copy = folder / "checkout"
     shutil.copytree(ROOT, copy, ignore=left_out)
     shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
+    shutil.copytree(ROOT / "docs/data", copy / "docs/data")  # tables that are tests
     shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # which knows who imports whom
     for one in gone:
         shutil.rmtree(copy / "pupper_analysis/tools" / one)

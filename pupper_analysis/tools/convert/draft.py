@@ -51,6 +51,9 @@ _CONVERTED_TAGS = ("link", "joint", "material")
 """Children of ``<robot>`` that are converted. Other tags (``<transmission>``, ``<gazebo>``,
 ``<mujoco>`` ...) belong to other programs."""
 
+_LOST_JOINT_TAGS = ("safety_controller", "calibration")
+"""Children of a URDF's ``<joint>`` that an MJCF cannot express."""
+
 
 @dataclass(frozen=True)
 class ConversionDraft:
@@ -261,6 +264,12 @@ def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     if textured:
         losses.append(diagnose("textures-left", count=textured))
     others = Counter(str(node.tag) for node in urdf.root if node.tag not in _CONVERTED_TAGS)
+    others += Counter(
+        str(node.tag)
+        for joint in urdf.root.findall("joint")
+        for node in joint
+        if node.tag in _LOST_JOINT_TAGS
+    )
     elements = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
     return losses + elements
 
