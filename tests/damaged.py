@@ -133,7 +133,7 @@ def _read_mesh(path: Path) -> Any:
 
 
 def _read_store(path: Path) -> Any:
-    return Store(path.parent).asked()
+    return Store(path.parent).read_request()
 
 
 _CONFIG = b"""baseline = "known.txt"

@@ -115,8 +115,8 @@ finally:
 )
 WORKER = f"""
 {DIVERGES}
-from pupper_analysis.tools.study.running import begin_worker
-begin_worker()
+from pupper_analysis.tools.study.running import initialise_worker
+initialise_worker()
 diverge()
 """
 

@@ -9,7 +9,7 @@ import pytest
 from pupper_analysis import Contact, Ground, Plane, StandTask
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
-from pupper_analysis.tools.study.write import stance_text
+from pupper_analysis.tools.study.write import format_stance
 from tests.support.commands import check_refusal
 
 
@@ -109,7 +109,7 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
     ]
     assert asked(*(part for one in typed for part in ("--contact", one))).task() == task
     file = tmp_path / "lean.toml"
-    file.write_text(stance_text(task))
+    file.write_text(format_stance(task))
     assert asked("--stance", str(file)).task() == task
     with pytest.raises(ConfigurationError, match="FL has one contact, and two are stated"):
         asked("--contact", typed[0], "--contact", "FL=table:1cm").task()

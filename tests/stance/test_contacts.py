@@ -24,7 +24,7 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.tools.stand.stance import largest_presses
-from pupper_analysis.tools.study.design import task_of
+from pupper_analysis.tools.study.design import apply_stance_values
 from pupper_analysis.tools.study.study import Study
 from tests.stance.test_slopes import edges_of, search_region
 from tests.support.legged import biped, quadruped, with_arm
@@ -395,7 +395,9 @@ def test_a_study_varies_where_a_plane_is() -> None:
     rung = pa.Contact(pa.Bar((0.4, 0, 0.45), (0, 1, 0), 0.01), (0.35, 0, 0.45), grip=30.0)
     wall = pa.Contact(pa.Plane((0.4, 0, 0), (-1, 0, 0), 0.6))
     task = pa.StandTask(contacts={"a": wall, "b": slanted, "c": wall, "d": rung})
-    found = task_of(task, {"contacts:a": 0.45, "contacts:b": 0.5, "contacts:d": 0.4}).contacts
+    found = apply_stance_values(
+        task, {"contacts:a": 0.45, "contacts:b": 0.5, "contacts:d": 0.4}
+    ).contacts
     assert found["d"] == pa.Contact(
         pa.Bar((0.4, 0, 0.4), (0, 1, 0), 0.01), (0.35, 0, 0.45), grip=30.0
     )

@@ -193,18 +193,18 @@ def _cell(status: int, out: str, err: str) -> Cell:
 
 def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
     """A design of a study, in this process: it passes where it is said to stand."""
-    from pupper_analysis.tools.study.design import Maker
-    from pupper_analysis.tools.study.outcome import rests_on
+    from pupper_analysis.tools.study.design import DesignBuilder
+    from pupper_analysis.tools.study.outcome import list_stand_assumptions
 
     try:
         study = pa.Study({"urdf": str(urdf), "mjcf": str(mjcf)}, {"height": [0.35]}, ["stands"])
         (metric,) = study.metrics
-        stood = metric.function(Maker(study.source, study.task, study.point).design({}))
+        stood = metric.function(DesignBuilder(study.source, study.task, study.point).design({}))
     except NotStandingError as error:
         return Cell(False, False, True, False, type(error).__name__)
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
-    return _cell(0, f"{stood} {' '.join(map(str, rests_on(study.base)))}", "")
+    return _cell(0, f"{stood} {' '.join(map(str, list_stand_assumptions(study.base)))}", "")
 
 
 def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:

@@ -56,11 +56,11 @@ from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.measures import METRICS, Design, Metric
 from pupper_analysis.tools.study.parameters import (
-    ADDED,
-    OF_JOINTS,
-    OF_LINKS,
-    SERVOS,
-    Named,
+    ADDITIVE_KINDS,
+    JOINT_STANCE_KINDS,
+    LINK_STANCE_KINDS,
+    SERVO_KINDS,
+    VariablePattern,
     scale_robot,
     with_friction,
     with_gains,
@@ -133,7 +133,7 @@ _KNOWN = ("take", "body", "feet", "name", "joints", "keyframe", "packages")
 """What a study may say of files, besides the files."""
 
 
-def load_source(given: Mapping[str, Any]) -> FileSource:
+def load_file_source(given: Mapping[str, Any]) -> FileSource:
     """Loads the robot of a study, without what is only looked at.
 
     Args:
@@ -190,7 +190,7 @@ RobotSource = FileSource | Variants
 """Makes robots, here and in other processes: it can be pickled."""
 
 
-def source_of(robot: Any) -> RobotSource:
+def make_robot_source(robot: Any) -> RobotSource:
     """Returns the source of a robot that is given in one of the ways of ``Study``.
 
     Raises:
@@ -200,7 +200,7 @@ def source_of(robot: Any) -> RobotSource:
     if isinstance(robot, str):
         meant = split_word(robot)
         if isinstance(meant, tuple):
-            return load_source({"models": meant})
+            return load_file_source({"models": meant})
         return Variants(variant_spec(meant))
     if isinstance(robot, VariantSpec):
         return Variants(robot)
@@ -208,7 +208,7 @@ def source_of(robot: Any) -> RobotSource:
         base, others = robot["base"], {n: one for n, one in robot.items() if n != "base"}
         meant = split_word(base) if isinstance(base, str) else base
         if isinstance(meant, tuple):
-            return load_source({"models": meant, **others})
+            return load_file_source({"models": meant, **others})
         known = [field.name for field in fields(VariantSpec)]
         unknown = [name for name in robot if name not in known]
         if unknown:
@@ -216,11 +216,11 @@ def source_of(robot: Any) -> RobotSource:
             raise ConfigurationError("robot", problem)
         return Variants(VariantSpec(**robot))
     if isinstance(robot, Mapping):
-        return load_source(robot)
+        return load_file_source(robot)
     raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
 
 
-def digest_of(description: Description) -> str:
+def hash_description(description: Description) -> str:
     """Returns a hash of all that a description says: the same files have the same hash."""
     parts = {
         "urdf": description.urdf,
@@ -244,7 +244,7 @@ def _plain(value: Any) -> Any:
     return repr(value)
 
 
-STANCE = {
+STANCE_VARIABLES = {
     name: (known, axis)
     for known in FIELDS.values()
     if not known.per and not known.choices
@@ -256,17 +256,17 @@ STANCE = {
 A metric of the same name, such as ``com_margin``, would be in the same column of the table.
 """
 
-MODEL = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
+ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
 """Numbers of the robot, for all joints and feet alike."""
 
-NUMBERS = {name: field for name, (field, _) in STANCE.items()} | MODEL
+FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
 
-KEPT = 8
+MAX_CACHED_ROBOTS = 8
 """So many robots and stands are remembered: neighbours in a product of lists share them."""
 
 
 @dataclass(eq=False)
-class Maker:
+class DesignBuilder:
     """Makes designs of numbers.
 
     Attributes:
@@ -280,12 +280,12 @@ class Maker:
     point: tuple[str | float, ...]
 
     def __post_init__(self) -> None:
-        remember = lru_cache(KEPT)
+        remember = lru_cache(MAX_CACHED_ROBOTS)
         self._scaled = remember(lambda scales: self.source.robot(dict(scales)))
         self._loaded = remember(lambda numbers: self._robot(dict(numbers)))
         self._stand = remember(
             lambda model, stance: solve_stand(
-                self._loaded(model), task_of(self.task, dict(stance)), explain=False
+                self._loaded(model), apply_stance_values(self.task, dict(stance)), explain=False
             )
         )
 
@@ -293,14 +293,14 @@ class Maker:
         """Makes a design.
 
         Raises:
-            PupperAnalysisError: If there is none; ``failure_kind`` says of which kind.
+            PupperAnalysisError: If there is none; ``classify_failure`` says of which kind.
         """
-        gains = {n: v for n, v in numbers.items() if servo_number(n)}
-        stance = {n: v for n, v in numbers.items() if n in STANCE or of_stance(n)}
+        gains = {n: v for n, v in numbers.items() if is_servo_variable(n)}
+        stance = {n: v for n, v in numbers.items() if n in STANCE_VARIABLES or is_stance_pattern(n)}
         model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
         for name in ("kp", "kd"):
             if name in gains:
-                MODEL[name].check_range(name, gains[name])
+                ROBOT_VARIABLES[name].check_range(name, gains[name])
         key = tuple(sorted(model.items()))
         robot, stand = self._loaded(key), self._stand(key, tuple(sorted(stance.items())))
         own = not gains
@@ -320,17 +320,17 @@ class Maker:
         return robot
 
 
-def servo_number(name: str) -> bool:
+def is_servo_variable(name: str) -> bool:
     """Whether a number is one of the servos alone."""
-    return name.partition(":")[0] in SERVOS
+    return name.partition(":")[0] in SERVO_KINDS
 
 
-def of_stance(name: str) -> bool:
+def is_stance_pattern(name: str) -> bool:
     """Whether a number is one of the stance: ``posture:JOINT``, ``contacts:LINK``."""
-    return name.partition(":")[0] in (*OF_JOINTS, *OF_LINKS)
+    return name.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 
 
-def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
+def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     """Returns a task with a design's numbers.
 
     Raises:
@@ -338,42 +338,46 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     """
     changes: dict[str, Any] = {}
     values = task.values()
-    for name, (known, axis) in STANCE.items():
+    for name, (known, axis) in STANCE_VARIABLES.items():
         if name in numbers and known.axes:
             point = list(changes.get(known.name, values[known.name]) or (0.0,) * len(known.axes))
             point[axis] = numbers[name]
             changes[known.name] = tuple(point)
         elif name in numbers:
             changes[known.name] = numbers[name]
-    for name in filter(of_stance, numbers):
+    for name in filter(is_stance_pattern, numbers):
         field, _, of = name.partition(":")
         whole = changes.get(field, values[field])
-        number = whole[of].at(numbers[name]) if field in OF_LINKS else numbers[name]
+        number = whole[of].at(numbers[name]) if field in LINK_STANCE_KINDS else numbers[name]
         changes[field] = {**whole, of: number}
     return task.having(changes)
 
 
-def check_name(name: str, source: RobotSource) -> None:
+def check_variable_name(name: str, source: RobotSource) -> None:
     """Checks that a study can vary a number.
 
     Raises:
         ConfigurationError: If there is none of that name; the message lists the names.
     """
-    if Named.of(name) is None and name not in NUMBERS and name not in source.scales:
-        finding = diagnose("no-number-to-vary", known=(*source.scales, *NUMBERS))
+    if (
+        VariablePattern.parse(name) is None
+        and name not in FIELD_OF_VARIABLE
+        and name not in source.scales
+    ):
+        finding = diagnose("no-number-to-vary", known=(*source.scales, *FIELD_OF_VARIABLE))
         raise ConfigurationError(f"vary[{name!r}]", finding)
 
 
-def check_range(name: str, low: float, high: float) -> None:
+def check_variable_range(name: str, low: float, high: float) -> None:
     """Checks that a variable's values make sense; those of no bounds are judged one by one.
 
     Raises:
         ConfigurationError: If not.
     """
     kind, colon, _ = name.partition(":")
-    if kind in ADDED and colon:  # the robot's own limits count
+    if kind in ADDITIVE_KINDS and colon:  # the robot's own limits count
         return
-    field = NUMBERS.get(name)
+    field = FIELD_OF_VARIABLE.get(name)
     least, most, unit = (
         (0.0, math.inf, "x") if field is None else (field.low, field.high, field.unit)
     )
@@ -394,7 +398,7 @@ def check_range(name: str, low: float, high: float) -> None:
         raise ConfigurationError(f"vary[{name!r}]", finding)
 
 
-FALLS = (
+STAND_FAILURES = (
     StanceUnreachableError,
     StaticsInfeasibleError,
     NoEquilibriumError,
@@ -404,7 +408,7 @@ FALLS = (
 """What is raised of a design that cannot stand so; of others it is not known."""
 
 
-def failure_kind(error: BaseException) -> str:
+def classify_failure(error: BaseException) -> str:
     """Returns of which kind a failure is, in words that a table can be sorted by."""
     kinds = {
         StanceUnreachableError: "unreachable",
@@ -421,45 +425,47 @@ def failure_kind(error: BaseException) -> str:
     return next((word for kind, word in kinds.items() if isinstance(error, kind)), "error")
 
 
-def row_of(maker: Maker, numbers: Mapping[str, float], metrics: tuple[Metric, ...]) -> Row:
+def measure_design(
+    maker: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
+) -> Row:
     """Makes a design and measures it; what fails is said in the row.
 
     A metric that fails leaves the others: the row's reason is that of the first that did. Of a
     design that cannot stand, a metric that has a value of what has fallen has this one.
     """
-    row: Row = dict.fromkeys(ENDS)
+    row: Row = dict.fromkeys(FAILURE_COLUMNS)
     try:
         design = maker.design(numbers)
     except Exception as error:
         fallen = {one.name: one.fallen for one in metrics if one.fallen is not None}
-        finding = {**row, **failure_columns(failure_kind(error), reason_of(error))}
-        return {**finding, **fallen} if isinstance(error, FALLS) else finding
+        finding = {**row, **make_failure_columns(classify_failure(error), describe_error(error))}
+        return {**finding, **fallen} if isinstance(error, STAND_FAILURES) else finding
     for metric in metrics:
         try:
             row.update(_columns(metric.name, metric.function(design)))
         except Exception as error:
-            if isinstance(error, FALLS) and metric.fallen is not None:
+            if isinstance(error, STAND_FAILURES) and metric.fallen is not None:
                 row[metric.name] = metric.fallen
             if row["failure"] is None:
-                row |= failure_columns(failure_kind(error), reason_of(error))
+                row |= make_failure_columns(classify_failure(error), describe_error(error))
                 row["failed_metric"] = metric.name
     return row
 
 
 Row = dict[str, Any]
 
-ENDS = ("failure", "failed_metric", "reason", "diagnostic")
+FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
 """Columns that tell what failed: of which kind, in measuring what (None: in making it), and why: in
 English, and as the record of a diagnostic."""
 
 
-def failure_columns(kind: str, reason: Diagnostic) -> Row:
+def make_failure_columns(kind: str, reason: Diagnostic) -> Row:
     """Returns a row's columns of what failed."""
     kept = orjson.dumps(to_record(reason)).decode()
     return {"failure": kind, "reason": str(reason), "diagnostic": kept}
 
 
-def measured_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
+def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Returns {column: value} of the metrics that a design has; one that fails has none."""
     row: dict[str, float] = {}
     for metric in metrics:
@@ -483,7 +489,7 @@ def _value(name: str, value: Any) -> float:
         raise ConfigurationError(name, finding) from error
 
 
-def reason_of(error: BaseException) -> Diagnostic:
+def describe_error(error: BaseException) -> Diagnostic:
     """Returns why a design failed; of an error that is not this package's, what it says."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic

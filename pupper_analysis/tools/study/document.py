@@ -19,8 +19,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import (
     StudyOutcome,
-    column_label,
-    unit_of,
+    find_column_unit,
+    format_column_label,
 )
 from pupper_analysis.tools.study.write import WrittenDesign
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _ALONE = "alone-the-variance"
 
-MOST_ROWS = 300
+MAX_TABLE_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
 
 
@@ -73,7 +73,7 @@ def _right(name: str, unit: str = "") -> doc.Column:
 def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(column_label(one.metric)),
+            doc.Name(format_column_label(one.metric)),
             *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number_cell(one.designs, ".0f"),
         )
@@ -126,7 +126,7 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         across, up = (
-            doc.Axis(doc.Name(f"{name}, {sense}"), unit_of(name), ".4g")
+            doc.Axis(doc.Name(f"{name}, {sense}"), find_column_unit(name), ".4g")
             for name, sense in objectives.items()
         )
         x, y = (front[name].to_numpy(float) for name in objectives)
@@ -179,7 +179,7 @@ def _table(
     places = [name for name in columns if name in table]
     failed = "failure" in table and table["failure"].notna().any()
     rows: list[tuple[doc.Cell, ...]] = []
-    shown = table if len(table) <= MOST_ROWS else table.head(MOST_ROWS)
+    shown = table if len(table) <= MAX_TABLE_ROWS else table.head(MAX_TABLE_ROWS)
     for _, row in shown.iterrows():
         cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
         for name in places:
@@ -191,18 +191,18 @@ def _table(
         rows.append(tuple(cells))
     heads = [
         _right("ordinal", "1"),
-        *(doc.Column(doc.Name(name), unit_of(name)) for name in places),
+        *(doc.Column(doc.Name(name), find_column_unit(name)) for name in places),
     ]
     if failed:
         heads.append(_left("failure"))
     notes: tuple[doc.Words, ...] = ()
-    if len(table) > MOST_ROWS:
-        left = len(table) - MOST_ROWS
+    if len(table) > MAX_TABLE_ROWS:
+        left = len(table) - MAX_TABLE_ROWS
         notes = (text("count-more-are-in-the-studys", count=left),)
     return doc.Table(title, tuple(heads), tuple(rows), notes)
 
 
-def duration_text(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Returns a time as people say it."""
     if not math.isfinite(seconds):
         return "-"
@@ -240,7 +240,7 @@ def written_document(written: WrittenDesign) -> doc.Document:
     """Returns what a design that was written is, and what is measured of its files."""
     rows = tuple(
         (
-            doc.Name(column_label(name)),
+            doc.Name(format_column_label(name)),
             doc.number_cell(value, ".6g"),
             doc.number_cell(written.found[name], ".6g"),
         )
@@ -267,15 +267,15 @@ def progress_bar() -> Iterator[Callable[[Done], None]]:
         task = shown.add_task("", total=None)
 
         def show(done: Done) -> None:
-            rate = f"{done.rate:.1f}/s, {duration_text(done.left)} left" if done.done else ""
-            words = f"{rate} {count_failures(done.failures)}"
+            rate = f"{done.rate:.1f}/s, {format_duration(done.left)} left" if done.done else ""
+            words = f"{rate} {format_failures(done.failures)}"
             there = done.there + done.done
             shown.update(task, total=done.total, completed=there, description=words)
 
         yield show
 
 
-def count_failures(failures: Mapping[str, int]) -> str:
+def format_failures(failures: Mapping[str, int]) -> str:
     """Returns failures by kind, the most frequent first."""
     ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{count} {kind}" for kind, count in ordered)

@@ -66,7 +66,7 @@ class Stretch:
         return matrix, (np.eye(3) - matrix) @ rotation.T @ (self.origin - position)
 
 
-def stretch_of(robot: Robot, joint: str, factor: float) -> Stretch:
+def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
     """Returns the stretch of the link that a joint moves.
 
     Raises:
@@ -136,7 +136,7 @@ def stretch_links(
     weighed = compile_spec(mjcf.spec.copy(), source)  # masses may have changed before
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]] = {}
     for joint, factor in factors.items():
-        stretch = stretch_of(robot, joint, factor)
+        stretch = find_stretch(robot, joint, factor)
         link = urdf.moved_links[joint]
         for part in urdf.fixed_group(link):
             at = _placed(config, part)
@@ -158,7 +158,7 @@ def stretch_links(
     return _raise_keyframes(robot, mjcf.spec)
 
 
-def stretched_inertia(inertia: pin.Inertia, matrix: Array, shift: Array, s: float) -> pin.Inertia:
+def stretch_inertia(inertia: pin.Inertia, matrix: Array, shift: Array, s: float) -> pin.Inertia:
     """Returns what a link weighs that is stretched, p' = A p + b, at the same density."""
     tensor = np.array(inertia.inertia)
     second = s * matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T
@@ -180,7 +180,7 @@ def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia
     if inertia is not None:
-        link.set_inertia(stretched_inertia(inertia, matrix, shift, factor))
+        link.set_inertia(stretch_inertia(inertia, matrix, shift, factor))
     for joint in urdf.below.get(name, ()):
         _move(joint.element, matrix, shift)
     for _, shape, form in link.shapes:
@@ -226,7 +226,7 @@ def _stretch_body(
 ) -> None:
     matrix, shift = moved
     if inertia.mass > 0:
-        made = stretched_inertia(inertia, matrix, shift, factor)
+        made = stretch_inertia(inertia, matrix, shift, factor)
         body.explicitinertial, body.mass = True, float(made.mass)
         body.ipos, body.iquat = np.array(made.lever), (1.0, 0.0, 0.0, 0.0)
         body.inertia = np.zeros(3)  # MuJoCo takes either, and not both

@@ -34,8 +34,8 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
-Value = float | bool
-Function = Callable[[Robot, Stand], Any]
+MetricValue = float | bool
+MetricFunction = Callable[[Robot, Stand], Any]
 
 
 @dataclass(eq=False)
@@ -154,11 +154,11 @@ class Metric:
     """
 
     name: str
-    function: Callable[[Design], Value | Mapping[str, Value]]
+    function: Callable[[Design], MetricValue | Mapping[str, MetricValue]]
     unit: str
     simulates: bool = False
     fallen: float | None = None
-    of_file: Callable[[str], tuple[Callable[[Design], Value], str]] | None = None
+    of_file: Callable[[str], tuple[Callable[[Design], MetricValue], str]] | None = None
     file: str = ""
     content: str = ""
 
@@ -222,14 +222,14 @@ def _of_tools() -> Iterator[Metric]:
         yield from (Metric(name, **more) for name, more in offered.items())
 
 
-REVISION = 5
+METRICS_REVISION = 5
 """Of what metrics mean, raised when one changes: results of before are not taken for it."""
 
 METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (*_ALL, *_of_tools())}
 """The named metrics."""
 
 
-def metric_of(given: str | Function) -> Metric:
+def make_metric(given: str | MetricFunction) -> Metric:
     """Returns a named metric, or makes one of a function of (robot, stand).
 
     Args:
@@ -260,7 +260,7 @@ def metric_of(given: str | Function) -> Metric:
     if name in METRICS:
         problem = diagnose("metric-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Metric(name, OfRobotAndStand(given), "")
+    return Metric(name, UserFunction(given), "")
 
 
 def _of_file(metric: Metric, given: str) -> Metric:
@@ -276,7 +276,7 @@ def _of_file(metric: Metric, given: str) -> Metric:
     return replace(metric, function=function, file=file, content=content)
 
 
-def beside(folder: Path, given: object) -> object:
+def resolve_metric_file(folder: Path, given: object) -> object:
     """Returns a metric of a study's file, with the file that it is of sought beside that."""
     name, _, file = given.partition(":") if isinstance(given, str) else ("", "", "")
     named = METRICS.get(name)
@@ -284,10 +284,10 @@ def beside(folder: Path, given: object) -> object:
 
 
 @dataclass(frozen=True)
-class OfRobotAndStand:
+class UserFunction:
     """A function of (robot, stand) as one of a design."""
 
-    function: Function
+    function: MetricFunction
 
     def __call__(self, design: Design) -> Any:
         """Calls it."""
@@ -307,15 +307,15 @@ class OfRobotAndStand:
         return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
-def metric_text(metric: Metric) -> str:
+def format_metric(metric: Metric) -> str:
     """Returns how a study's file says a metric."""
     own = metric.function
     named = f"{metric.name}:{metric.file}" if metric.file else metric.name
-    return own.place if isinstance(own, OfRobotAndStand) else named
+    return own.place if isinstance(own, UserFunction) else named
 
 
-def metric_fingerprint(metric: Metric) -> str:
+def fingerprint_metric(metric: Metric) -> str:
     """Returns what tells that a metric is another one."""
     own = metric.function
     named = f"{metric.name} {metric.content}".rstrip()
-    return own.fingerprint() if isinstance(own, OfRobotAndStand) else named
+    return own.fingerprint() if isinstance(own, UserFunction) else named

@@ -22,9 +22,13 @@ from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.stance.fields import FIELDS
-from pupper_analysis.tools.study.design import ENDS, NUMBERS, from_record
+from pupper_analysis.tools.study.design import FAILURE_COLUMNS, FIELD_OF_VARIABLE, from_record
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS, OF_LINKS
+from pupper_analysis.tools.study.parameters import (
+    COM_OFFSET_KINDS,
+    JOINT_STANCE_KINDS,
+    LINK_STANCE_KINDS,
+)
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import Study
 
@@ -136,30 +140,32 @@ def study_outcome(
     check_type("minimise", minimise, Sequence[str])
     check_type("maximise", maximise, Sequence[str])
     require_library("pandas")
-    Store(Path(folder)).asked()  # that it is a study's folder
+    Store(Path(folder)).read_request()  # that it is a study's folder
     table = study.table(folder)
     if table.empty:
         finding = diagnose("study-has-no-design", folder=str(folder))
         raise ConfigurationError("folder", finding)
     variables = tuple(study.variables)
-    metrics = metrics_in(table, variables)
+    metrics = list_metric_columns(table, variables)
     objectives = check_objectives(study, minimise, maximise)
-    spread = spread_in(table, variables)
+    spread = list_spread_variables(table, variables)
     return StudyOutcome(
         robot=_named(study.source.asked()),
         converted=study.base.description.converted,
-        rests_on=rests_on(study.base),
-        variables={name: one.asked() for name, one in study.variables.items()},
+        rests_on=list_stand_assumptions(study.base),
+        variables={name: one.to_dict() for name, one in study.variables.items()},
         table=table,
         designs=len(study),
         measured=tuple(_measured(table, name, spread, study) for name in metrics),
         failures=_failures(table),
         objectives=objectives,
-        front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
+        front=pareto_front(select_standing_designs(table), objectives)
+        if objectives
+        else table.iloc[:0],
     )
 
 
-def rests_on(robot: Robot) -> tuple[Diagnostic, ...]:
+def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """Returns what stands of a robot rest on; see ``StudyOutcome``."""
     finding = [clause.message for clause in own_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # without servos gains are given
@@ -188,7 +194,7 @@ def check_objectives(
     return objectives
 
 
-def main_effects(
+def compute_main_effects(
     table: pd.DataFrame, variables: Iterable[str], metric: str, *, sampled: bool = True
 ) -> dict[str, float]:
     """Returns what share of a metric's variance each variable makes alone, in some designs.
@@ -209,7 +215,7 @@ def main_effects(
     """
     known = table[np.isfinite(table[metric].to_numpy(float))]
     values = known[metric].to_numpy(float)
-    varies = len(values) > 0 and value_span(float(values.min()), float(values.max())) > 0
+    varies = len(values) > 0 and measure_span(float(values.min()), float(values.max())) > 0
     whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
     found = {}
     for name in variables:
@@ -229,7 +235,7 @@ def main_effects(
 
 def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> MetricSummary:
     column, sampled = table[name].dropna(), study.sampling.samples is not None
-    alone = {} if "." in name else main_effects(table, spread, name, sampled=sampled)
+    alone = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
     whole = not sampled and len(column) == len(study) and len(alone) > 1
     own = {one.name: one for one in study.metrics}
     kind = own[name if name in own else name.partition(".")[0]]
@@ -275,7 +281,7 @@ def _named(source: Any) -> str:
     return ", ".join(Path(file).name for file in (*source.get("models", ()), *named))
 
 
-SENSES = {"min": 1.0, "max": -1.0}
+OBJECTIVE_SIGNS = {"min": 1.0, "max": -1.0}
 
 
 def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
@@ -295,7 +301,7 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
     check_type("objectives", objectives, Mapping[str, str])
     for name, sense in objectives.items():
-        if name not in table or sense not in SENSES:
+        if name not in table or sense not in OBJECTIVE_SIGNS:
             known = map(str, table.columns)
             problem = diagnose("no-column-to-optimise", column=name, sense=sense, known=known)
             raise ConfigurationError("objectives", problem)
@@ -304,7 +310,9 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
     whole = table.dropna(subset=list(objectives))
     columns = []
     for name, sense in objectives.items():
-        columns.append(SENSES[sense] * real_array(f"column {name!r}", whole[name].to_numpy()))
+        columns.append(
+            OBJECTIVE_SIGNS[sense] * real_array(f"column {name!r}", whole[name].to_numpy())
+        )
     costs = np.column_stack(columns)
     best = whole[_unbeaten(costs)]
     first, sense = next(iter(objectives.items()))
@@ -330,59 +338,65 @@ def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     return found
 
 
-BINS, FEWEST, EACH = 24, 4, 3
+MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
 """Values of a sampled variable that are cells of their own; of more, fewest cells, and how many
 designs each has on average."""
 
-SAME = 1e-9
+ROUNDING_RTOL = 1e-9
 """Relative: what differs by less differs by rounding."""
 
 
 def _cells(values: Array) -> Array:
     """Returns in which cell each value is: one per value, or evenly wide ones of many."""
     levels = np.unique(values)
-    if len(levels) <= BINS:
+    if len(levels) <= MAX_VALUE_CELLS:
         return values
-    count = int(np.clip(np.sqrt(len(values) / EACH), FEWEST, BINS))
+    count = int(np.clip(np.sqrt(len(values) / DESIGNS_PER_CELL), MIN_CELLS, MAX_VALUE_CELLS))
     edges = np.linspace(levels[0], levels[-1], count + 1)
     found: Array = np.clip(np.searchsorted(edges, values, "right") - 1, 0, count - 1)
     return found
 
 
-def unit_of(column: str) -> str:
+def find_column_unit(column: str) -> str:
     """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
-    if column.partition(":")[0] in AXES:
+    if column.partition(":")[0] in COM_OFFSET_KINDS:
         return "m"
-    if column.partition(":")[0] in (*OF_JOINTS, *OF_LINKS):
+    if column.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS):
         return FIELDS[column.partition(":")[0]].unit
     metric = METRICS.get(column.partition(".")[0])
-    unit = metric.unit if metric else NUMBERS[column].unit if column in NUMBERS else ""
+    unit = (
+        metric.unit
+        if metric
+        else FIELD_OF_VARIABLE[column].unit
+        if column in FIELD_OF_VARIABLE
+        else ""
+    )
     return "" if unit in ("1", "-") else unit
 
 
-def column_label(column: str) -> str:
+def format_column_label(column: str) -> str:
     """Returns the name of a metric or of a number that varies, with its unit."""
-    unit = unit_of(column)
+    unit = find_column_unit(column)
     return f"{column} ({unit})" if unit else column
 
 
-def value_span(low: float, high: float) -> float:
+def measure_span(low: float, high: float) -> float:
     """Returns how far apart two values are; 0 if they are the same but for rounding."""
-    return high - low if high - low > SAME * max(abs(low), abs(high)) else 0.0
+    return high - low if high - low > ROUNDING_RTOL * max(abs(low), abs(high)) else 0.0
 
 
-def metrics_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
     """Returns the columns of a study's table with metrics, of which something was measured."""
-    given = (*variables, "design", *ENDS)
+    given = (*variables, "design", *FAILURE_COLUMNS)
     return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
 
 
-def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+def list_spread_variables(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
     """Returns the variables with several values in a table, those of most values first."""
     several = [name for name in variables if name in table and table[name].nunique() > 1]
     return sorted(several, key=lambda name: -table[name].nunique())
 
 
-def standing_designs(table: pd.DataFrame) -> pd.DataFrame:
+def select_standing_designs(table: pd.DataFrame) -> pd.DataFrame:
     """Returns the designs that stay up, or all where that was not measured."""
     return table[table["stands"] == 1] if "stands" in table else table

@@ -31,13 +31,13 @@ Array = NDArray[np.float64]
 
 # Names of factors on a robot's numbers, and the joints and bodies that they mean.
 
-OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
+JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
 """Kinds that are fields of the stance, of each joint."""
 
-OF_LINKS = tuple(name for name, field in FIELDS.items() if field.per == "link")
+LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
 """Kinds that are fields of the stance, of what the study's own stance states."""
 
-KINDS = {
+PATTERN_KINDS = {
     "mass": "mass and inertia of bodies",
     "inertia": "inertia of bodies about their centres of mass",
     "length": "length of links, to the next joint or the foot; their mass in proportion",
@@ -50,23 +50,25 @@ KINDS = {
     "frictionloss": "dry friction of joints",
     "kp": "stiffness of servos",
     "kd": "damping of servos",
-    **dict.fromkeys(OF_JOINTS, "position of joints that carry no foot (rad, m)"),
-    **dict.fromkeys(OF_LINKS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"),
+    **dict.fromkeys(JOINT_STANCE_KINDS, "position of joints that carry no foot (rad, m)"),
+    **dict.fromkeys(
+        LINK_STANCE_KINDS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"
+    ),
 }
 """What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
-AXES = ("com_x", "com_y", "com_z")
+COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
 """Kinds that are added, along these axes (m), and are no factors."""
 
-ADDED = (*AXES, *OF_JOINTS, *OF_LINKS)
+ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 """Kinds that are no factors of what the files say, and have no bounds."""
 
-BODIES = ("mass", "inertia", "length", *AXES)
-SERVOS = ("kp", "kd")
+BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
+SERVO_KINDS = ("kp", "kd")
 
 
 @dataclass(frozen=True)
-class Named:
+class VariablePattern:
     """A factor's name, parsed.
 
     Attributes:
@@ -78,7 +80,7 @@ class Named:
     pattern: str
 
     @staticmethod
-    def of(name: str) -> Named | None:
+    def parse(name: str) -> VariablePattern | None:
         """Takes a name apart; None if it is of another form.
 
         Raises:
@@ -87,14 +89,14 @@ class Named:
         kind, separator, pattern = name.partition(":")
         if not separator:
             return None
-        if kind not in KINDS or not pattern:
-            known = [f"{one}:NAME" for one in KINDS]
+        if kind not in PATTERN_KINDS or not pattern:
+            known = [f"{one}:NAME" for one in PATTERN_KINDS]
             finding = diagnose("no-number-of-a-model", kind=kind, known=known)
             raise ConfigurationError(f"vary[{name!r}]", finding)
-        return Named(kind, pattern)
+        return VariablePattern(kind, pattern)
 
 
-def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
+def match_joints(robot: Robot, named: VariablePattern) -> tuple[str, ...]:
     """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
 
     A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
@@ -107,7 +109,7 @@ def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
         joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
     )
     if not found:
-        kind = "body" if named.kind in BODIES else "joint"
+        kind = "body" if named.kind in BODY_KINDS else "joint"
         raise UnknownNameError(
             robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
         )
@@ -116,14 +118,14 @@ def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
 
 def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
     """Returns {joint: by which names a factor may mean it, or what it moves}."""
-    if kind not in BODIES:
+    if kind not in BODY_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
-    links, bodies = UrdfTree.of(robot.description.urdf).moved_links, bodies_of(robot)
+    links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
     names = {"": (robot.base, robot.mj_base)}
     return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
 
 
-def bodies_of(robot: Robot) -> dict[str, str]:
+def map_joint_bodies(robot: Robot) -> dict[str, str]:
     """Returns {joint: the body that it moves in the MJCF}."""
     model = robot.mj_model
     return {
@@ -155,18 +157,18 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
     wanted: dict[str, dict[str, float]] = {}
     offsets: dict[str, Array] = {}
     for name, factor in factors.items():
-        named = Named.of(name)
+        named = VariablePattern.parse(name)
         assert named is not None
-        if named.kind in AXES:
+        if named.kind in COM_OFFSET_KINDS:
             _add_offsets(offsets, robot, name, named, factor)
             continue
-        least = "> 0" if named.kind in (*BODIES, *SERVOS) else ">= 0"
+        least = "> 0" if named.kind in (*BODY_KINDS, *SERVO_KINDS) else ">= 0"
         if not math.isfinite(factor) or factor < 0 or (factor == 0 and least == "> 0"):
             raise ConfigurationError(
                 name, diagnose("factor-out-of-range", factor=factor, least=least)
             )
-        if named.kind not in SERVOS:
-            for joint in joints_of(robot, named):
+        if named.kind not in SERVO_KINDS:
+            for joint in match_joints(robot, named):
                 own = wanted.setdefault(named.kind, {})
                 own[joint] = own.get(joint, 1.0) * factor
     if not wanted and not offsets:
@@ -191,19 +193,19 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
 
 def _add_offsets(
-    offsets: dict[str, Array], robot: Robot, name: str, named: Named, offset: float
+    offsets: dict[str, Array], robot: Robot, name: str, named: VariablePattern, offset: float
 ) -> None:
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
-    for joint in joints_of(robot, named):
+    for joint in match_joints(robot, named):
         if not joint and not robot.floating:
             raise ConfigurationError(name, diagnose("com-of-fixed-base"))
-        offsets.setdefault(joint, np.zeros(3))[AXES.index(named.kind)] += offset
+        offsets.setdefault(joint, np.zeros(3))[COM_OFFSET_KINDS.index(named.kind)] += offset
 
 
 def _scale(tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot) -> None:
     """Scales a number in one of a robot's files; what is fixed to a link scales with it."""
-    if kind not in BODIES:
+    if kind not in BODY_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
         return
     for one in tree.fixed_group(link):
@@ -228,7 +230,7 @@ def _check(
     Raises:
         ModelError: If not.
     """
-    config, bodies = Configuration(before, before.neutral()), bodies_of(before)
+    config, bodies = Configuration(before, before.neutral()), map_joint_bodies(before)
     links = UrdfTree.of(before.description.urdf).moved_links
     for joint in {**masses, **offsets}:
         body, link = bodies.get(joint, before.mj_base), links.get(joint, before.base)
@@ -310,9 +312,9 @@ def with_gains(
     drive = model_with_servos(robot, kp, kd)
     gains = {"kp": drive.kp.copy(), "kd": drive.kd.copy()}
     for name, factor in factors.items():
-        named = Named.of(name)
-        if named is not None and named.kind in SERVOS:
-            chosen = np.isin(robot.joint_names, joints_of(robot, named))
+        named = VariablePattern.parse(name)
+        if named is not None and named.kind in SERVO_KINDS:
+            chosen = np.isin(robot.joint_names, match_joints(robot, named))
             gains[named.kind][chosen] *= factor
     model = model_with_servos(robot, gains["kp"], gains["kd"]).model
     spec = robot.description.mjcf.copy()

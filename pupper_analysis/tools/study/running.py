@@ -37,21 +37,21 @@ from pupper_analysis.base.errors import PupperAnalysisError, StudyError
 from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import (
-    Maker,
+    DesignBuilder,
     RobotSource,
     Row,
-    failure_columns,
-    row_of,
-    servo_number,
+    is_servo_variable,
+    make_failure_columns,
+    measure_design,
 )
-from pupper_analysis.tools.study.measures import Function, Metric, metric_of
-from pupper_analysis.tools.study.store import Store, design_keys
+from pupper_analysis.tools.study.measures import Metric, MetricFunction, make_metric
+from pupper_analysis.tools.study.store import Store, make_design_keys
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Work:
+class WorkDefinition:
     """What all designs of a study have in common, as it is sent to workers.
 
     Attributes:
@@ -65,7 +65,7 @@ class Work:
     """
 
     source: RobotSource
-    metrics: tuple[str | Function, ...]
+    metrics: tuple[str | MetricFunction, ...]
     variables: tuple[str, ...]
     task: StandTask
     point: tuple[str | float, ...]
@@ -105,12 +105,12 @@ class _Ready(threading.local):
     """What a thread has made ready: robots in PlaCo are a thread's own."""
 
     def __init__(self) -> None:
-        self.made: dict[bytes, tuple[Work, Maker, tuple[Metric, ...]]] = {}
+        self.made: dict[bytes, tuple[WorkDefinition, DesignBuilder, tuple[Metric, ...]]] = {}
 
-    def of(self, pickled: bytes) -> tuple[Work, Maker, tuple[Metric, ...]]:
+    def of(self, pickled: bytes) -> tuple[WorkDefinition, DesignBuilder, tuple[Metric, ...]]:
         if pickled not in self.made:
             self.made.clear()  # of one study after the other
-            work: Work = pickle.loads(pickled)
+            work: WorkDefinition = pickle.loads(pickled)
             own = list_versions()
             other = {name: own.get(name, "none") for name, version in work.versions.items()
                      if own.get(name) != version}  # fmt: skip
@@ -121,8 +121,8 @@ class _Ready(threading.local):
                 ]
                 problem = diagnose("worker-of-other-versions", versions=finding)
                 raise StudyError(platform.node(), problem)
-            maker = Maker(work.source, work.task, work.point)
-            self.made[pickled] = work, maker, tuple(map(metric_of, work.metrics))
+            maker = DesignBuilder(work.source, work.task, work.point)
+            self.made[pickled] = work, maker, tuple(map(make_metric, work.metrics))
         return self.made[pickled]
 
 
@@ -141,7 +141,7 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
     for name, values in zip(chunk.names, chunk.numbers, strict=True):
         numbers = dict(zip(work.variables, values, strict=True))
         with _time_limit(work.limit):
-            row = row_of(maker, numbers, metrics)
+            row = measure_design(maker, numbers, metrics)
         rows.append({"design": name, **numbers, **row})
     return ChunkOutcome(tuple(rows), time.perf_counter() - start)
 
@@ -173,7 +173,7 @@ _worker_context: Final = contextlib.ExitStack()
 """Holds what lasts as long as a worker process."""
 
 
-def begin_worker() -> None:
+def initialise_worker() -> None:
     """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone.
 
     MuJoCo writes no log file in it.
@@ -192,7 +192,7 @@ def begin_worker() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def answer_ready() -> bool:
+def confirm_ready() -> bool:
     """Shows that a worker works."""
     return True
 
@@ -206,30 +206,30 @@ def split_chunks(
         yield Chunk(work, tuple(names[part]), tuple(numbers[part]))
 
 
-TASK = 0.5
+CHUNK_SECONDS = 0.5
 """s: so long a chunk of designs should take; what it costs to send one is a part in a hundred."""
 
-LARGEST = 256
+MAX_CHUNK_DESIGNS = 256
 """Designs in a chunk: rows that are lost if a worker is."""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 """A shard is written when there are so many rows, or when so much time has passed."""
 
-FIRST_SHARD = 0.5
+FIRST_SHARD_SECONDS = 0.5
 """s after which the first is written, so that a kill soon after the start loses little. Later ones
 come after a fifth of the time that has passed, so that a long run has few."""
 
-TRIES = 2
+MAX_CRASHES = 2
 """A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
 
-WORN = 4000
+DESIGNS_PER_PROCESS = 4000
 """Designs after which a process is begun anew: engines keep memory (PlaCo 0.4 MB of each robot that
 it reads from a file), which goes with the process; its start takes as long as fifty designs."""
 
-SLACK = 5.0
+EXIT_WAIT_SECONDS = 5.0
 """s in which a process that has ended must be gone."""
 
-EXIT_LIMIT = 1
+TIME_LIMIT_EXIT_CODE = 1
 """What ``faulthandler`` ends a process with; one that is killed has the signal, negative."""
 
 
@@ -265,7 +265,7 @@ class Progress:
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 
 
-class Crew:
+class WorkerPool:
     """The workers: an executor that was given, or processes that are begun anew when one is lost.
 
     Args:
@@ -287,7 +287,7 @@ class Crew:
     @property
     def worn(self) -> bool:
         """Whether the processes have done so much that new ones shall go on."""
-        return self.renewable and self._taken >= WORN * self.workers
+        return self.renewable and self._taken >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
         """Ends the processes, which do nothing, and begins others."""
@@ -309,7 +309,7 @@ class Crew:
         if self._given is None:
             try:
                 with self._beginning():
-                    begun = self._now().submit(answer_ready)
+                    begun = self._now().submit(confirm_ready)
                 begun.result()
             except BrokenExecutor as error:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
@@ -318,7 +318,9 @@ class Crew:
         if self._executor is None:
             # Spawned: a fork would copy locks that other threads of the parent hold.
             context = multiprocessing.get_context("spawn")
-            self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin_worker)
+            self._executor = ProcessPoolExecutor(
+                self.workers, context, initializer=initialise_worker
+            )
         return self._executor
 
     @contextlib.contextmanager
@@ -342,8 +344,8 @@ class Crew:
         if self._given is not None:
             return False
         for process in self._processes():
-            process.join(SLACK)
-        return any(process.exitcode == EXIT_LIMIT for process in self._processes())
+            process.join(EXIT_WAIT_SECONDS)
+        return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes())
 
     def end(self) -> None:
         """Ends the processes that were begun here."""
@@ -363,7 +365,7 @@ def _size(executor: Executor | None) -> int | None:
     return size if isinstance(size, int) else None
 
 
-class Run:
+class StudyRun:
     """One run of a study.
 
     Args:
@@ -400,7 +402,7 @@ class Run:
         workers: int | None,
     ) -> Progress:
         """Measures all designs that are not there."""
-        crew = Crew(executor, workers)
+        crew = WorkerPool(executor, workers)
         source = self._chunks(self._missing(blocks))
         try:
             first = next(source, None)
@@ -423,7 +425,7 @@ class Run:
         """Yields what is not there, block by block, designs of one robot beside each other."""
         done = self.store.designs()
         for names, numbers in blocks:
-            own = design_keys(names)
+            own = make_design_keys(names)
             _, first = np.unique(own, return_index=True)
             once = np.zeros(len(own), bool)
             once[first] = True  # a list's values may come together more than once
@@ -433,7 +435,7 @@ class Run:
             new = np.flatnonzero(once & ~there)
             done = np.union1d(done, own)
             rank = [index for index, name in enumerate(self.variables)
-                    if not servo_number(name)]  # fmt: skip
+                    if not is_servo_variable(name)]  # fmt: skip
             if len(new) and rank:
                 new = new[np.lexsort(numbers[new][:, rank[::-1]].T)]
             if len(new):
@@ -453,9 +455,9 @@ class Run:
         if not self.progress.done:
             return 1
         each = self.progress.work / self.progress.done
-        return int(np.clip(TASK / max(each, 1e-6), 1, LARGEST))
+        return int(np.clip(CHUNK_SECONDS / max(each, 1e-6), 1, MAX_CHUNK_DESIGNS))
 
-    def _fly(self, crew: Crew, first: Chunk, source: Iterator[Chunk]) -> None:
+    def _fly(self, crew: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
         """Keeps the workers busy until all is done."""
         waiting: Chunk | None = first
         while waiting is not None or self._flying or self._suspects:
@@ -476,18 +478,18 @@ class Run:
                     self._land(crew, future)
             self.tell(self._timed())
             now = time.monotonic()
-            every = min(SHARD_SECONDS, max(FIRST_SHARD, (now - self._begun) / 5))
+            every = min(SHARD_SECONDS, max(FIRST_SHARD_SECONDS, (now - self._begun) / 5))
             if len(self._rows) >= SHARD_ROWS or now - self._written >= every:
                 self._flush()
 
-    def _submit(self, crew: Crew, chunk: Chunk) -> None:
+    def _submit(self, crew: WorkerPool, chunk: Chunk) -> None:
         try:
             self._flying[crew.submit(chunk)] = chunk, time.monotonic()
         except BrokenExecutor:
             self._suspects.append(chunk)
             self._lost(crew, None)
 
-    def _land(self, crew: Crew, future: Future[ChunkOutcome]) -> None:
+    def _land(self, crew: WorkerPool, future: Future[ChunkOutcome]) -> None:
         chunk, begun = self._flying.pop(future)
         try:
             found = future.result()
@@ -504,7 +506,7 @@ class Run:
         self.progress.work += found.seconds
         self._keep(found.rows)
 
-    def _lost(self, crew: Crew, error: BaseException | None) -> None:
+    def _lost(self, crew: WorkerPool, error: BaseException | None) -> None:
         """Begins processes anew; what was in flight is tried again, design by design."""
         for chunk, _ in self._flying.values():
             self._suspects.extend(_singly(chunk))
@@ -513,7 +515,7 @@ class Run:
             raise StudyError(self.store.folder, diagnose("executor-broken")) from error
         crew.renew()
 
-    def _blame(self, crew: Crew, chunk: Chunk, seconds: float) -> None:
+    def _blame(self, crew: WorkerPool, chunk: Chunk, seconds: float) -> None:
         """Tries the designs of a chunk whose worker ended again, alone; or marks the one it was."""
         (name, *others) = chunk.names
         alone = not others and not self._flying
@@ -524,14 +526,14 @@ class Run:
         limit = self.limit
         # Of a given executor it is not known how long the worker had been at it, nor how it ended.
         slow = limit is not None and seconds >= limit and crew.gave_up()
-        if self._tries[name] < TRIES and not slow:
+        if self._tries[name] < MAX_CRASHES and not slow:
             self._suspects.append(chunk)
             return
         values = dict(zip(self.variables, chunk.numbers[0], strict=True))
         if slow:
-            failed = failure_columns("timed out", diagnose("design-took-longer", limit=limit))
+            failed = make_failure_columns("timed out", diagnose("design-took-longer", limit=limit))
         else:
-            failed = failure_columns("crashed", diagnose("design-ended-its-worker"))
+            failed = make_failure_columns("crashed", diagnose("design-ended-its-worker"))
         self._keep(({"design": name, **values, **failed},))
 
     def _keep(self, rows: Iterable[Row]) -> None:

@@ -23,12 +23,12 @@ from pupper_analysis.base.files import Writing, remove_stale_files, write_all, w
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
 from pupper_analysis.base.locks import lock_file
-from pupper_analysis.tools.study.design import ENDS, Row
+from pupper_analysis.tools.study.design import FAILURE_COLUMNS, Row
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMAT = 1
+FOLDER_FORMAT = 1
 """Of the folder; a later one may differ."""
 
 
@@ -75,18 +75,18 @@ class Store:
                 remove_stale_files(folder)
             yield
 
-    def write_asked(self, asked: dict[str, Any]) -> None:
+    def write_request(self, asked: dict[str, Any]) -> None:
         """Writes what was asked.
 
         Raises:
             OutputError: If it cannot be written.
         """
         file = self.folder / "study.json"
-        known = file.is_file() and bool(self.asked())
-        content = orjson.dumps({"format": FORMAT, **asked}, option=orjson.OPT_INDENT_2)
+        known = file.is_file() and bool(self.read_request())
+        content = orjson.dumps({"format": FOLDER_FORMAT, **asked}, option=orjson.OPT_INDENT_2)
         write_all([Writing(file, content + b"\n", EDITED if known else MODEL)])
 
-    def asked(self) -> dict[str, Any]:
+    def read_request(self) -> dict[str, Any]:
         """Reads what was asked.
 
         Raises:
@@ -103,8 +103,8 @@ class Store:
         except ValueError as error:
             finding = diagnose("study-not-readable", problem=str(error))
             raise StudyError(self.folder, finding) from error
-        if not isinstance(found, dict) or found.get("format") != FORMAT:
-            raise StudyError(self.folder, diagnose("study-of-another-format", format=FORMAT))
+        if not isinstance(found, dict) or found.get("format") != FOLDER_FORMAT:
+            raise StudyError(self.folder, diagnose("study-of-another-format", format=FOLDER_FORMAT))
         return found
 
     def write(self, rows: Sequence[Row]) -> None:
@@ -136,7 +136,7 @@ class Store:
         """
         parts = [np.zeros(0, np.uint64)]
         for table in self._tables(["design"]):
-            parts.append(design_keys(table.column("design").to_pylist()))
+            parts.append(make_design_keys(table.column("design").to_pylist()))
         return np.unique(np.concatenate(parts))
 
     def table(self) -> pd.DataFrame:
@@ -168,7 +168,7 @@ class Store:
                 raise StudyError(self.folder, finding) from error
 
 
-def design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
+def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
     """Returns the first 64 bits of designs' hashes (n,): a million of them are 8 MB.
 
     That two of a million share them has a probability of 3e-8.
@@ -178,4 +178,4 @@ def design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
 
 
 def _kind(pa: Any, name: str) -> Any:
-    return pa.string() if name in ("design", *ENDS) else pa.float64()
+    return pa.string() if name in ("design", *FAILURE_COLUMNS) else pa.float64()

@@ -33,31 +33,31 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import (
-    ENDS,
-    STANCE,
+    FAILURE_COLUMNS,
+    STANCE_VARIABLES,
     RobotSource,
     Variants,
-    check_name,
-    check_range,
-    digest_of,
-    source_of,
+    check_variable_name,
+    check_variable_range,
+    hash_description,
+    make_robot_source,
 )
 from pupper_analysis.tools.study.measures import (
-    REVISION,
-    Function,
-    beside,
-    metric_fingerprint,
-    metric_of,
-    metric_text,
+    METRICS_REVISION,
+    MetricFunction,
+    fingerprint_metric,
+    format_metric,
+    make_metric,
+    resolve_metric_file,
 )
 from pupper_analysis.tools.study.parameters import (
-    OF_JOINTS,
-    OF_LINKS,
-    SERVOS,
-    Named,
-    joints_of,
+    JOINT_STANCE_KINDS,
+    LINK_STANCE_KINDS,
+    SERVO_KINDS,
+    VariablePattern,
+    match_joints,
 )
-from pupper_analysis.tools.study.running import Progress, Run, Work
+from pupper_analysis.tools.study.running import Progress, StudyRun, WorkDefinition
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.variables import Sampling, make_variable
 
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
+STUDY_KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
 """What a study's file may say."""
 
 
@@ -87,7 +87,7 @@ class Study:
         self,
         robot: Any,
         vary: Mapping[str, Any],
-        measure: Sequence[str | Function],
+        measure: Sequence[str | MetricFunction],
         *,
         samples: int | None = None,
         seed: int = 0,
@@ -119,19 +119,19 @@ class Study:
             ModelError: If the robot's files cannot be used.
         """
         check_type("vary", vary, Mapping[str, Any])
-        check_type("measure", measure, Sequence[str | Function])
+        check_type("measure", measure, Sequence[str | MetricFunction])
         check_type("samples", samples, int | None)
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
-        self.source = source_of(robot)
+        self.source = make_robot_source(robot)
         given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
         for name in given:
-            check_name(name, self.source)
+            check_variable_name(name, self.source)
         self.variables = given
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
-        self.metrics = tuple(metric_of(one) for one in measure)
+        self.metrics = tuple(make_metric(one) for one in measure)
         self._given = tuple(measure)
         frame, point = split_place(payload_point)
         self.point = (*filter(None, (frame,)), *check_point(point).tolist())
@@ -154,26 +154,26 @@ class Study:
         return Variants(self.source.spec, whole=True)
 
     def _check_variables(self) -> None:
-        moved = (name for name in self.variables if name in STANCE)
-        offset = next((name for name in moved if STANCE[name][0].name == "offset"), None)
+        moved = (name for name in self.variables if name in STANCE_VARIABLES)
+        offset = next((name for name in moved if STANCE_VARIABLES[name][0].name == "offset"), None)
         if offset is not None and self.task.com not in (None, "centre"):
             raise ConfigurationError(f"vary[{offset!r}]", diagnose("offset-and-com"))
         for name, one in self.variables.items():
-            check_range(name, *one.range)
-            named = Named.of(name)
-            if named is not None and named.kind in OF_LINKS:
+            check_variable_range(name, *one.range)
+            named = VariablePattern.parse(name)
+            if named is not None and named.kind in LINK_STANCE_KINDS:
                 known = tuple(of for of, one in self.task.contacts.items() if one.plane is not None)
                 if named.pattern not in known:
                     raise UnknownNameError(self.base.name, "contact", named.pattern, known)
             elif named is not None:
-                joints_of(self.base, named)
-            if named is not None and named.kind in OF_JOINTS:
+                match_joints(self.base, named)
+            if named is not None and named.kind in JOINT_STANCE_KINDS:
                 placed_joints(self.base, {named.pattern: 0.0})
-        servos = {name for name in self.variables if name.partition(":")[0] in SERVOS}
+        servos = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
         if servos:
             from pupper_analysis.robot.servos import servo_gains
 
-            given = {name: 1.0 if name in self.variables else None for name in SERVOS}
+            given = {name: 1.0 if name in self.variables else None for name in SERVO_KINDS}
             servo_gains(self.base, given["kp"], given["kd"])
 
     @cached_property
@@ -185,12 +185,12 @@ class Study:
     def digest(self) -> str:
         """A hash of the robot's files, of the stance, the metrics and the versions."""
         parts = {
-            "robot": digest_of(self.base.description),
+            "robot": hash_description(self.base.description),
             "source": repr(self.source.asked()) if self.source.scales else "",
             "stand": {one.name: repr(getattr(self.task, one.name)) for one in fields(self.task)},
             "point": self.point,
-            "measures": sorted(metric_fingerprint(one) for one in self.metrics),
-            "revision": REVISION,
+            "measures": sorted(fingerprint_metric(one) for one in self.metrics),
+            "revision": METRICS_REVISION,
             "versions": list_versions(),
         }
         data = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)
@@ -202,11 +202,11 @@ class Study:
     def designs(self) -> Iterator[tuple[list[str], Array]]:
         """Yields designs block by block: their hashes, and their numbers (n, variables)."""
         for block in self.sampling.blocks():
-            yield names_of(self.digest, tuple(self.variables), block), block
+            yield hash_designs(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
         """Returns what workers need to know, pickled."""
-        work = Work(
+        work = WorkDefinition(
             source=self.source,
             metrics=self._given,
             variables=tuple(self.variables),
@@ -217,12 +217,12 @@ class Study:
         )
         return pickle.dumps(work)
 
-    def asked(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Returns the study as plain data, from which ``Study.of`` makes it again."""
         given: dict[str, Any] = {
             "robot": self.source.asked(),
-            "vary": {name: one.asked() for name, one in self.variables.items()},
-            "measure": [metric_text(one) for one in self.metrics],
+            "vary": {name: one.to_dict() for name, one in self.variables.items()},
+            "measure": [format_metric(one) for one in self.metrics],
             "seed": self.sampling.seed,
             "payload_point": list(self.point),
             "stand": {
@@ -244,9 +244,9 @@ class Study:
         Raises:
             ConfigurationError: If a key is missing or unknown, or as the constructor does.
         """
-        unknown = [key for key in given if key not in KEYS]
+        unknown = [key for key in given if key not in STUDY_KEYS]
         if unknown:
-            raise ConfigurationError(unknown[0], diagnose("study-key-unknown", known=KEYS))
+            raise ConfigurationError(unknown[0], diagnose("study-key-unknown", known=STUDY_KEYS))
         for key in ("robot", "vary", "measure"):
             if key not in given:
                 raise ConfigurationError(key, diagnose("study-must-say"))
@@ -281,7 +281,7 @@ class Study:
             given["robot"] = _beside(path, robot)
         metrics = given.get("measure")
         if isinstance(metrics, list):
-            given["measure"] = [beside(path.parent, one) for one in metrics]
+            given["measure"] = [resolve_metric_file(path.parent, one) for one in metrics]
         try:
             return cls.of(given)
         except (ConfigurationError, VariantError) as error:
@@ -334,10 +334,10 @@ class Study:
         require_library("pyarrow")
         store = Store(Path(folder))
         with store.locked():
-            asked = {"study": self.asked(), "digest": self.digest, "versions": list_versions()}
-            store.write_asked(asked)
+            asked = {"study": self.to_dict(), "digest": self.digest, "versions": list_versions()}
+            store.write_request(asked)
             tell, variables = progress or (lambda _: None), tuple(self.variables)
-            run = Run(self.work(), variables, self.time_limit, store, len(self), tell)
+            run = StudyRun(self.work(), variables, self.time_limit, store, len(self), tell)
             return run.all(self.designs(), executor, workers)
 
     def table(self, folder: str | Path) -> pd.DataFrame:
@@ -359,7 +359,7 @@ def _beside(path: Path, word: str) -> str:
 # A study's table: the hashes of its designs, and its rows in their order.
 
 
-def names_of(digest: str, variables: Sequence[str], block: Array) -> list[str]:
+def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
     """Returns the hashes of designs (n, variables): of all that their results depend on.
 
     The order in which a study names its variables does not count.
@@ -375,13 +375,15 @@ def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame
     order = {name: place for place, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
     kept = frame[frame["design"].isin(order.keys())]
     placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
-    ends = [name for name in ENDS if name in placed]
+    ends = [name for name in FAILURE_COLUMNS if name in placed]
     front = [name for name in placed.columns if name not in ends]
     return (
         placed[[*front, *ends]]
         .dropna(axis="columns", how="all")
         .reset_index(drop=True)
-        .pipe(lambda table: table.assign(**{end: None for end in ENDS if end not in table}))
+        .pipe(
+            lambda table: table.assign(**{end: None for end in FAILURE_COLUMNS if end not in table})
+        )
     )
 
 
@@ -397,7 +399,7 @@ def read_study(folder: str | Path) -> pd.DataFrame:
     check_type("folder", folder, str | Path)
     require_library("pandas")
     store = Store(Path(folder))
-    stored = store.asked()
+    stored = store.read_request()
     try:
         study, digest = stored["study"], str(stored["digest"])
         variables = {name: make_variable(name, given) for name, given in study["vary"].items()}
@@ -408,5 +410,5 @@ def read_study(folder: str | Path) -> pd.DataFrame:
         if isinstance(error, KeyError):
             what = diagnose("key-missing", key=str(error))
         raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
-    blocks = (names_of(digest, tuple(variables), block) for block in sampling.blocks())
+    blocks = (hash_designs(digest, tuple(variables), block) for block in sampling.blocks())
     return order_rows(store.table(), blocks)

@@ -74,12 +74,12 @@ class Variable:
         found: Array = np.array(self.levels)[index]
         return found
 
-    def asked(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Returns it as a study's file has it: {kind: its numbers}."""
         return {self.kind: list(self.numbers)}
 
 
-MOST_LEVELS = 1_000_000
+MAX_LEVELS = 1_000_000
 """Of one variable: a longer list is a distribution."""
 
 
@@ -96,9 +96,9 @@ def linspace(low: float, high: float, count: int) -> Variable:
     """
     first, last = _ordered("linspace", low, high)
     check_type("count", count, int)
-    if not 2 <= count <= MOST_LEVELS:
+    if not 2 <= count <= MAX_LEVELS:
         problem = diagnose(
-            "levels-out-of-range", count=count, low=first, high=last, most=MOST_LEVELS
+            "levels-out-of-range", count=count, low=first, high=last, most=MAX_LEVELS
         )
         raise ConfigurationError("linspace", problem)
     return Variable("linspace", (first, last, int(count)))
@@ -112,8 +112,8 @@ def values(numbers: Sequence[float]) -> Variable:
     """
     check_type("values", numbers, Sequence[float])
     listed = tuple(check_finite("values", value) for value in numbers)
-    if not 1 <= len(listed) <= MOST_LEVELS:
-        finding = diagnose("values-out-of-range", count=len(listed), most=MOST_LEVELS)
+    if not 1 <= len(listed) <= MAX_LEVELS:
+        finding = diagnose("values-out-of-range", count=len(listed), most=MAX_LEVELS)
         raise ConfigurationError("values", finding)
     if len(set(listed)) < len(listed):
         raise ConfigurationError("values", diagnose("value-there-twice", listed=str(list(listed))))
@@ -153,7 +153,7 @@ def normal(mean: float, deviation: float) -> Variable:
     return Variable("normal", (check_finite("normal", mean), spread))
 
 
-KINDS: Mapping[str, Callable[..., Variable]] = {
+VARIABLE_MAKERS: Mapping[str, Callable[..., Variable]] = {
     "linspace": linspace,
     "values": lambda *numbers: values(numbers),
     "uniform": uniform,
@@ -180,10 +180,16 @@ def make_variable(name: str, given: object) -> Variable:
             ((kind, numbers),) = given.items() if len(given) == 1 else (("", ()),)
             if kind == "grid":
                 raise ConfigurationError("grid", _ambiguous(numbers))
-            if kind not in KINDS or not isinstance(numbers, Sequence) or isinstance(numbers, str):
-                finding = diagnose("no-kind-of-variable", given=repr(dict(given)), known=KINDS)
+            if (
+                kind not in VARIABLE_MAKERS
+                or not isinstance(numbers, Sequence)
+                or isinstance(numbers, str)
+            ):
+                finding = diagnose(
+                    "no-kind-of-variable", given=repr(dict(given)), known=VARIABLE_MAKERS
+                )
                 raise ConfigurationError("kind", finding)
-            return KINDS[kind](*numbers)
+            return VARIABLE_MAKERS[kind](*numbers)
         if isinstance(given, Sequence | np.ndarray):
             return values(given)  # type: ignore[arg-type]
         return values([given])  # type: ignore[list-item]
@@ -210,10 +216,10 @@ def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
 # Which designs a study has: the product of lists, or Sobol's sequence.
 
 
-BLOCK = 4096
+BLOCK_SIZE = 4096
 """Designs that are made at a time: a power of 2, as Sobol's sequence is even over such."""
 
-MOST_SAMPLES = 2**30
+MAX_SAMPLES = 2**30
 """What Sobol's sequence has."""
 
 
@@ -244,8 +250,8 @@ class Sampling:
         if not spread and self.samples is not None:
             finding = diagnose("samples-of-lists", product=self.product)
             raise ConfigurationError("samples", finding)
-        if self.samples is not None and not 1 <= self.samples <= MOST_SAMPLES:
-            finding = diagnose("count-not-from-to", count=self.samples, least=1, most=MOST_SAMPLES)
+        if self.samples is not None and not 1 <= self.samples <= MAX_SAMPLES:
+            finding = diagnose("count-not-from-to", count=self.samples, least=1, most=MAX_SAMPLES)
             raise ConfigurationError("samples", finding)
         if not 0 <= self.seed < 2**63:
             raise ConfigurationError("seed", diagnose("seed-out-of-range", seed=self.seed))
@@ -264,8 +270,8 @@ class Sampling:
         if self.samples is None:
             levels = [np.array(column.levels or ()) for column in columns]
             sizes = [len(listed) for listed in levels]
-            for start in range(0, self.product, BLOCK):
-                numbers = np.arange(start, min(start + BLOCK, self.product))
+            for start in range(0, self.product, BLOCK_SIZE):
+                numbers = np.arange(start, min(start + BLOCK_SIZE, self.product))
                 index = np.unravel_index(numbers, sizes) if sizes else ()
                 block = np.zeros((len(numbers), len(columns)))
                 for place, (listed, at) in enumerate(zip(levels, index, strict=True)):
@@ -275,8 +281,8 @@ class Sampling:
         from scipy.stats import qmc
 
         sequence = qmc.Sobol(len(columns), scramble=True, rng=np.random.default_rng(self.seed))
-        for start in range(0, self.samples, BLOCK):
-            shares = sequence.random(BLOCK)[: self.samples - start]
+        for start in range(0, self.samples, BLOCK_SIZE):
+            shares = sequence.random(BLOCK_SIZE)[: self.samples - start]
             yield np.column_stack(
                 [one.at(share) for one, share in zip(columns, shares.T, strict=True)]
             )

@@ -32,7 +32,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.study.design import Maker, measured_columns
+from pupper_analysis.tools.study.design import DesignBuilder, measure_columns
 from pupper_analysis.tools.study.measures import Design
 from pupper_analysis.tools.study.store import require_library
 from pupper_analysis.tools.study.study import Study
@@ -102,7 +102,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
     numbers = {name: float(row[name]) for name in study.variables}
-    maker = Maker(study.whole_source(), study.task, study.point)
+    maker = DesignBuilder(study.whole_source(), study.task, study.point)
     try:
         design = maker.design(numbers)
     except PupperAnalysisError as error:
@@ -111,7 +111,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     into = Path(folder) / f"design-{number}"
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
     contents = dict(_contents(design.robot.description, packages))
-    contents[Path("stance.toml")] = stance_text(design.stand.task).encode()
+    contents[Path("stance.toml")] = format_stance(design.stand.task).encode()
     write_all(
         [
             Writing(into / place, content, MODEL)
@@ -123,7 +123,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     loaded, words = _read_again(design.robot, urdf, mjcf)
     stand = solve_stand(loaded, design.stand.task)
     again = Design(loaded, stand, own_servos=design.own_servos, point=design.point)
-    found = measured_columns(again, study.metrics)
+    found = measure_columns(again, study.metrics)
     measured = {name: float(row[name]) for name in found if name in row and _is_number(row[name])}
     found = {name: value for name, value in found.items() if name in measured}
     stance = into / "stance.toml"
@@ -166,7 +166,7 @@ def _read_again(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]
     return load_robot(urdf, mjcf, feet=dict(feet)), words
 
 
-def stance_text(task: StandTask) -> str:
+def format_stance(task: StandTask) -> str:
     """Returns a stance as TOML, as ``--stance`` takes it."""
     lines, tables = [], []
     for name, value in task.values().items():

@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.present.document import LinePlot, Report, Table
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
-from pupper_analysis.tools.study.outcome import main_effects
+from pupper_analysis.tools.study.outcome import compute_main_effects
 from tests.support.commands import answer
 from tests.support.html_page import Page
 
@@ -69,7 +69,7 @@ def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Pat
     axes = np.array([0.0, 0.5, 1.0])
     a, b = (values.ravel() for values in np.meshgrid(axes, axes))
     table = pd.DataFrame({"a": a, "b": b, "y": a + 2 * a * b})
-    shares = main_effects(table, ("a", "b"), "y", sampled=False)
+    shares = compute_main_effects(table, ("a", "b"), "y", sampled=False)
     # By hand: y = (a + 2 a b), means over b: 2 a; over a: 1/2 + b; variances of the axes are 1/6.
     whole = float(table["y"].var(ddof=0))
     assert shares == pytest.approx({"a": 4 / 6 / whole, "b": 1 / 6 / whole}, rel=1e-12)

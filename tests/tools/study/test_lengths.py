@@ -15,7 +15,7 @@ from pupper_analysis.pupper.variants import variant_spec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.design import Variants
-from pupper_analysis.tools.study.lengths import stretch_of, stretched_inertia
+from pupper_analysis.tools.study.lengths import find_stretch, stretch_inertia
 from pupper_analysis.tools.study.parameters import scale_robot
 from tests.support.legged import quadruped
 from tests.support.random_legged import irregular_biped, written
@@ -44,7 +44,7 @@ def test_a_stretched_box_is_the_longer_box() -> None:
     along = data.geom_xmat[0].reshape(3, 3)[:, 2]
     matrix = np.eye(3) + np.outer(along, along)
     com = np.array([0.1, 0.2, 0.3])
-    got = stretched_inertia(
+    got = stretch_inertia(
         make_inertia(short.body_mass[1], com, inertia(short)), matrix, np.zeros(3), 2.0
     )
     assert got.mass == pytest.approx(long.body_mass[1], rel=1e-12)
@@ -87,7 +87,7 @@ def with_length(robot: Robot) -> list[str]:
     found = []
     for joint in robot.joint_names:
         with contextlib.suppress(pa.ConfigurationError):
-            stretch_of(robot, joint, 1.0)
+            find_stretch(robot, joint, 1.0)
             found.append(joint)
     return found
 

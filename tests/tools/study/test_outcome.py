@@ -12,7 +12,7 @@ from scipy import stats
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
 from pupper_analysis.tools.study.design import from_record, to_record
-from pupper_analysis.tools.study.outcome import main_effects, pareto_front
+from pupper_analysis.tools.study.outcome import compute_main_effects, pareto_front
 
 
 def test_nobody_beats_the_front_and_the_front_beats_all_others() -> None:
@@ -45,7 +45,7 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     random = np.random.default_rng(2)
     x, other = np.repeat([1.0, 2.0, 4.0], 5), np.tile([0.0, 1.0, 2.0, 3.0, 4.0], 3)
     made = pd.DataFrame({"x": x, "y": other, "m": 0.3 * x + random.normal(size=15)})
-    found = main_effects(made, ["x", "y"], "m")
+    found = compute_main_effects(made, ["x", "y"], "m")
     for name, groups in (("x", 3), ("y", 5)):
         ratio = stats.f_oneway(*(part["m"] for _, part in made.groupby(name))).statistic
         between = groups - 1
@@ -54,7 +54,7 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     assert 0 < found["x"] < 1
     many = np.random.default_rng(5).uniform(size=(600, 2))  # each value once: in evenly wide cells
     sampled = pd.DataFrame({"x": many[:, 0], "y": many[:, 1], "m": 3 * many[:, 0]})
-    shares = main_effects(sampled, ["x", "y"], "m")
+    shares = compute_main_effects(sampled, ["x", "y"], "m")
     assert shares["x"] == pytest.approx(1 - 1 / 14**2, abs=3e-3)  # 14 cells: what is left in one
     assert shares["y"] < 0.05
 

@@ -22,7 +22,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.tools.study import running, store
-from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.running import Chunk, Progress
 from tests.support import legged, study_metrics
 from tests.support.commands import run_command
@@ -216,7 +216,7 @@ def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Execu
         assert group["peak_torque"].nunique() == 1
     soft, stiff = (table[table["kp:*"] == kp]["servo_sag"].to_numpy() for kp in (0.5, 1.0))
     assert (soft > 1.8 * stiff).all()  # linear would be 2
-    maker = Maker(study.source, study.task, study.point)
+    maker = DesignBuilder(study.source, study.task, study.point)
     changed = maker.design({"mass:*calf": 1.5, "payload": 2.0}).robot
     check = pa.cross_check(changed, configurations=3)
     # Which the files, as they are published, state otherwise.
@@ -280,8 +280,8 @@ def test_a_worker_that_is_killed_once_costs_nothing(
 def test_workers_are_begun_anew_before_engines_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(running, "WORN", 2)
-    monkeypatch.setattr(running, "LARGEST", 1)
+    monkeypatch.setattr(running, "DESIGNS_PER_PROCESS", 2)
+    monkeypatch.setattr(running, "MAX_CHUNK_DESIGNS", 1)
     table = study(HEAVY, study_metrics.process).run(tmp_path, workers=1)
     assert not table["failure"].notna().any()
     assert 2 <= table["process"].nunique() < 5

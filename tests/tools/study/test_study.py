@@ -15,16 +15,16 @@ from scipy import stats
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.outcome import rests_on
+from pupper_analysis.tools.study.outcome import list_stand_assumptions
 from pupper_analysis.tools.study.parameters import (
     scale_robot,
     with_friction,
     with_gains,
 )
-from pupper_analysis.tools.study.study import names_of
-from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
+from pupper_analysis.tools.study.study import hash_designs
+from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
 from tests.support import slips
 from tests.support.variants import load, stand_of
 
@@ -81,7 +81,7 @@ def test_plain_data_says_the_same() -> None:
         pa.study.uniform(1, 2),
         pa.study.normal(1, 2),
     ):
-        assert make_variable("x", made.asked()) == made
+        assert make_variable("x", made.to_dict()) == made
     assert make_variable("x", [5, 10]) == pa.study.values([5, 10])
     assert make_variable("x", 7) == pa.study.values([7])
     with pytest.raises(pa.ConfigurationError) as refused:  # three values, or a range and a count?
@@ -114,20 +114,20 @@ def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
         "b": pa.study.normal(0, 1),
         "c": pa.study.values([1, 2]),
     }
-    short, long = (all_of(Sampling(variables, n, 3)) for n in (100, BLOCK + 500))
-    assert len(long) == BLOCK + 500
+    short, long = (all_of(Sampling(variables, n, 3)) for n in (100, BLOCK_SIZE + 500))
+    assert len(long) == BLOCK_SIZE + 500
     assert np.array_equal(long[:100], short)
     assert not np.array_equal(all_of(Sampling(variables, 100, 4)), short)
 
 
 def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
     block = np.array([[1.0, 2.0], [2.0, 1.0], [-0.0, 3.0], [0.0, 3.0]])
-    names = names_of("x", ("a", "b"), block)
-    assert names_of("x", ("b", "a"), block[:, ::-1]) == names
+    names = hash_designs("x", ("a", "b"), block)
+    assert hash_designs("x", ("b", "a"), block[:, ::-1]) == names
     assert names[2] == names[3]
     assert len(set(names)) == 3
-    assert len(set(names_of("x", ("a", "b"), 1e-18 * block))) == 3
-    assert not set(names) & set(names_of("y", ("a", "b"), block))
+    assert len(set(hash_designs("x", ("a", "b"), 1e-18 * block))) == 3
+    assert not set(names) & set(hash_designs("y", ("a", "b"), block))
 
 
 # ----------------------------------------------------------------------------- refusals
@@ -277,7 +277,7 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
 
 def test_a_design_is_the_robot_that_its_numbers_say() -> None:
     study_of = study({"leg_scale": [1.2], "torso_mass_scale": [1.5]})
-    maker = Maker(study_of.source, pa.StandTask(roll=0.05), (0.02, 0.0, 0.1))
+    maker = DesignBuilder(study_of.source, pa.StandTask(roll=0.05), (0.02, 0.0, 0.1))
     numbers = {"leg_scale": 1.2, "torso_mass_scale": 1.5, "payload": 0.7, "kp": 9.0, "pitch": 0.1,
                "slope": 0.05}  # fmt: skip
     design = maker.design(numbers)
@@ -297,7 +297,9 @@ def test_a_design_is_the_robot_that_its_numbers_say() -> None:
 def test_measures_are_what_their_names_say() -> None:
     """Each against the call that a user would make."""
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
-    design = Maker(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design({"pitch": 0.1})
+    design = DesignBuilder(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design(
+        {"pitch": 0.1}
+    )
     statics, rest = pa.stance.stand_statics(robot, stand), pa.steady_state(robot, stand)
     expected = {
         "total_mass": robot.total_mass,
@@ -329,7 +331,7 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
         pair.mjcf.write_text(text.replace('kp="150"', f'kp="{kp}"'))
         files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
         study = pa.Study(files, {"kp": [150.0], "kd": [5.0]}, ["stands"])
-        maker = Maker(study.source, study.task, study.point)
+        maker = DesignBuilder(study.source, study.task, study.point)
         assert study.metrics[0].function(maker.design({"kp": 150.0, "kd": 5.0}))
         assert METRICS["verified"].function(maker.design({"kp": 150.0, "kd": 5.0}))
         assert METRICS["verified"].function(maker.design({})) is stands
@@ -338,7 +340,7 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
         else:
             with pytest.raises(pa.NotStandingError, match="DIVERGES"):
                 study.metrics[0].function(maker.design({}))
-        message = " ".join(map(str, rests_on(study.base)))
+        message = " ".join(map(str, list_stand_assumptions(study.base)))
         assert ("unmodified MJCF, from keyframe home: DIVERGES" in message) is not stands
         assert "unmodified MJCF, from keyframe home" in message
         assert ("on servos that were added" in message) is not stands
@@ -348,7 +350,7 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
     held = pa.stance.solve_stand_as_simulated(robot)  # as `push` and `stand` have it
-    design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
+    design = DesignBuilder(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
     reach = pa.stance.base_workspace(robot).intervals
     expected = {
         "payload_limit": pa.payload_limit(robot, stand).mass,

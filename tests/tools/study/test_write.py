@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import TYPED, read_stance_file, task_of
-from pupper_analysis.tools.study.write import WrittenDesign, stance_text, write_design
+from pupper_analysis.tools.study.write import WrittenDesign, format_stance, write_design
 from tests.support.legged import quadruped
 
 METRICS = ["total_mass", "peak_utilisation", "torque", "servo_sag", "stands"]
@@ -117,7 +117,7 @@ def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
         height=0.1234567890123, roll=0.05, com="inside", com_margin=0.011,
         foot_offsets={"FL": (0.01, -0.02)}, swing={"FR": 0.03}, ground=pa.Ground(slope=0.1),
     )  # fmt: skip
-    (tmp_path / "stance.toml").write_text(stance_text(task))
+    (tmp_path / "stance.toml").write_text(format_stance(task))
     values = read_stance_file(tmp_path / "stance.toml")
     for name, value in values.items():
         if not (TYPED[name].per or TYPED[name].axes or TYPED[name].choices):

@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.tools.study.measures import metric_of, metric_text
+from pupper_analysis.tools.study.measures import format_metric, make_metric
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from tests.support.variants import load
@@ -20,14 +20,14 @@ from tests.tools.walk import made
 def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
     path, design = made.still(tmp_path / "still.json"), SimpleNamespace(robot=load("v3"))
     [gait] = simulate_walk(load("v3"), Policy.load(path), (0, 0, 0)).gaits
-    margin = metric_of(f"walk_margin:{path}@0,0,0")
+    margin = make_metric(f"walk_margin:{path}@0,0,0")
     assert margin.function(design) == gait.margin  # type: ignore[arg-type]
     assert gait.margin > 0.5
-    torque = metric_of(f"walk_torque:{path}@0,0,0")
+    torque = make_metric(f"walk_torque:{path}@0,0,0")
     assert torque.function(design) == max(gait.torque_rms)  # type: ignore[arg-type]
-    forward = metric_of(f"walk_margin:{path}")  # 0.5 m/s: a stand does not track it
+    forward = make_metric(f"walk_margin:{path}")  # 0.5 m/s: a stand does not track it
     assert forward.function(design) == 0.0  # type: ignore[arg-type]
-    assert metric_text(margin) == f"walk_margin:{path}@0,0,0"
+    assert format_metric(margin) == f"walk_margin:{path}@0,0,0"
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_bad_metrics(
     made.still(tmp_path / "still.json")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PupperAnalysisError, match=named):
-        metric_of(given)
+        make_metric(given)
 
 
 @pytest.mark.slow
