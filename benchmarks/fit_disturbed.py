@@ -35,9 +35,14 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
-from pupper_analysis.tools.fit.parameters import KINDS, bodies_of
-from pupper_analysis.tools.fit.stands.fit import KNOWN_MASS, WEIGHED, StandFit, fit_stands
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
+from pupper_analysis.tools.fit.parameters import KINDS, list_bodies
+from pupper_analysis.tools.fit.stands.fit import (
+    KNOWN_MASS_FRACTION,
+    SCALE_RTOL,
+    StandFit,
+    fit_stands,
+)
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -93,7 +98,7 @@ def offset_of(robot: Robot) -> float:
 def plant(robot: Robot, rng: np.random.Generator) -> Planted:
     """Returns a robot with errors."""
     factors, truth, names = {}, {}, robot.joint_names
-    for link, number in bodies_of(robot):
+    for link, number in list_bodies(robot):
         body = robot.structure.model.inertias[number]
         factor, moved = max(0.3, 1 + MASS * rng.normal()), COM * rng.normal(size=3)
         factors[f"mass:{link}"], truth[f"mass {link}"] = factor, body.mass * factor
@@ -106,7 +111,7 @@ def plant(robot: Robot, rng: np.random.Generator) -> Planted:
     for kind, values in (("kp", stiffness), ("offset", offsets)):
         truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
     true = replace(scale_robot(robot, factors), fingerprint=robot.fingerprint)
-    scale = 1 + WEIGHED * rng.normal()
+    scale = 1 + SCALE_RTOL * rng.normal()
     widths = [KINDS[kind].width for kind in ("added", "place", "place", "place")]
     added = np.array([1.0, 0.0, 0.0, 0.0]) + widths * rng.normal(size=4)
     return Planted(robot, true, stiffness, offsets, truth, scale, added)
@@ -160,15 +165,15 @@ class Disturbance:
 PLAIN = Disturbance()
 DISTURBANCES: Mapping[str, Disturbance] = {
     "none": PLAIN,
-    "none, known mass": replace(PLAIN, added=KNOWN_MASS),
+    "none, known mass": replace(PLAIN, added=KNOWN_MASS_FRACTION),
     "dead band 0.3 deg": replace(PLAIN, deadband=math.radians(0.3)),
     "cable carries 5 %": replace(PLAIN, cable=(0.0, 0.05)),
-    "cable carries 5 %, known mass": replace(PLAIN, cable=(0.0, 0.05), added=KNOWN_MASS),
+    "cable carries 5 %, known mass": replace(PLAIN, cable=(0.0, 0.05), added=KNOWN_MASS_FRACTION),
     "cable back 2 %, up 3 %": replace(PLAIN, cable=(0.02, 0.03)),
     "pack of 10 % after weighing": replace(PLAIN, pack=0.1),
-    "pack of 10 % after weighing, known mass": replace(PLAIN, pack=0.1, added=KNOWN_MASS),
+    "pack of 10 % after weighing, known mass": replace(PLAIN, pack=0.1, added=KNOWN_MASS_FRACTION),
     "weight 2.15 times": replace(PLAIN, weight=2.15),
-    "weight 2.15 times, known mass": replace(PLAIN, weight=2.15, added=KNOWN_MASS),
+    "weight 2.15 times, known mass": replace(PLAIN, weight=2.15, added=KNOWN_MASS_FRACTION),
     "stiction 0.05 N m": replace(PLAIN, stiction=0.05),
     "stiction 0.1 N m": replace(PLAIN, stiction=0.1),
     "stiction 0.2 N m": replace(PLAIN, stiction=0.2),
@@ -205,7 +210,7 @@ def drawn(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Planted, Disturb
     longer = {f"length:{n}": 1 + 0.005 * one for n, one in zip(lasts, legs, strict=False)}
     true = replace(scale_robot(planted.robot, longer), fingerprint=robot.fingerprint)
     truth = dict(planted.truth)
-    for link, number in bodies_of(true):
+    for link, number in list_bodies(true):
         lever = true.structure.model.inertias[number].lever
         truth |= {f"com.{axis} {link}": float(at) for axis, at in zip("xyz", lever, strict=True)}
     band *= width["deadband"]
@@ -448,7 +453,7 @@ def kept_stands(
         if not file.exists():
             file.parent.mkdir(parents=True, exist_ok=True)
             found = stands_of(rig, plan())
-            file.write_text("" if found is None else stands_text(found))
+            file.write_text("" if found is None else format_stands(found))
         return said(read_stands(file), rig.planted.added) if file.stat().st_size else None
 
 

@@ -103,7 +103,7 @@ def row(
     places = [at for at in range(len(taken)) if at % EVERY == EVERY - 1]
     fit = fit_stands(
         robot,
-        taken.part([at for at in range(len(taken)) if at not in places]),
+        taken.select_rows([at for at in range(len(taken)) if at not in places]),
         weight=rig.robot.total_mass * planted.scale,
         kp=kp,
     )

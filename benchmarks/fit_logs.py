@@ -38,7 +38,7 @@ from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
 from pupper_analysis.tools.fit.parameters import KINDS as KINDS_OF_FIT
-from pupper_analysis.tools.fit.parameters import bodies_of
+from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.fit.result import Determined, MotionFit
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -99,7 +99,7 @@ def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
     factors, truth = {}, {}
     held = build_robot(robot.description, fixed_base=True)
     bodies = MovingBodies(held, held.mj_model)
-    for link, _ in bodies_of(robot):
+    for link, _ in list_bodies(robot):
         if link in bodies.links:
             at, factor = bodies.links.index(link), max(0.3, 1 + MASS * rng.normal())
             factors[f"mass:{link}"], truth[f"mass {link}"] = factor, factor * bodies.mass[at]

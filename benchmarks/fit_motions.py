@@ -32,7 +32,7 @@ from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
 from pupper_analysis.tools.fit.measurements.log import Log, read_log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
-from pupper_analysis.tools.fit.parameters import bodies_of
+from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS, COM, OFFSET, KP, RUBS, DELAY = 0.15, 0.01, math.radians(1.5), 0.15, 0.3, 0.01
@@ -76,7 +76,7 @@ def drive_joints(
     names = robot.joint_names
     held = build_robot(robot.description, fixed_base=True)
     bodies = MovingBodies(held, held.mj_model)
-    by_link = {link: number for link, number in bodies_of(robot) if link in bodies.links}
+    by_link = {link: number for link, number in list_bodies(robot) if link in bodies.links}
     for link in by_link:
         at, factor = bodies.links.index(link), max(0.3, 1 + MASS * rng.normal())
         factors[f"mass:{link}"], truth[f"mass {link}"] = factor, factor * bodies.mass[at]

@@ -11,7 +11,7 @@ import pytest
 
 from pupper_analysis.base.csv_text import cell_text, csv_text
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
 from tests.support.commands import answer
 from tests.support.rooms import PACKAGE, trees
 
@@ -40,7 +40,7 @@ def test_names_of_stands_and_feet_are_read_as_they_were_written(tmp_path: Path) 
         "plan.csv", names, ("=hip",), np.zeros((4, 1)), np.full((4, 1), -0.1), swing
     )
     path = tmp_path / "stands.csv"
-    path.write_text(stands_text(stands))
+    path.write_text(format_stands(stands))
     rows = list(csv.reader(io.StringIO(path.read_text())))
     assert [row[0] for row in rows[1:]] == ["'=1+1", "'-s", "s3", "-3"]
     found = read_stands(path)

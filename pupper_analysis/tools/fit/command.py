@@ -270,8 +270,8 @@ def _write(
 
     posterior = found.posterior
     if not found.explained and anyway:
-        posterior = replace(posterior, covariance=found.excess**2 * posterior.covariance)
-        click.echo(f"note: {diagnose('fit-written-anyway', times=found.excess)}", err=True)
+        posterior = replace(posterior, covariance=found.noise_inflation**2 * posterior.covariance)
+        click.echo(f"note: {diagnose('fit-written-anyway', times=found.noise_inflation)}", err=True)
     elif not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
         return

@@ -10,7 +10,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
+from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS
 from pupper_analysis.tools.fit.record.recorder import Recording
 from pupper_analysis.tools.fit.result import Determined, Estimate, Fit, MotionFit
 from pupper_analysis.tools.fit.stands.fit import StandFit
@@ -28,7 +28,7 @@ def describe_fit(
         messages: What it rests on, and how well it explains that.
         left: What is left unexplained, and where.
     """
-    own = [one for one in fit.estimates if one.kind not in OF_SURROUNDINGS]
+    own = [one for one in fit.estimates if one.kind not in SURROUNDINGS_KINDS]
     parts = {by: [one for one in own if one.determined is by] for by in Determined}
     finding, partly, untold = parts.values()
     tables = [

@@ -44,7 +44,7 @@ _MOST_DAMPING = 1e2
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedResiduals:
     """Measurements about a vector of parameters: whitened residuals r + A dx, as sums over them.
 
     Whitened: each residual divided by its standard deviation, so that r has variance 1 at the true
@@ -65,9 +65,11 @@ class Linearised:
     log_noise: float = 0.0
 
     @staticmethod
-    def of(residual: Array, jacobian: Array, log_noise: float = 0.0) -> Linearised:
+    def from_residuals(
+        residual: Array, jacobian: Array, log_noise: float = 0.0
+    ) -> LinearisedResiduals:
         """Returns the sums of whitened residuals (m,) and their derivative (m, n)."""
-        return Linearised(
+        return LinearisedResiduals(
             jacobian.T @ jacobian,
             jacobian.T @ residual,
             float(residual @ residual),
@@ -76,12 +78,12 @@ class Linearised:
         )
 
     @staticmethod
-    def nothing(n: int) -> Linearised:
+    def empty(n: int) -> LinearisedResiduals:
         """Returns the sums of no residuals, of n parameters."""
-        return Linearised(np.zeros((n, n)), np.zeros(n), 0.0, 0)
+        return LinearisedResiduals(np.zeros((n, n)), np.zeros(n), 0.0, 0)
 
-    def __add__(self, other: Linearised) -> Linearised:
-        return Linearised(
+    def __add__(self, other: LinearisedResiduals) -> LinearisedResiduals:
+        return LinearisedResiduals(
             self.information + other.information,
             self.gradient + other.gradient,
             self.chi2 + other.chi2,
@@ -89,7 +91,7 @@ class Linearised:
             self.log_noise + other.log_noise,
         )
 
-    def evidence(self, table: ParameterTable, z: Array) -> float:
+    def compute_log_evidence(self, table: ParameterTable, z: Array) -> float:
         """Returns the logarithm of how likely the measurements are, whatever the parameters.
 
         Of residuals that are linear in the parameters; up to a constant.
@@ -132,7 +134,7 @@ class Posterior:
     rows: int
 
     @staticmethod
-    def before(table: ParameterTable) -> Posterior:
+    def from_prior(table: ParameterTable) -> Posterior:
         """Returns what is known without measurements."""
         none, width = np.zeros((len(table), len(table))), table.width
         covariance = width[:, None] * np.linalg.inv(table.precision) * width
@@ -150,7 +152,7 @@ class Posterior:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def shares(self) -> Array:
+    def variance_ratios(self) -> Array:
         """(n,) variance that is left, in parts of the prior's: 1 is no more than was known."""
         widths = np.array([one.width for one in self.parameters])
         return np.asarray(np.diag(self.covariance) / widths**2)
@@ -158,11 +160,11 @@ class Posterior:
     @property
     def interval(self) -> Array:
         """(n, 2) in which a parameter is with 95 %."""
-        half = NORMAL_95 * self.std
+        half = HALF_WIDTH_95 * self.std
         return np.stack([self.mean - half, self.mean + half], axis=1)
 
     @property
-    def freedom(self) -> float:
+    def degrees_of_freedom(self) -> float:
         """Residuals less the parameters that they told: what ``chi2`` is on average."""
         n = len(self.mean)
         whole = np.linalg.inv(self.precision + self.information)
@@ -170,13 +172,13 @@ class Posterior:
         return float(self.rows - finding)
 
 
-NORMAL_95 = 1.959963984540054
+HALF_WIDTH_95 = 1.959963984540054
 """Standard deviations on either side of a normal distribution's mean that hold 95 %."""
 
 
 def estimate_parameters(
     table: ParameterTable,
-    linearise: Callable[[Array, Array], Linearised],
+    linearise: Callable[[Array, Array], LinearisedResiduals],
     start: Array | None = None,
     *,
     least: Array | None = None,
@@ -248,7 +250,7 @@ class _Quadratic:
     """
 
     def __init__(
-        self, table: ParameterTable, linearised: Linearised, x: Array, least: Array
+        self, table: ParameterTable, linearised: LinearisedResiduals, x: Array, least: Array
     ) -> None:
         self.table, self.linearised, self.x, self.least = table, linearised, x, least
         width, self._z = table.width, (x - table.stated) / table.width
@@ -313,7 +315,7 @@ class _Quadratic:
 
 
 def _move(
-    here: _Quadratic, linearise: Callable[[Array, Array], Linearised], damping: float
+    here: _Quadratic, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
     """Returns parameters of less cost and what they gain, if there are any; and the damping."""
     table, x = here.table, here.x

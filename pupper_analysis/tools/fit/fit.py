@@ -12,7 +12,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
-from pupper_analysis.tools.fit.motions.fit import HOLD_OUT, fit_motion
+from pupper_analysis.tools.fit.motions.fit import HOLD_OUT_FRACTION, fit_motion
 from pupper_analysis.tools.fit.parameters import Prior
 from pupper_analysis.tools.fit.result import Fit
 from pupper_analysis.tools.fit.stands.fit import fit_stands
@@ -58,6 +58,6 @@ def fit(
             raise ConfigurationError(name, diagnose("option-of-others", measured=measured))
     if isinstance(measurements, MeasuredStands):
         return fit_stands(robot, measurements, priors=priors, weight=weight, kp=kp, encoder=encoder)
-    share = HOLD_OUT if hold_out is None else hold_out
+    share = HOLD_OUT_FRACTION if hold_out is None else hold_out
     logs = [measurements] if isinstance(measurements, Log) else measurements
     return fit_motion(robot, logs, priors=priors, hold_out=share, kp=kp, kd=kd)

@@ -96,7 +96,7 @@ KINDS: Mapping[str, ParameterKind] = {
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = (
+SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
 """Kinds that are no number of the robot's files."""
@@ -148,7 +148,7 @@ class Prior:
     share: float = math.nan
     width: float = math.nan
 
-    def of(self, stated: float) -> float:
+    def compute_std(self, stated: float) -> float:
         """Returns the standard deviation for a stated value."""
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
@@ -198,7 +198,7 @@ def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
     return [parse_prior(one) if isinstance(one, str) else one for one in priors]
 
 
-def give_widths(
+def apply_priors(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:
     """Returns parameters with the width that the last prior which means them gives, or their kind.
@@ -219,7 +219,7 @@ def give_widths(
         width = max(own.share * abs(value), own.width)
         for prior in given:
             if prior.kind == kind and fnmatchcase(subject, prior.subject):
-                width = prior.of(value)
+                width = prior.compute_std(value)
                 used.add(prior)
         if width > 0:
             found.append(Parameter(kind, subject, component, float(value), float(width)))
@@ -266,11 +266,11 @@ class ParameterTable:
     def __iter__(self) -> Iterator[Parameter]:
         return iter(self.parameters)
 
-    def place(self, kind: str, subject: str, component: str = "") -> int | None:
+    def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
         """Returns where a parameter is in the vector; None if it is known."""
         return self._at.get((kind, subject, component))
 
-    def scaled(self, kind: str, factor: float) -> ParameterTable:
+    def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
         """Returns the same with other widths of a kind: less or more is known of it before."""
         found = copy(self)
         found.parameters = tuple(
@@ -279,27 +279,27 @@ class ParameterTable:
         found.width = np.array([one.width for one in found])
         return found
 
-    def value(
+    def get_value(
         self, vector: Array, kind: str, subject: str, component: str, otherwise: float
     ) -> float:
         """Returns a parameter's value in a vector, or another if it is known."""
         place = self._at.get((kind, subject, component))
         return otherwise if place is None else float(vector[place])
 
-    def inertial(self, vector: Array, link: str, stated: pin.Inertia) -> tuple[float, Array]:
+    def get_inertial(self, vector: Array, link: str, stated: pin.Inertia) -> tuple[float, Array]:
         """Returns the mass (kg) and the com (3,) (m) of a link's body, as a vector has them."""
-        mass = self.value(vector, "mass", link, "", stated.mass)
-        return mass, self.of_each_axis(vector, link, stated.lever)
+        mass = self.get_value(vector, "mass", link, "", stated.mass)
+        return mass, self.get_com(vector, link, stated.lever)
 
-    def of_each_axis(self, vector: Array, link: str, stated: Array) -> Array:
+    def get_com(self, vector: Array, link: str, stated: Array) -> Array:
         """Returns the com (3,) of a link's body, whose stated one is given (m)."""
         axes = zip(AXES, stated.tolist(), strict=True)
-        return np.array([self.value(vector, "com", link, axis, own) for axis, own in axes])
+        return np.array([self.get_value(vector, "com", link, axis, own) for axis, own in axes])
 
-    def of_each(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
+    def get_values(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
         """Returns the values (k,) of a kind for some subjects, whose stated ones are given."""
         each = zip(subjects, stated.tolist(), strict=True)
-        return np.array([self.value(vector, kind, one, "", own) for one, own in each])
+        return np.array([self.get_value(vector, kind, one, "", own) for one, own in each])
 
 
 # The links that bodies are named by: of all that a joint moves, the one whose frame is its own.
@@ -308,7 +308,7 @@ AXES = ("x", "y", "z")
 """Components of a com, in the link's frame."""
 
 
-def link_of(model: pin.Model, number: int) -> str:
+def find_moved_link(model: pin.Model, number: int) -> str:
     """Returns the URDF's link that a joint of Pinocchio's moves.
 
     Args:
@@ -324,14 +324,14 @@ def link_of(model: pin.Model, number: int) -> str:
     return str(own.name)
 
 
-def bodies_of(robot: Robot) -> tuple[tuple[str, int], ...]:
+def list_bodies(robot: Robot) -> tuple[tuple[str, int], ...]:
     """Returns the moving bodies of a robot: the link each is named by, and its joint's number.
 
     The links that are fixed to it are part of it. What has no mass is left out.
     """
     model = robot.structure.model
     return tuple(
-        (link_of(model, number), number)
+        (find_moved_link(model, number), number)
         for number in range(1, model.njoints)
         if model.inertias[number].mass > 0
     )

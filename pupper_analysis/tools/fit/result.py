@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import Result
-from pupper_analysis.tools.fit.estimate import NORMAL_95, Posterior
-from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.tools.fit.estimate import HALF_WIDTH_95, Posterior
+from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS, Parameter
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ _BY_DATA, _BY_PRIOR = 0.1, 0.9
 """Of the prior's variance that is left: a third, and 95 %, of its width."""
 
 
-def determined_by(share: float) -> Determined:
+def classify_determination(share: float) -> Determined:
     """Returns how much is from measurements, by the share of the prior's variance that is left."""
     if share < _BY_DATA:
         return Determined.DATA
@@ -102,16 +102,18 @@ class Fit(Result):
         return not self.failures
 
     @property
-    def excess(self) -> float:
+    def noise_inflation(self) -> float:
         """How many times what is left is what noise leaves; 1 at least."""
-        return max(1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.freedom, 1.0)))
+        return max(
+            1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.degrees_of_freedom, 1.0))
+        )
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
     """Yields what is known of each parameter, those of the surroundings last."""
     order = sorted(
         range(len(posterior.parameters)),
-        key=lambda place: posterior.parameters[place].kind in OF_SURROUNDINGS,
+        key=lambda place: posterior.parameters[place].kind in SURROUNDINGS_KINDS,
     )
     for place in order:
         one = posterior.parameters[place]
@@ -119,37 +121,37 @@ def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
             one,
             float(posterior.mean[place]),
             float(posterior.std[place]),
-            determined_by(float(posterior.shares[place])),
+            classify_determination(float(posterior.variance_ratios[place])),
         )
 
 
 def describe_parameter(one: Parameter, mean: float, std: float, determined: Determined) -> Estimate:
     """Returns what is known of a parameter."""
-    stated = {name: getattr(one, name) for name in STATED}
-    low, high = mean - NORMAL_95 * std, mean + NORMAL_95 * std
+    stated = {name: getattr(one, name) for name in PARAMETER_FIELDS}
+    low, high = mean - HALF_WIDTH_95 * std, mean + HALF_WIDTH_95 * std
     return Estimate(**stated, mean=mean, std=std, low=low, high=high, determined=determined)
 
 
-STATED = ("name", "kind", "subject", "component", "unit", "stated")
+PARAMETER_FIELDS = ("name", "kind", "subject", "component", "unit", "stated")
 
 
-def derive(posterior: Posterior, one: Parameter, mean: float, line: Array) -> Estimate:
+def derive_estimate(posterior: Posterior, one: Parameter, mean: float, line: Array) -> Estimate:
     """Returns what is known of a number that changes by ``line`` (n,) with the parameters."""
     wide = line * np.array([own.width for own in posterior.parameters])
     std = math.sqrt(float(line @ posterior.covariance @ line))
     before = math.sqrt(float(wide @ np.linalg.inv(posterior.precision) @ wide))
     share = (std / before) ** 2 if before else 1.0
-    return describe_parameter(replace(one, width=before), mean, std, determined_by(share))
+    return describe_parameter(replace(one, width=before), mean, std, classify_determination(share))
 
 
-def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | None:
+def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Estimate | None:
     """Returns by which factor servos are stiffer over all that they carry; None if kp is known.
 
     The geometric mean of kp's factors, over the factor of the masses' sum, with their load.
 
     Args:
         posterior: What is known of the parameters.
-        alone: Whether it is of kp, and not over masses.
+        kp_only: Whether it is of kp, and not over masses.
     """
     mean = posterior.mean
     stated = np.array([one.stated for one in posterior.parameters])
@@ -159,14 +161,14 @@ def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | Non
     factor = float(np.exp(np.log(mean[servos] / stated[servos]).mean()))
     line = np.zeros(len(mean))
     line[servos] = 1 / (servos.sum() * mean[servos])
-    if masses.any() and not alone:
+    if masses.any() and not kp_only:
         factor *= float(stated[masses].sum() / mean[masses].sum())
         line[masses] = -1 / mean[masses].sum()
-    if loads.any() and not alone:  # what no scale has shown is carried, too
+    if loads.any() and not kp_only:  # what no scale has shown is carried, too
         factor /= float(1 + mean[loads].sum())
         line[loads] = -1 / (1 + mean[loads].sum())
     whole = Parameter("kp", "servos", "", 1.0, 0.0)
-    return replace(derive(posterior, whole, factor, factor * line), unit="1")
+    return replace(derive_estimate(posterior, whole, factor, factor * line), unit="1")
 
 
 # What logs of motions tell, as numbers with intervals.
@@ -199,6 +201,6 @@ class MotionFit(Fit):
     encoder_noise: Mapping[str, float] = field(metadata={"unit": "rad"})
 
     @property
-    def excess(self) -> float:
+    def noise_inflation(self) -> float:
         """How many times what is off in other motions is what it was fitted to; 1 at least."""
         return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

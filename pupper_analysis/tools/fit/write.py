@@ -25,7 +25,7 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
-from pupper_analysis.tools.fit.result import STATED
+from pupper_analysis.tools.fit.result import PARAMETER_FIELDS
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
     OF_BODIES,
@@ -123,12 +123,12 @@ def _name(one: Parameter, value: float) -> str:
     return f"{kind}:{escape(one.subject)}" if one.kind in _FACTORS and value else ""
 
 
-SAMPLES = 512
+NUM_SAMPLES = 512
 """Robots that are drawn: their mean is off by a twentieth of a standard deviation."""
 
 
 def draw_samples(
-    posterior: Posterior, vector: Array, count: int = SAMPLES, seed: int = 0
+    posterior: Posterior, vector: Array, count: int = NUM_SAMPLES, seed: int = 0
 ) -> tuple[tuple[str, ...], Array]:
     """Draws robots that the measurements leave possible, their numbers together.
 
@@ -169,7 +169,7 @@ def draw_samples(
             column = drawn[:, at]
             if one.kind != "com":
                 column = np.maximum(0.0, 1 + column / vector[at])
-            elif (mass := table.place("mass", one.subject)) is not None:
+            elif (mass := table.find_index("mass", one.subject)) is not None:
                 column = column / (1 + drawn[:, mass] / vector[mass])
             columns.append(column)
     return tuple(names), np.array(columns).T
@@ -200,7 +200,7 @@ def _json(
     fit: object,
 ) -> bytes:
     rows = [
-        {name: getattr(one, name) for name in STATED}
+        {name: getattr(one, name) for name in PARAMETER_FIELDS}
         | {"mean": mean, "std": std, "low": low, "high": high, "written": value}
         for one, mean, std, (low, high), value in zip(
             posterior.parameters,

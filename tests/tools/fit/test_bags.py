@@ -209,7 +209,7 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
 
 def test_messages_are_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = bag(tmp_path, states())
-    monkeypatch.setattr(bags, "MOST_READ", 10_000)
+    monkeypatch.setattr(bags, "MAX_MESSAGE_BYTES", 10_000)
     with pytest.raises(MeasurementError) as refused:
         read_log(path)
     assert refused.value.cause.code == "bag-too-large"

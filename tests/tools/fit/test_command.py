@@ -26,7 +26,11 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
     for file, text in zip(files, (URDF, MJCF), strict=True):
         file.write_text(text, encoding="utf-8")
-    swing, found, path = log().part(slice(0, 600)), tmp_path / "fit.json", tmp_path / "log.csv"
+    swing, found, path = (
+        log().select_rows(slice(0, 600)),
+        tmp_path / "fit.json",
+        tmp_path / "log.csv",
+    )
     write(path, swing.time, swing.position, swing.command)
     given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0", "--prior", "com=0")
     messages = ("-o", str(tmp_path / "fitted"), "--json", str(found))
@@ -37,7 +41,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
     # What is predicted may be a log of its own, but not one that was fitted.
-    rest, other = log().part(slice(600, None)), tmp_path / "other.csv"
+    rest, other = log().select_rows(slice(600, None)), tmp_path / "other.csv"
     write(other, rest.time, rest.position, rest.command)
     apart = ("--hold-out", str(other), "--json", str(found), "--force")
     run_command(capfd, *given, *apart)

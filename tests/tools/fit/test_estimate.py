@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.estimate import Linearised, estimate_parameters
-from pupper_analysis.tools.fit.motions.rollouts import Moments
+from pupper_analysis.tools.fit.estimate import LinearisedResiduals, estimate_parameters
+from pupper_analysis.tools.fit.motions.rollouts import MomentCoordinates
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 
 Array = np.ndarray
@@ -32,7 +32,9 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     """With kp, whose priors have half of their variance in common."""
     given = table("kp", "kp", "offset")
     rows, right = straight(3)
-    found = estimate_parameters(given, lambda x, _: Linearised.of(rows @ x - right, rows))
+    found = estimate_parameters(
+        given, lambda x, _: LinearisedResiduals.from_residuals(rows @ x - right, rows)
+    )
     common = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])
     prior = np.linalg.inv(common * np.outer(given.width, given.width))
     covariance = np.linalg.inv(rows.T @ rows + prior)
@@ -46,8 +48,8 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     off = mean - given.stated
     assert found.moved == pytest.approx(off / given.width)
     trace = np.trace(covariance @ rows.T @ rows)
-    assert found.freedom == pytest.approx(40 - trace)
-    assert found.shares == pytest.approx(np.diag(covariance) / given.width**2)
+    assert found.degrees_of_freedom == pytest.approx(40 - trace)
+    assert found.variance_ratios == pytest.approx(np.diag(covariance) / given.width**2)
 
 
 def test_what_means_nothing_below_zero_ends_there_and_the_others_are_best_then() -> None:
@@ -55,7 +57,9 @@ def test_what_means_nothing_below_zero_ends_there_and_the_others_are_best_then()
     given = table("friction", "offset")
     rows = np.array([[10.0, 6.0], [0.0, 5.0], [3.0, -4.0]])
     right = rows @ [-3.0, 2.0]
-    found = estimate_parameters(given, lambda x, _: Linearised.of(rows @ x - right, rows))
+    found = estimate_parameters(
+        given, lambda x, _: LinearisedResiduals.from_residuals(rows @ x - right, rows)
+    )
     weight = 1 / given.width[1] ** 2
     alone = (rows[:, 1] @ right + weight * given.stated[1]) / (rows[:, 1] @ rows[:, 1] + weight)
     assert found.mean == pytest.approx([0.0, alone], abs=1e-6)
@@ -75,7 +79,9 @@ WIDE = ParameterTable(
 
 
 def test_a_valley_that_bends_is_followed_to_its_end() -> None:
-    found = estimate_parameters(WIDE, lambda x, _: Linearised.of(*bent(x)), enough=1e-8)
+    found = estimate_parameters(
+        WIDE, lambda x, _: LinearisedResiduals.from_residuals(*bent(x)), enough=1e-8
+    )
     assert found.mean == pytest.approx([1, 1], abs=1e-5)
 
 
@@ -83,9 +89,9 @@ def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promi
     """A derivative of the wrong sign: the cost rises whichever way it goes."""
     given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
 
-    def linearise(x: Array, _: Array) -> Linearised:
+    def linearise(x: Array, _: Array) -> LinearisedResiduals:
         left = np.array([3.0 + 0.1 * np.abs(x[0]), 100.0])
-        return Linearised.of(left, np.array([[0.5], [0.0]]))
+        return LinearisedResiduals.from_residuals(left, np.array([[0.5], [0.0]]))
 
     found = estimate_parameters(given, linearise)
     assert found.covariance[0, 0] == pytest.approx(1 / 1.25 + (1.5 / 1.25) ** 2)
@@ -95,7 +101,9 @@ def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promi
 def test_what_is_no_number_does_not_converge(left: float) -> None:
     rows = np.array([[1.0]])
     with pytest.raises(FitError):
-        estimate_parameters(table("kp"), lambda _, __: Linearised.of(np.array([left]), rows))
+        estimate_parameters(
+            table("kp"), lambda _, __: LinearisedResiduals.from_residuals(np.array([left]), rows)
+        )
 
 
 def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
@@ -108,11 +116,11 @@ def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
             Parameter("kp", "turn", "", 5.0, 1.5),
         ]
     )
-    moments = Moments(given)
+    moments = MomentCoordinates(given)
     x = np.array([0.13, 2.6, -0.17, 0.42, 6.0])
-    y = moments.of_parameters(x)
+    y = moments.from_parameters(x)
     assert moments.to_parameters(y) == pytest.approx(x)
-    assert moments.of_parameters(given.stated) == pytest.approx(given.stated)
+    assert moments.from_parameters(given.stated) == pytest.approx(given.stated)
     # m c = m c0 + m0 (y - c0): at twice the mass the same coordinate is half as far off.
     assert x[1] * x[0] == pytest.approx(x[1] * 0.1 + 2.0 * (y[0] - 0.1))
     # Of a lamp whose mass is known there is nothing to turn.
@@ -121,4 +129,4 @@ def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
     jacobian = np.column_stack(
         [(moments.to_parameters(y + step * one) - x) / step for one in np.eye(5)]
     )
-    assert moments.derivative(y) == pytest.approx(jacobian, abs=1e-5)
+    assert moments.differentiate_parameters(y) == pytest.approx(jacobian, abs=1e-5)

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.tools.fit.measurements.log import Log, read_log
-from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, inspect_log
+from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, inspect_log
 from tests.support.arm import arm
 
 JOINTS = ("shoulder", "elbow")
@@ -86,13 +86,13 @@ def test_a_time_that_is_there_twice_does_not_go_back(tmp_path: Path) -> None:
 
 
 def test_the_robots_order_is_taken_and_unknown_joints_are_refused() -> None:
-    placed = log().of(arm())
+    placed = log().order_joints(arm())
     assert placed.joints == arm().joint_names
     elbow = arm().joint_names.index("elbow")
     assert (placed.position[:, elbow] == log().position[:, 1]).all()
     assert np.isnan(placed.position[:, arm().joint_names.index("a_turn")]).all()
     with pytest.raises(UnknownNameError):
-        replace(log(), joints=("shoulder", "wrist")).of(arm())
+        replace(log(), joints=("shoulder", "wrist")).order_joints(arm())
 
 
 def test_a_log_tells_what_it_is() -> None:
@@ -105,7 +105,7 @@ def test_a_log_tells_what_it_is() -> None:
     odd = replace(good, time=time, position=position)
     odd = replace(odd, time=time[kept], position=position[kept], command=good.command[kept])
     codes = {one.code for one in inspect_log(arm(), odd)}
-    assert column_quantum(position[:, 0]) == pytest.approx(quantum, rel=1e-6)
+    assert find_column_step(position[:, 0]) == pytest.approx(quantum, rel=1e-6)
     assert len(odd.jumps) == 1
     assert codes >= {
         "joints-do-not-move",
@@ -158,8 +158,8 @@ def test_an_encoders_quantum_is_found_to_its_digits_in_a_file(bits: int) -> None
     random, quantum = np.random.default_rng(bits), 2 * np.pi / 2**bits
     moved = 0.5 * np.sin(np.arange(2000) / 60) + quantum * random.normal(size=2000)
     values = np.round(quantum * np.round(moved / quantum), 7)
-    assert column_quantum(values) == pytest.approx(quantum, rel=2e-3)
-    assert column_quantum(moved + 1e-3 * random.normal(size=2000)) == 0.0
+    assert find_column_step(values) == pytest.approx(quantum, rel=2e-3)
+    assert find_column_step(moved + 1e-3 * random.normal(size=2000)) == 0.0
 
 
 def test_uneven_sampling_intervals_are_reported() -> None:

@@ -13,9 +13,9 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.tools.fit.motions.fit import fit_motion, repeatability, replayed
+from pupper_analysis.tools.fit.motions.fit import fit_motion, measure_repeatability, measure_replay
 from pupper_analysis.tools.fit.motions.rollouts import Run
-from pupper_analysis.tools.fit.result import Determined, MotionFit, determined_by
+from pupper_analysis.tools.fit.result import Determined, MotionFit, classify_determination
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
 PRIORS = ("mass=0", "com=0")
@@ -34,7 +34,9 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
         place = found[kind]
         off = posterior.mean[place] - true
         assert abs(off) < 4 * posterior.std[place] + 0.01 * abs(true), kind
-        assert determined_by(float(posterior.shares[place])) is Determined.DATA, kind
+        assert classify_determination(float(posterior.variance_ratios[place])) is Determined.DATA, (
+            kind
+        )
         assert abs(off) < 0.25 * abs(true), kind
 
 
@@ -83,14 +85,14 @@ def test_a_replay_is_known_by_its_commands_wherever_it_begins() -> None:
         return Run(there, command, command, command[:2], full & (not out), full & out)
 
     fitted, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
-    assert replayed([fitted, run(one[37:637] + noise, out=True)]) > 0.99
-    assert replayed([fitted, run(other[:600], out=True)]) < 0.9
-    assert replayed([fitted]) == 0.0
+    assert measure_replay([fitted, run(one[37:637] + noise, out=True)]) > 0.99
+    assert measure_replay([fitted, run(other[:600], out=True)]) < 0.9
+    assert measure_replay([fitted]) == 0.0
     # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
     late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
     again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))
-    assert repeatability([fitted, again]) == pytest.approx(3e-3 / np.sqrt(2), rel=0.05)
-    assert math.isnan(repeatability([fitted, run(other[:600], out=False)]))
+    assert measure_repeatability([fitted, again]) == pytest.approx(3e-3 / np.sqrt(2), rel=0.05)
+    assert math.isnan(measure_repeatability([fitted, run(other[:600], out=False)]))
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
@@ -101,10 +103,12 @@ def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
         fit_motion(bar(), [measured])
     assert refused.value.cause.code == "joint-without-servo"
     with pytest.raises(MeasurementError) as refused:
-        fit_motion(bar(), [log().part(slice(0, 150))])
+        fit_motion(bar(), [log().select_rows(slice(0, 150))])
     assert refused.value.cause.code == "nothing-to-fit"
     with pytest.raises(MeasurementError) as refused:  # begun later, it is the same motion
-        fit_motion(bar(), [log()], hold_out=[replace(log(), source="again").part(slice(30, None))])
+        fit_motion(
+            bar(), [log()], hold_out=[replace(log(), source="again").select_rows(slice(30, None))]
+        )
     assert (refused.value.cause.code, refused.value.source) == ("held-out-was-fitted", "again")
     for share in (1.0, -0.1, math.nan):
         with pytest.raises(ConfigurationError):

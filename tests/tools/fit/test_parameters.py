@@ -9,7 +9,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.tools.fit.parameters import (
     Prior,
-    give_widths,
+    apply_priors,
     parse_prior,
 )
 
@@ -31,7 +31,7 @@ from pupper_analysis.tools.fit.parameters import (
 def test_a_prior_is_read_in_its_unit(text: str, prior: Prior) -> None:
     found = parse_prior(text)
     assert (found.kind, found.subject) == (prior.kind, prior.subject)
-    assert found.of(3.0) == pytest.approx(prior.of(3.0))
+    assert found.compute_std(3.0) == pytest.approx(prior.compute_std(3.0))
 
 
 @pytest.mark.parametrize(
@@ -46,10 +46,10 @@ def test_what_is_no_prior_is_refused(text: str) -> None:
 def test_the_last_prior_that_means_a_parameter_counts_and_one_that_means_none_is_refused() -> None:
     stated = [("mass", "base", "", 2.0), ("mass", "calf", "", 0.1), ("kp", "knee", "", 5.0)]
     priors = [parse_prior(text) for text in ("mass=10%", "mass:calf=50g", "kp=0")]
-    found = give_widths(stated, priors)
+    found = apply_priors(stated, priors)
     assert [(one.name, one.width) for one in found] == [
         ("mass base", pytest.approx(0.2)),
         ("mass calf", pytest.approx(0.05)),
     ]
     with pytest.raises(ConfigurationError, match="tail"):
-        give_widths(stated, [parse_prior("mass:tail=1g")])
+        apply_priors(stated, [parse_prior("mass:tail=1g")])

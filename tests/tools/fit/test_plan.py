@@ -14,7 +14,7 @@ from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.tools.fit.measurements.stands import read_stands
-from pupper_analysis.tools.fit.parameters import bodies_of, parse_prior
+from pupper_analysis.tools.fit.parameters import list_bodies, parse_prior
 from pupper_analysis.tools.fit.stands import plan
 from pupper_analysis.tools.fit.stands.plan import (
     RandomStands,
@@ -95,7 +95,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
     rng = np.random.default_rng(4)
     known = [parse_prior(one) for one in priors]
     mass = next(one.share for one in known if one.kind == "mass" and one.subject == "*")
-    links, numbers = zip(*bodies_of(robot), strict=True)
+    links, numbers = zip(*list_bodies(robot), strict=True)
     model = robot.structure.model
     data = model.createData()
     pin.forwardKinematics(
@@ -122,7 +122,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
         assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
     aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
-    assert plan.com_width(robot, known) == pytest.approx(aside, rel=0.05)
+    assert plan.compute_com_std(robot, known) == pytest.approx(aside, rel=0.05)
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
     """They keep off: joints by three widths of encoders' zeros, links by half of what is there."""
     robot = load_variant(variant)
     priors = [parse_prior("offset=2deg"), parse_prior("com=5mm")]
-    found = RandomStands(robot, np.random.default_rng(0), None, priors).draw(6)
+    found = RandomStands(robot, np.random.default_rng(0), None, priors).draw_stands(6)
     assert len(found) == 6
     off = 3 * np.radians(2.0)
     for stand, sagged in found:
@@ -146,5 +146,5 @@ def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
 def test_what_leaves_no_stand_is_named() -> None:
     robot, rng = load_variant("original"), np.random.default_rng(0)
     unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])
-    assert unsure.draw(3) == []
-    assert unsure.explain(3).code == "too-few-in-reach"
+    assert unsure.draw_stands(3) == []
+    assert unsure.explain_shortage(3).code == "too-few-in-reach"

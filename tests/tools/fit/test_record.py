@@ -27,7 +27,12 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.fit.record.bridge import open_bridge
-from pupper_analysis.tools.fit.record.recorder import SPEED, _margin, _Session, record_stands
+from pupper_analysis.tools.fit.record.recorder import (
+    MAX_JOINT_SPEED,
+    _margin,
+    _Session,
+    record_stands,
+)
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
 
@@ -69,7 +74,7 @@ def test_rows_are_what_encoders_show_of_a_robot_at_rest(
     found = record_stands(robot, plan, path, one, one)
     assert found.complete
     assert found.taken == ("s0", "s1", "s2", "s3")
-    read, planned = read_stands(path).ordered(robot), read_stands(plan)
+    read, planned = read_stands(path).order_joints(robot), read_stands(plan)
     np.testing.assert_allclose(read.command, planned.command)
     np.testing.assert_allclose(read.heading, planned.heading)
     np.testing.assert_allclose(read.added["base_link"], planned.added["base_link"])
@@ -81,7 +86,7 @@ def test_rows_are_what_encoders_show_of_a_robot_at_rest(
     way = np.concatenate([[0.0, 0.0, -1.0, 0.0, 0.0, 0.0], rates])
     assert torque @ rates == pytest.approx(config.gravity() @ way, rel=0.05)
     led = np.abs(np.diff(one.sent, axis=0)).max()
-    assert led <= SPEED * 0.02 * (1 + 1e-9)
+    assert led <= MAX_JOINT_SPEED * 0.02 * (1 + 1e-9)
     # The same command goes on with nothing, and writes nothing.
     before = path.read_bytes()
     again = SimulatedRobot(robot, 3)
@@ -305,7 +310,7 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
     assert found.taken == ("s0", "s2")
     assert [one.code for one in found.findings] == ["recording-left-out"] * 2
-    read = read_stands(tmp_path / "stands.csv").ordered(robot)
+    read = read_stands(tmp_path / "stands.csv").order_joints(robot)
     np.testing.assert_allclose(
         read.position, np.radians([[0.5 * n for n in range(12)]] * 2), atol=1e-6
     )

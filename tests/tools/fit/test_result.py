@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.result import Determined, determined_by, kp_over_mass
+from pupper_analysis.tools.fit.result import (
+    Determined,
+    classify_determination,
+    estimate_kp_over_mass,
+)
 
 Array = NDArray[np.float64]
 
@@ -24,8 +28,8 @@ def fitted(
     """Fits what rows (m, n) of the parameters were measured to be (m,), with a noise."""
     table = ParameterTable(parameters)
 
-    def linearise(x: Array, _: Array) -> Linearised:
-        return Linearised.of((rows @ x - values) / noise, rows / noise)
+    def linearise(x: Array, _: Array) -> LinearisedResiduals:
+        return LinearisedResiduals.from_residuals((rows @ x - values) / noise, rows / noise)
 
     return estimate_parameters(table, linearise)
 
@@ -40,18 +44,18 @@ def test_a_ratio_is_known_where_neither_of_the_two_is() -> None:
     noise = 0.2
     found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
     left = 1 / (1 + 8 / noise**2)
-    np.testing.assert_allclose(found.shares, (1 + left) / 2, rtol=1e-9)
+    np.testing.assert_allclose(found.variance_ratios, (1 + left) / 2, rtol=1e-9)
     np.testing.assert_allclose(found.mean, [2.0, 4.0], atol=1e-12)
-    ratio, alone = kp_over_mass(found), kp_over_mass(found, alone=True)
+    ratio, alone = estimate_kp_over_mass(found), estimate_kp_over_mass(found, kp_only=True)
     assert (ratio.mean, ratio.stated) == pytest.approx((1.0, 1.0))
     assert ratio.std == pytest.approx(math.sqrt(left / 2))
     assert ratio.determined is Determined.DATA
-    assert [determined_by(share) for share in (0.09, 0.11, 0.89, 0.91)] == [
+    assert [classify_determination(share) for share in (0.09, 0.11, 0.89, 0.91)] == [
         *(Determined.DATA, Determined.PARTLY),
         *(Determined.PARTLY, Determined.PRIOR),
     ]
     assert alone.std == pytest.approx(0.5 * math.sqrt((1 + left) / 2))
     # Of a servo that is half as stiff on a robot of the same mass.
     soft = fitted((MASS, KP), np.eye(2), np.array([2.0, 2.0]), 1e-6)
-    assert kp_over_mass(soft).mean == pytest.approx(0.5, rel=1e-3)
-    assert kp_over_mass(fitted((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None
+    assert estimate_kp_over_mass(soft).mean == pytest.approx(0.5, rel=1e-3)
+    assert estimate_kp_over_mass(fitted((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.motions.fit import SeriesNoise, differentiate
+from pupper_analysis.tools.fit.motions.fit import SeriesNoise, differentiate_motion
 from pupper_analysis.tools.fit.motions.rollouts import (
-    SERVOS,
-    Moments,
+    SERVOS_SUBJECT,
+    MomentCoordinates,
     MovingBodies,
     Run,
     Simulator,
     _smoothed,
     split_runs,
 )
-from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, link_of
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, find_moved_link
 from tests.support.arm import arm
 from tests.support.variants import load
 
@@ -50,7 +50,7 @@ def table(robot: Robot, joints: tuple[str, ...], damping: float = 2.0) -> Parame
         ):
             stated = {"kp": 300.0, "damping": damping}.get(kind, 0.0)
             found.append(Parameter(kind, name, "", stated, width))
-    return ParameterTable((*found, Parameter("delay", SERVOS, "", 0.0, 0.01)))
+    return ParameterTable((*found, Parameter("delay", SERVOS_SUBJECT, "", 0.0, 0.01)))
 
 
 @pytest.mark.parametrize("name", ["arm", "v3"])
@@ -67,10 +67,10 @@ def test_masses_and_coms_are_those_that_pinocchio_has_in_its_joints_frames(name:
         parameters += [
             Parameter("com", link, axis, value, 1.0) for axis, value in zip("xyz", com, strict=True)
         ]
-        assert link == link_of(robot.pin_model, robot.pin_model.getJointId(joint))
+        assert link == find_moved_link(robot.pin_model, robot.pin_model.getJointId(joint))
     given = ParameterTable(parameters)
     model = bodies.model
-    bodies.put(model, given, given.stated)
+    bodies.set_parameters(model, given, given.stated)
     data, state = mujoco.MjData(model), random.uniform(-0.3, 0.3, (2, robot.nu))
     robot.mj_convention.set_state(data, *state)
     mujoco.mj_forward(model, data)
@@ -101,12 +101,12 @@ def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_of
     x[-1] = 0.013
     simulator = Simulator(robot, drive, given, 0.005)
     (run,) = split_runs(moving(), MIDDLE, 0.2)
-    found = simulator.predict(run, [x])[0]
+    found = simulator.predict_positions(run, [x])[0]
 
     model, step = copy.copy(simulator.bodies.model), 1.25e-4
-    simulator.put(model, x)
+    simulator.set_parameters(model, x)
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    offset = np.array([given.value(x, "offset", name, "", 0.0) for name in robot.joint_names])
+    offset = np.array([given.get_value(x, "offset", name, "", 0.0) for name in robot.joint_names])
     data, seen = mujoco.MjData(model), []
     robot.mj_convention.set_state(data, run.start[0] - offset, run.start[1])
     for tick in range(round(run.time[-1] / step)):
@@ -123,12 +123,12 @@ def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_of
 def test_a_lag_is_what_motors_do_whose_torque_follows_slowly_step_by_step() -> None:
     """A first-order lag of 4 ms in each servo's torque: each part of it counts."""
     robot, lag, step = arm(), 0.004, 1.25e-4
-    late = [Parameter("lag", SERVOS, part, 0.0, 0.005) for part in ("command", "position")]
-    given = ParameterTable((Parameter("delay", SERVOS, "", 0.0, 0.01), *late))
+    late = [Parameter("lag", SERVOS_SUBJECT, part, 0.0, 0.005) for part in ("command", "position")]
+    given = ParameterTable((Parameter("delay", SERVOS_SUBJECT, "", 0.0, 0.01), *late))
     simulator = Simulator(robot, model_with_servos(robot), given, 0.005)
-    (run,) = split_runs(moving(3.0).part(slice(0, 300)), MIDDLE, 0.2)  # before its step
+    (run,) = split_runs(moving(3.0).select_rows(slice(0, 300)), MIDDLE, 0.2)  # before its step
     model = copy.copy(simulator.bodies.model)
-    simulator.put(model, np.zeros(3))
+    simulator.set_parameters(model, np.zeros(3))
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     data, seen, kp = mujoco.MjData(model), [], simulator.drive.kp
     at, dofs = robot.mj_convention.qpos_index, robot.mj_convention.qvel_index
@@ -144,7 +144,10 @@ def test_a_lag_is_what_motors_do_whose_torque_follows_slowly_step_by_step() -> N
         mujoco.mj_step(model, data)
     late = np.array(seen)[50:]
     vectors = np.array([[lag, lag, lag], [lag, lag, 0], [0, 0, lag], [0, 0, 0]])
-    off = [np.abs(one[50 : len(seen)] - late).max() for one in simulator.predict(run, vectors)]
+    off = [
+        np.abs(one[50 : len(seen)] - late).max()
+        for one in simulator.predict_positions(run, vectors)
+    ]
     assert off[0] < 1e-4
     assert min(off[1:]) > 1e-3
 
@@ -174,15 +177,15 @@ def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_th
     command = robot.home + 0.3 * np.sin(6 * time)[:, None]
     log = Log("v3", time, robot.joint_names, command, command)
     (run,) = split_runs(log, robot.home, 0.0)
-    simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
-    here, y = simulator.predict(run, [x])[0], moments.of_parameters(x)
+    simulator, moments = Simulator(robot, drive, given, 0.005), MomentCoordinates(given)
+    here, y = simulator.predict_positions(run, [x])[0], moments.from_parameters(x)
     whole = np.zeros((*here.shape, len(given)))
-    for number, (places, rates) in differentiate(simulator, moments, run, y).items():
+    for number, (places, rates) in differentiate_motion(simulator, moments, run, y).items():
         whole[:, np.array(simulator.groups[number][0])[:, None], places] = rates
     for place in range(0, len(given), 2):  # of every other: they are many
         one = given.parameters[place]
         change = 1e-2 * one.width * np.eye(len(given))[place]
-        there = simulator.predict(run, [moments.to_parameters(y + change)])[0]
+        there = simulator.predict_positions(run, [moments.to_parameters(y + change)])[0]
         wanted = (there - here) / (1e-2 * one.width)
         assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
 
@@ -210,12 +213,12 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
     command = robot.home + 0.2 * swings
     log = Log("v3", time, robot.joint_names, command, command)
     (run,) = split_runs(log, robot.home, 0.0)
-    simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
+    simulator, moments = Simulator(robot, drive, given, 0.005), MomentCoordinates(given)
     factor = given.stated / given.width
     factor /= np.linalg.norm(factor)
     messages, known = [], None
     for _ in range(2):
-        found = differentiate(simulator, moments, run, given.stated, known)
+        found = differentiate_motion(simulator, moments, run, given.stated, known)
         information = np.zeros((len(given), len(given)))
         for places, rates in found.values():
             for by_joint in np.moveaxis(rates, 1, 0):
@@ -250,9 +253,9 @@ def test_noise_that_remembers_makes_sums_as_uncertain_as_they_are() -> None:
         series[at] = 0.8 * series[at - 1] - 0.2 * series[at - 2] + kick
     whole = np.concatenate(series.T[:20])
     whole[300] = np.nan
-    found = SeriesNoise.of([whole])
+    found = SeriesNoise.fit_autoregression([whole])
     assert found.coefficients[:2] == pytest.approx([0.8, -0.2], abs=0.05)
     assert found.innovation == pytest.approx(1e-3, rel=0.03)
-    assert found.long_run == pytest.approx(1e-3 / 0.4, rel=0.1)
-    spread = found.spread(weights)
+    assert found.long_run_std == pytest.approx(1e-3 / 0.4, rel=0.1)
+    spread = found.propagate_weights(weights)
     assert spread @ spread.T == pytest.approx(np.cov(weights.T @ series[100:]), rel=0.25)

@@ -31,20 +31,29 @@ from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import HomotopyPath, follow_to_end
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of, read_stands
-from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, bodies_of, give_widths
+from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.measurements.stands import (
+    MeasuredStands,
+    estimate_encoder_step,
+    read_stands,
+)
+from pupper_analysis.tools.fit.parameters import (
+    Parameter,
+    ParameterTable,
+    apply_priors,
+    list_bodies,
+)
 from pupper_analysis.tools.fit.result import Fit
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.fit import (
-    Logarithms,
+    LogCoordinates,
     _Problem,
+    check_residuals,
+    check_scale,
+    check_surroundings,
+    estimate_com,
     fit_stands,
-    parameters_of,
-    suspect_scale,
-    suspect_stands,
-    suspect_surroundings,
-    whole_com,
+    list_parameters,
 )
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
 from pupper_analysis.tools.study.parameters import scale_robot
@@ -140,7 +149,7 @@ def equations(
     robot: Robot, stands: MeasuredStands, friction: float = 0.0
 ) -> tuple[StandEquations, ParameterTable]:
     kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
-    table = ParameterTable(give_widths(parameters_of(robot, stands, kp)))
+    table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
     noise = StandNoise(encoder=1e-4, moment=0.0)
     return StandEquations(robot, stands, table, kp, np.full(robot.nu, friction), noise), table
 
@@ -153,12 +162,12 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     system, table = equations(robot, stands)
     truth = table.stated.copy()
     for joint, name in enumerate(robot.joint_names):
-        truth[table.place("offset", name)] = OFFSETS[joint]
+        truth[table.find_index("offset", name)] = OFFSETS[joint]
     model = planted.structure.model
     base = model.inertias[model.frames[model.getFrameId("base_link")].parentJoint]
-    truth[table.place("mass", "base_link")] = base.mass
+    truth[table.find_index("mass", "base_link")] = base.mass
     for axis, value in zip("xyz", base.lever, strict=True):
-        truth[table.place("com", "base_link", axis)] = value
+        truth[table.find_index("com", "base_link", axis)] = value
     for _ in range(3):
         left = system.linearise(truth, truth)
     # The encoders' steps, 3.8e-4 rad, are all that is off: 1.1e-4 rad on average.
@@ -168,7 +177,10 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     truth[[at for at, one in enumerate(table) if one.kind == "moment"]] = 1e-3
     # Legs that are longer, servos with a dead band, and a cable that carries.
     truth[[at for at, one in enumerate(table) if one.kind == "length"]] = 1.02
-    truth[table.place("deadband", "servos")], truth[table.place("load", "scale")] = 4e-3, -0.03
+    truth[table.find_index("deadband", "servos")], truth[table.find_index("load", "scale")] = (
+        4e-3,
+        -0.03,
+    )
     own = system._own[0]
 
     def rows(x: Array, moved: Array) -> list[Array]:
@@ -202,9 +214,12 @@ def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
     turned = replace(stands, heading=np.full(len(stands), 0.5), added={link: loads})
     system, table = equations(robot, turned, 0.02)
     x = table.stated.copy()
-    x[table.place("settling", link)] = 0.7
-    x[table.place("slope", "floor", "x")], x[table.place("slope", "floor", "y")] = 3e-5, -2e-5
-    x[table.place("place", link, "y")] = 4e-3
+    x[table.find_index("settling", link)] = 0.7
+    x[table.find_index("slope", "floor", "x")], x[table.find_index("slope", "floor", "y")] = (
+        3e-5,
+        -2e-5,
+    )
+    x[table.find_index("place", link, "y")] = 4e-3
     own = system._own[0]
 
     def rows(at: Array) -> list[Array]:
@@ -217,7 +232,7 @@ def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
     places = [at for at, one in enumerate(table) if one.kind in kinds]
     check_slopes(lambda step: rows(x + step)[0], by_x, places)
     # By Pinocchio's own gravity, of a robot that has the mass, in the ground's axes.
-    numbers = system._numbers(x).of(system._readings[0], table)
+    numbers = system._numbers(x).for_reading(system._readings[0], table)
     pose = system._look(0, system._numbers(x)).config
     place = np.array([0.01, 0.024, -0.06])
     heavier = with_payload(robot, 0.4, (link, *place)).structure.model.copy()
@@ -232,9 +247,9 @@ def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
     whole = robot.structure.columns(
         pin.computeGeneralizedGravity(heavier, heavier.createData(), q)[None]
     )[0]
-    forces = system._regressor.at(pose, numbers)[0]
+    forces = system._regressor.evaluate(pose, numbers)[0]
     np.testing.assert_allclose(forces, whole, atol=1e-9)
-    bare = system._regressor.at(pose, system._numbers(x))[0]
+    bare = system._regressor.evaluate(pose, system._numbers(x))[0]
     assert abs((forces - bare)[6 + joint]) > 1e-3
 
 
@@ -245,7 +260,7 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     """Positions tell their ratio. All by a tenth less, noise on feet is less by as much."""
     kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
     none = np.zeros(robot.nu)
-    table = ParameterTable(give_widths(parameters_of(robot, stands, kp)))
+    table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
     system = StandEquations(robot, stands, table, kp, none, StandNoise(encoder=4e-4))
     found, messages = [], []
     for scale in (1.0, 0.9):
@@ -270,7 +285,7 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     # Nothing rubs here: half of what v3's file states is left. A tenth, as in Spot's, would not be
     # believed.
     assert fit.noise["friction"] == pytest.approx(0.5, rel=0.05)
-    own = _Problem.of(robot, stands, [], None, None, None)
+    own = _Problem.from_stands(robot, stands, [], None, None, None)
     assert replace(own, friction=own.friction / 10).rubs == pytest.approx(20.0, rel=0.05)
     assert own.rubs == 1
     assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
@@ -301,7 +316,7 @@ def test_how_sure_the_whole_com_is_follows_from_one_number(
     robot: Robot, kind: str, subject: str, component: str, factor: str
 ) -> None:
     """By differences: a robot in which that number alone is off by its standard deviation."""
-    off, body = 1e-5, dict(bodies_of(robot))[subject]
+    off, body = 1e-5, dict(list_bodies(robot))[subject]
     inertia = robot.structure.model.inertias[body]
     stated = float(inertia.mass if kind == "mass" else inertia.lever[2])
     one, n = Parameter(kind, subject, component, stated, 1.0), np.eye(1)
@@ -310,7 +325,7 @@ def test_how_sure_the_whole_com_is_follows_from_one_number(
     scale = 1 + off / stated if kind == "mass" else off
     moved = com(scale_robot(robot, {f"{factor}:{subject}": scale})) - com(robot)
     assert np.abs(moved).max() > 1e-8
-    found = [estimate.std for estimate in whole_com(robot, known)]
+    found = [estimate.std for estimate in estimate_com(robot, known)]
     np.testing.assert_allclose(found, np.abs(moved), rtol=1e-3, atol=1e-11)
 
 
@@ -408,7 +423,7 @@ def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
     system, table = equations(robot, replace(stands, command=lead))
     x = table.stated.copy()
     without = system._look(0, system._numbers(x)).residual[joints]
-    x[table.place("deadband", "servos")] = -band
+    x[table.find_index("deadband", "servos")] = -band
     more = system._look(0, system._numbers(x)).residual[joints] - without
     kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])[: len(given)]
     assert math.sqrt(np.mean((more / (kp * band) - held) ** 2)) < 0.12
@@ -561,7 +576,7 @@ def test_a_reading_is_asked_about_with_noise_no_larger_than_expected_and_as_smal
     robot: Robot, stands: MeasuredStands
 ) -> None:
     """Of a file whose friction is not believed, that which is expected is twenty times as large."""
-    known = _Problem.of(robot, stands, [], None, None, None)
+    known = _Problem.from_stands(robot, stands, [], None, None, None)
     for own, friction in ((known, 1.0), (replace(known, friction=known.friction / 10), 20.0)):
         asked, usual = [], own.noise
 
@@ -594,7 +609,7 @@ def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: Measured
     with pytest.raises(UnknownNameError, match="leg_front_r_1"):
         fit_stands(robot, replace(stands, joints=("elbow", *stands.joints[1:])))
     with pytest.raises(MeasurementError, match="2 stands"):
-        fit_stands(robot, stands.part([0, 1]))
+        fit_stands(robot, stands.select_rows([0, 1]))
     with pytest.raises(MeasurementError, match="too few points"):
         fit_stands(robot, replace(stands, swing=(("FR", "FL"), *stands.swing[1:])))
 
@@ -629,9 +644,9 @@ def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
 
 
 def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
-    assert quantum_of(stands) == pytest.approx(2 * math.pi / 2**14, rel=1e-3)
+    assert estimate_encoder_step(stands) == pytest.approx(2 * math.pi / 2**14, rel=1e-3)
     fine = stands.position + np.random.default_rng(0).normal(0, 1e-3, stands.position.shape)
-    assert quantum_of(replace(stands, position=fine)) == 0.0
+    assert estimate_encoder_step(replace(stands, position=fine)) == 0.0
 
 
 def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_path: Path) -> None:
@@ -641,14 +656,14 @@ def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_pa
     )
     stands = read_stands(path)
     assert stands.swing == (("FL", "RR"), ("FL", "RR"), ())
-    once = stands.repeated()
+    once = stands.average_repeats()
     assert once.names == ("one", "two")
     assert once.position[0, 0] == pytest.approx(math.radians(9.05))
     assert not stands.heading.any()
     assert not stands.added
     path.write_text(path.read_text().replace("9.1", "11"))
     with pytest.raises(MeasurementError, match="not at rest"):
-        read_stands(path).repeated()
+        read_stands(path).average_repeats()
 
 
 def test_known_masses_and_headings_are_read_and_a_mass_has_a_place(tmp_path: Path) -> None:
@@ -658,7 +673,7 @@ def test_known_masses_and_headings_are_read_and_a_mass_has_a_place(tmp_path: Pat
     stands = read_stands(path)
     np.testing.assert_allclose(stands.heading, [math.pi, 0])
     np.testing.assert_allclose(stands.added["base"], [[0.2, 0.01, 0.02, 0.03], [0, 0, 0, 0]])
-    assert stands.part([1]).added["base"].tolist() == [[0, 0, 0, 0]]
+    assert stands.select_rows([1]).added["base"].tolist() == [[0, 0, 0, 0]]
     for cells in ("0,200,,0.02,0.03,0,0", "0,-1,0,0.02,0.03,0,0"):
         path.write_text(f"{head}command.a,position.a\n{cells}\n")
         with pytest.raises(MeasurementError, match="where it is does not stand beside it"):
@@ -674,20 +689,20 @@ FRICTION = Parameter("friction", "knee", "", 0.1, 0.1)
 
 
 def test_they_lead_back_and_have_the_slopes_of_finite_differences() -> None:
-    logarithms = Logarithms(ParameterTable((MASS, OFFSET, FRICTION)))
+    logarithms = LogCoordinates(ParameterTable((MASS, OFFSET, FRICTION)))
     x = np.array([3.0, -0.02, 0.05])
-    y = logarithms.of_parameters(x)
+    y = logarithms.from_parameters(x)
     assert logarithms.to_parameters(y) == pytest.approx(x)
     step = 1e-6
     rates = (logarithms.to_parameters(y + step) - logarithms.to_parameters(y - step)) / (2 * step)
-    assert logarithms.rates(y) == pytest.approx(rates, rel=1e-6)
+    assert logarithms.compute_rates(y) == pytest.approx(rates, rel=1e-6)
     assert y[1:] == pytest.approx(x[1:])  # what is off by an amount stays as it is
 
 
 def test_twice_and_half_are_as_far_away_and_nothing_of_a_mass_is_below_zero() -> None:
     table = ParameterTable((MASS, FRICTION))
-    logarithms = Logarithms(table)
-    twice, half = (logarithms.of_parameters(np.array([x, 0.1]))[0] - 2.0 for x in (4.0, 1.0))
+    logarithms = LogCoordinates(table)
+    twice, half = (logarithms.from_parameters(np.array([x, 0.1]))[0] - 2.0 for x in (4.0, 1.0))
     assert twice == pytest.approx(-half)
     assert logarithms.to_parameters(np.array([-20.0, 0.1]))[0] > 0
     assert logarithms.least.tolist() == [-np.inf, 0.0]
@@ -705,21 +720,21 @@ def test_what_is_told_by_ratios_alone_is_drawn_to_no_side() -> None:
         *(Parameter("kp", f"joint {joint}", "", 1.0, 0.15) for joint in range(12)),
     )
     table = ParameterTable(parameters)
-    logarithms = Logarithms(table)
+    logarithms = LogCoordinates(table)
 
-    def linearise(x: Array) -> Linearised:
+    def linearise(x: Array) -> LinearisedResiduals:
         rows = np.column_stack([-x[1:] / x[0] ** 2, np.eye(12) / x[0]])
-        return Linearised.of((x[1:] / x[0] - factors) / 1e-4, rows / 1e-4)
+        return LinearisedResiduals.from_residuals((x[1:] / x[0] - factors) / 1e-4, rows / 1e-4)
 
-    def by_logarithms(y: Array, _: Array) -> Linearised:
-        return logarithms.linearise(linearise(logarithms.to_parameters(y)), y)
+    def by_logarithms(y: Array, _: Array) -> LinearisedResiduals:
+        return logarithms.transform_linearised(linearise(logarithms.to_parameters(y)), y)
 
     found = estimate_parameters(table, by_logarithms, least=logarithms.least)
-    posterior = logarithms.of_posterior(found)
+    posterior = logarithms.transform_posterior(found)
     assert posterior.mean == pytest.approx([1.0, *factors], abs=1e-3)
     # What is not known of it, of each in proportion.
     assert posterior.std / posterior.mean == pytest.approx(np.full(13, found.std[0]), rel=1e-3)
-    assert posterior.shares == pytest.approx(found.shares)
+    assert posterior.variance_ratios == pytest.approx(found.variance_ratios)
     plain = estimate_parameters(table, lambda x, _: linearise(x))
     assert plain.mean[0] < 0.96
 
@@ -758,8 +773,8 @@ def test_two_weak_signs_of_a_slope_are_one() -> None:
     sigma = WIDTH * math.hypot(1, noise)
     one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
     both = measured(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
-    assert not list(suspect_surroundings(one))
-    (message,) = suspect_surroundings(both)
+    assert not list(check_surroundings(one))
+    (message,) = check_surroundings(both)
     assert message.code == "ground-slopes"
     assert message.values["axis"] == "y"
     # As measured: not drawn to the level by what was known before.
@@ -770,10 +785,10 @@ def test_soles_that_are_all_a_little_softer_are_softer() -> None:
     noise = 1.0
     sigma = 0.5 * math.hypot(1, noise)
     alike = measured(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
-    messages = list(suspect_surroundings(alike))
+    messages = list(check_surroundings(alike))
     assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
     assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
-    assert not list(suspect_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
+    assert not list(check_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 
 
 def test_legs_that_are_all_a_little_longer_are_longer() -> None:
@@ -788,17 +803,17 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
     def legs(width: float) -> tuple[Parameter, ...]:
         return tuple(Parameter("length", foot, "", 1.0, width) for foot in ("FL", "FR", "RL", "RR"))
 
-    found = list(suspect_surroundings(measured(legs(width), 1 + off, noise)))
+    found = list(check_surroundings(measured(legs(width), 1 + off, noise)))
     assert [one.subject.name for one in found if one.subject] == ["FL", "FR", "RR"]
     assert found[2].values["longer"] == pytest.approx(-100 * 2.3 * sigma)
-    assert not list(suspect_surroundings(measured(legs(width), 1 + 0.8 * off, noise)))
-    assert not list(suspect_surroundings(measured(legs(0.05), 1 + off, noise * width / 0.05)))
+    assert not list(check_surroundings(measured(legs(width), 1 + 0.8 * off, noise)))
+    assert not list(check_surroundings(measured(legs(0.05), 1 + off, noise * width / 0.05)))
     load, mass = Parameter("load", "scale", "", 0.0, 0.06), Parameter("added", "a", "", 1.0, 0.005)
     off = measured((load, mass), np.array([0.4, 1.0]), 0.5)
-    (said,) = suspect_surroundings(off)
+    (said,) = check_surroundings(off)
     assert said.code == "known-mass-contradicts-the-scale"
     assert said.values["load"] == pytest.approx(40)
-    assert not list(suspect_surroundings(measured((load,), np.array([0.4]), 0.5)))
+    assert not list(check_surroundings(measured((load,), np.array([0.4]), 0.5)))
 
 
 @pytest.mark.parametrize(
@@ -820,18 +835,18 @@ def test_torques_are_off_by_friction_that_is_expected_not_by_what_somebody_typed
     known = measured((servos,), np.array([-band * stuck * 1.01]), 0.01 / servos.width * 1e-3)
     known = replace(known, rows=100, chi2=100.0)
     found = StandNoise(1e-4, friction=random)
-    said = suspect_stands(known, found, StandNoise(1e-4, friction=typed), stuck)
+    said = check_residuals(known, found, StandNoise(1e-4, friction=typed), stuck)
     assert ("torques-off" in [one.code for one in said]) == named
 
 
 def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot: Robot) -> None:
     """It takes a part of a wrong weight: of kp and masses alone less is left to surprise."""
     load, mass = Parameter("load", "scale", "", 0.0, 0.08), Parameter("added", "a", "", 1.0, 0.005)
-    (said,) = suspect_scale(robot, measured((load,), np.array([-0.4]), 0.5))
+    (said,) = check_scale(robot, measured((load,), np.array([-0.4]), 0.5))
     assert said.code == "scale-far-from-the-file"
-    assert not list(suspect_scale(robot, measured((load,), np.array([-0.2]), 0.5)))
-    assert not list(suspect_scale(robot, measured((load,), np.array([-0.4]), 0.5), level=False))
-    assert not list(suspect_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
+    assert not list(check_scale(robot, measured((load,), np.array([-0.2]), 0.5)))
+    assert not list(check_scale(robot, measured((load,), np.array([-0.4]), 0.5), level=False))
+    assert not list(check_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
 
 
 @pytest.mark.slow
@@ -841,9 +856,9 @@ def test_false_alarms_are_as_rare_as_is_said() -> None:
     for _ in range(4000):
         true = WIDTH * rng.normal(size=2)
         found = measured(SLOPE, true + noise * WIDTH * rng.normal(size=2), noise)
-        alarms += bool(list(suspect_surroundings(found)))
+        alarms += bool(list(check_surroundings(found)))
     assert 1 <= alarms <= 20  # 8 on average
 
 
 def test_what_is_not_told_is_not_doubted() -> None:
-    assert not list(suspect_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))
+    assert not list(check_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))

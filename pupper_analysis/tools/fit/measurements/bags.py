@@ -13,21 +13,21 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
 
 Array = NDArray[np.float64]
-SUFFIXES = (".mcap", ".db3", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 _GAP = 1.5  # median intervals: beyond, samples are missing, and nothing is put between
 _BACK = 1.0  # s: stamps go back by less with two publishers; by more, where a clock was set
 _STATE, _ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 _ROLES = {"state": _STATE, "command": _ARRAY}
-MOST_FILE: Final = 2_000_000_000
+MAX_BAG_BYTES: Final = 2_000_000_000
 """Bytes of a file of a bag: larger ones have cameras' topics, which can be left out."""
 
-MOST_READ: Final = 500_000_000
+MAX_MESSAGE_BYTES: Final = 500_000_000
 """Bytes of messages that are read."""
 
 
 def is_bag(path: Path) -> bool:
     """Says whether a path is one of a bag: an MCAP, a ROS 1 or a ROS 2 bag."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_bag(
@@ -89,8 +89,8 @@ def _series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> di
     connections, size = [one for one in reader.connections if one.topic in kinds], 0
     for one, recorded, raw in reader.messages(connections=connections):
         size += len(raw)
-        if size > MOST_READ:
-            raise MeasurementError("", diagnose("bag-too-large", most=MOST_READ / 1e6))
+        if size > MAX_MESSAGE_BYTES:
+            raise MeasurementError("", diagnose("bag-too-large", most=MAX_MESSAGE_BYTES / 1e6))
         message = reader.deserialize(raw, one.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec is ROS 1's
         nano = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 _MISSING = ("", "nan", "na", "null", "none")
 """Cells that say that nothing was measured."""
 
-MOST_CSV = 100_000_000
+MAX_CSV_BYTES = 100_000_000
 """Bytes of a CSV file: half an hour of twelve joints at 1 kHz."""
 
 _SEPARATORS = (",", ";", "\t")
@@ -67,7 +67,7 @@ class Columns:
     words: Mapping[str, tuple[str, ...]]
     lines: tuple[int, ...]
 
-    def of(self, prefix: str) -> dict[str, Array]:
+    def get_columns(self, prefix: str) -> dict[str, Array]:
         """Returns the columns of one prefix: {``FL_knee``: (n,)} for ``position``."""
         start = prefix + "."
         return {
@@ -95,7 +95,7 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
     check_type("path", path, str | Path)
     file = Path(path)
     try:
-        return _from_csv(str(path), decode_input(file, read_input(file, MOST_CSV)), known)
+        return _from_csv(str(path), decode_input(file, read_input(file, MAX_CSV_BYTES)), known)
     except InputError as error:
         source = str(path) if error.line is None else f"{path}:{error.line}"
         raise MeasurementError(source, error.cause) from error

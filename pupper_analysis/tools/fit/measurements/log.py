@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.inputs import check_input
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.measurements.bags import MOST_FILE, is_bag, read_bag
+from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, read_bag
 from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _JUMP = 0.5
 """s between two samples, at least, if the clock was set."""
 
-LEAST_SAMPLES = 100
+MIN_SAMPLES = 100
 """Half a second at 200 Hz: less tells nothing of a motion."""
 
 
@@ -67,13 +67,13 @@ class Log:
         least = max(_JUMP, 10 * self.interval)
         return [int(at) for at in np.flatnonzero(np.diff(self.time) > least)]
 
-    def part(self, rows: slice) -> Log:
+    def select_rows(self, rows: slice) -> Log:
         """Returns some of its samples."""
         return replace(
             self, time=self.time[rows], command=self.command[rows], position=self.position[rows]
         )
 
-    def of(self, robot: Robot) -> Log:
+    def order_joints(self, robot: Robot) -> Log:
         """Returns the same with a robot's joints in its order; of those it lacks all is NaN.
 
         Raises:
@@ -132,8 +132,8 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
     Raises:
         MeasurementError: If not.
     """
-    if len(time) < LEAST_SAMPLES:
-        finding = diagnose("log-too-short", samples=len(time), least=LEAST_SAMPLES)
+    if len(time) < MIN_SAMPLES:
+        finding = diagnose("log-too-short", samples=len(time), least=MIN_SAMPLES)
         raise MeasurementError(source, finding)
     if np.isnan(time).any():
         line = lines[int(np.flatnonzero(np.isnan(time))[0])]
@@ -152,7 +152,7 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
 
 # Files of logs: CSV, npz, MCAP and ROS bags.
 
-COLUMNS = (
+LOG_COLUMNS = (
     Column("time", "time"),
     Column("command.*", "position"),
     Column("position.*", "position"),
@@ -199,8 +199,8 @@ def read_log(
     for name, given in (("topics", topics), ("joints", joints)):
         if given:
             raise ConfigurationError(name, diagnose("no-bag-has-no-topics", file=str(path)))
-    table = read_columns(path, COLUMNS)
-    kinds = {kind: table.of(kind) for kind in ("position", "command")}
+    table = read_columns(path, LOG_COLUMNS)
+    kinds = {kind: table.get_columns(kind) for kind in ("position", "command")}
     return make_log(table.source, table.numbers.get("time", np.zeros(0)), kinds, table.lines)
 
 
@@ -212,7 +212,7 @@ def _check_files(bag: Path) -> None:
     """
     try:
         for file in bag.iterdir() if bag.is_dir() else (bag,):
-            check_input(file, MOST_FILE)
+            check_input(file, MAX_BAG_BYTES)
     except InputError as error:
         raise MeasurementError(error.path, error.cause) from error
     except OSError as error:

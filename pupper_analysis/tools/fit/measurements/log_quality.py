@@ -68,7 +68,7 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
             swapped, no joint that moves.
         UnknownNameError: If the robot has not one of the joints.
     """
-    found = tuple(_remarks(robot, log.of(robot), log.joints))
+    found = tuple(_remarks(robot, log.order_joints(robot), log.joints))
     for one in found:
         if one.severity is Severity.ERROR:
             raise MeasurementError(log.source, one)
@@ -87,7 +87,7 @@ def _remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagno
         yield diagnose("columns-of-two-units", ratio=ratio, header=f"position.{joints[0]} [deg]")
     there = [column[np.isfinite(column)] for column in position.T]
     span = np.array([np.ptp(column) if column.size else 0.0 for column in there])
-    moves = span > np.maximum(_STILL, 3 * np.array([column_quantum(one) for one in there]))
+    moves = span > np.maximum(_STILL, 3 * np.array([find_column_step(one) for one in there]))
     if not moves.any():
         yield diagnose("log-without-motion", most=Quantity(span.max(initial=0.0), "rad"))
     moving = [index for index, one in zip(named, moves, strict=True) if one]
@@ -200,7 +200,7 @@ def _ratio(one: Array, other: Array) -> float | None:
     return float(np.median(ratios)) if ratios else None
 
 
-def column_quantum(column: Array) -> float:
+def find_column_step(column: Array) -> float:
     """Returns the step whose whole multiples a joint's positions (n,) are apart; 0 of none."""
     steps = np.diff(np.sort(column))
     steps = np.sort(steps[steps > _FINEST])[:_COUNTED]

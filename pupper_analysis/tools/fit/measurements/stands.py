@@ -15,11 +15,11 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import Column, Columns, read_columns
-from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, find_degrees
+from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
 
 Array = NDArray[np.float64]
 
-COLUMNS = (
+STAND_COLUMNS = (
     Column("stand", ""),
     Column("command.*", "position"),
     Column("position.*", "position"),
@@ -69,7 +69,7 @@ class MeasuredStands:
     def __len__(self) -> int:
         return len(self.names)
 
-    def ordered(self, robot: Robot) -> MeasuredStands:
+    def order_joints(self, robot: Robot) -> MeasuredStands:
         """Returns the same with a robot's joints in its order.
 
         Raises:
@@ -96,7 +96,7 @@ class MeasuredStands:
             position=self.position[:, order],
         )
 
-    def checked(self, robot: Robot) -> MeasuredStands:
+    def check_readings(self, robot: Robot) -> MeasuredStands:
         """Returns the same with a robot's joints in its order, if it can stand so.
 
         Raises:
@@ -104,7 +104,7 @@ class MeasuredStands:
             MeasurementError: If a joint's position was not measured, or cannot be, or too few feet
                 carry.
         """
-        found = self.ordered(robot)
+        found = self.order_joints(robot)
         for finding in find_degrees(robot, range(robot.nu), found.position, found.command):
             raise MeasurementError(self.source, finding)
         found.check_limits(robot, found.position, _BEYOND)
@@ -142,7 +142,7 @@ class MeasuredStands:
             )
             raise MeasurementError(self.source, finding)
 
-    def repeated(self) -> MeasuredStands:
+    def average_repeats(self) -> MeasuredStands:
         """Returns the same with readings of one stand, which are rows of one name, averaged.
 
         Raises:
@@ -168,10 +168,10 @@ class MeasuredStands:
         def mean(values: Array) -> Array:
             return np.array([_mean(values[rows]) for rows in groups])
 
-        first = self.part([int(rows[0]) for rows in groups])
+        first = self.select_rows([int(rows[0]) for rows in groups])
         return replace(first, command=mean(self.command), position=mean(self.position))
 
-    def part(self, rows: Sequence[int]) -> MeasuredStands:
+    def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
         """Returns the same of some of the stands, by their rows."""
         chosen = list(rows)
         return replace(
@@ -216,8 +216,8 @@ def read_stands(path: str | Path) -> MeasuredStands:
     Raises:
         MeasurementError: If it cannot be read, or is no list of stands.
     """
-    table = read_columns(path, COLUMNS)
-    position, command = table.of("position"), table.of("command")
+    table = read_columns(path, STAND_COLUMNS)
+    position, command = table.get_columns("position"), table.get_columns("command")
     if not position or not command:
         missing = "position.<joint>" if not position else "command.<joint>"
         raise MeasurementError(table.source, diagnose("column-missing", column=missing))
@@ -227,7 +227,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
             finding = diagnose("column-without-position", column=f"command.{joint}", joint=joint)
             raise MeasurementError(table.source, finding)
     columns = {
-        kind: np.column_stack([table.of(kind).get(joint, blank) for joint in joints])
+        kind: np.column_stack([table.get_columns(kind).get(joint, blank) for joint in joints])
         for kind in ("command", "position")
     }
     rows = [str(row + 1) for row in range(len(blank))]
@@ -243,7 +243,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
     )
 
 
-def stands_text(stands: MeasuredStands, *, header: bool = True) -> str:
+def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
     """Returns stands as a CSV file has them, which ``read_stands`` reads."""
     loads = [f"added{one}.{link}" for link in stands.added for one in ("", "_x", "_y", "_z")]
     kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
@@ -261,13 +261,13 @@ def _added(table: Columns) -> Iterator[tuple[str, Array]]:
     """Yields the links that known masses were put on: mass and place (m, 4)."""
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
-        for link in table.of(kind):
-            if link not in table.of("added"):
+        for link in table.get_columns(kind):
+            if link not in table.get_columns("added"):
                 finding = diagnose("column-missing", column=f"added.{link}")
                 raise MeasurementError(table.source, finding)
-    for link, masses in table.of("added").items():
+    for link, masses in table.get_columns("added").items():
         blank = np.full(len(masses), np.nan)
-        places = np.column_stack([table.of(kind).get(link, blank) for kind in axes])
+        places = np.column_stack([table.get_columns(kind).get(link, blank) for kind in axes])
         on = np.nan_to_num(masses) != 0
         for row in np.flatnonzero(on & ((masses < 0) | ~np.isfinite(places).all(axis=1))):
             finding = diagnose("added-mass-of-nowhere", line=table.lines[row], link=link)
@@ -275,10 +275,10 @@ def _added(table: Columns) -> Iterator[tuple[str, Array]]:
         yield link, np.where(on[:, None], np.column_stack([masses, places]), 0.0)
 
 
-def quantum_of(stands: MeasuredStands) -> float:
+def estimate_encoder_step(stands: MeasuredStands) -> float:
     """Returns the encoders' step (rad): all positions of a joint are whole multiples of it apart.
 
     0 if there is none, or it is finer than what a file holds.
     """
-    found = [quantum for column in stands.position.T if (quantum := column_quantum(column))]
+    found = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
     return float(np.median(found)) if 2 * len(found) > len(stands.joints) else 0.0

@@ -17,16 +17,22 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, inspect_log
-from pupper_analysis.tools.fit.motions.rollouts import LATE, Moments, Run, Simulator, split_runs
-from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, give_widths, parse_priors
-from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, kp_over_mass
+from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, inspect_log
+from pupper_analysis.tools.fit.motions.rollouts import (
+    DELAY_PARAMETERS,
+    MomentCoordinates,
+    Run,
+    Simulator,
+    split_runs,
+)
+from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
+from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
 
 Array = NDArray[np.float64]
 
-HOLD_OUT = 0.2
+HOLD_OUT_FRACTION = 0.2
 """Of each log, at its end: what is predicted, and not fitted."""
 
 
@@ -45,7 +51,7 @@ def fit_motion(
     logs: Sequence[Log],
     *,
     priors: Sequence[Prior | str] = (),
-    hold_out: float | Sequence[Log] = HOLD_OUT,
+    hold_out: float | Sequence[Log] = HOLD_OUT_FRACTION,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> MotionFit:
@@ -91,14 +97,18 @@ def fit_motion(
             raise MeasurementError(log.source, diagnose("command-without-gains", joints=lacking))
     notes = tuple(one for log, _ in shared for one in inspect_log(robot, log))
     runs = tuple(
-        run for log, share in shared for run in split_runs(log.of(robot), robot.home, share)
+        run
+        for log, share in shared
+        for run in split_runs(log.order_joints(robot), robot.home, share)
     )
     _check(robot, drive, logs, runs)
     table = _parameters(robot, drive, {name for log, _ in shared for name in log.joints}, known)
     interval = float(np.median([log.interval for log, _ in shared]))
-    motion = Motion(Simulator(robot, drive, table, interval), runs)
+    motion = MotionResiduals(Simulator(robot, drive, table, interval), runs)
     for log in () if isinstance(hold_out, int | float) else hold_out:
-        alike = replayed([*motion.fitted, *split_runs(log.of(robot), robot.home, 1.0)])
+        alike = measure_replay(
+            [*motion.fitted, *split_runs(log.order_joints(robot), robot.home, 1.0)]
+        )
         if alike > _REPLAY:
             raise MeasurementError(log.source, diagnose("held-out-was-fitted", correlation=alike))
     return _report_motions(logs, notes, motion, motion.fit())
@@ -145,25 +155,25 @@ def _parameters(
             wanted += [
                 ("com", link, axis, float(bodies.com[joint, at])) for at, axis in enumerate("xyz")
             ]
-    return ParameterTable(give_widths([*wanted, *LATE], priors))
+    return ParameterTable(apply_priors([*wanted, *DELAY_PARAMETERS], priors))
 
 
 def _report_motions(
-    logs: Sequence[Log], notes: Iterable[Diagnostic], motion: Motion, posterior: Posterior
+    logs: Sequence[Log], notes: Iterable[Diagnostic], motion: MotionResiduals, posterior: Posterior
 ) -> MotionFit:
     """Returns a fit with how far its predictions are from what was measured."""
     robot = motion.simulator.robot
     off: dict[tuple[str, str], list[Array]] = {}
     for name, x in (("before", motion.table.stated), ("after", posterior.mean)):
         for run in motion.runs:
-            one = motion.finer.predict(run, [x])[0] - run.position
+            one = motion.finer.predict_positions(run, [x])[0] - run.position
             for part in ("counts", "held_out"):
                 off.setdefault((name, part), []).append(np.where(getattr(run, part), one, np.nan))
-    rms = {key: root_mean_square(one) for key, one in off.items()}
+    rms = {key: compute_rms(one) for key, one in off.items()}
     part = "held_out" if math.isfinite(rms["after", "held_out"]) else "counts"
     joints = range(robot.nu)
     by_joint = np.array(
-        [root_mean_square(one[:, joint] for one in off["after", part]) for joint in joints]
+        [compute_rms(one[:, joint] for one in off["after", part]) for joint in joints]
     )
     noise = np.array([_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints])
     posterior = _widened(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
@@ -171,7 +181,7 @@ def _report_motions(
         name=robot.name,
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
-        kp_over_mass=kp_over_mass(posterior),
+        kp_over_mass=estimate_kp_over_mass(posterior),
         failures=tuple(_unexplained(robot, by_joint, noise, rms["after", part])),
         diagnostics=(*notes, *_notes(motion.runs, rms["after", part], rms["before", part])),
         posterior=posterior,
@@ -180,7 +190,7 @@ def _report_motions(
         held_out_before=rms["before", "held_out"],
         fitted=rms["after", "counts"],
         fitted_before=rms["before", "counts"],
-        repeatability=repeatability(motion.runs),
+        repeatability=measure_repeatability(motion.runs),
         by_joint=dict(zip(robot.joint_names, by_joint.tolist(), strict=True)),
         encoder_noise=dict(zip(robot.joint_names, noise.tolist(), strict=True)),
     )
@@ -218,7 +228,7 @@ def _notes(runs: Sequence[Run], off: float, before: float) -> Iterator[Diagnosti
         yield diagnose(
             "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
         )
-    alike = replayed(runs)
+    alike = measure_replay(runs)
     if alike > _REPLAY:
         yield diagnose("held-out-is-a-replay", correlation=alike)
 
@@ -255,7 +265,7 @@ def _middle(rows: Array) -> Array:
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 
-def replayed(runs: Sequence[Run]) -> float:
+def measure_replay(runs: Sequence[Run]) -> float:
     """Returns how alike what was held out is to what was fitted, by its commands, wherever it was.
 
     The greatest correlation of the middle half of a held-out part with any part as long of what was
@@ -266,7 +276,7 @@ def replayed(runs: Sequence[Run]) -> float:
     return max((_align(part, own)[1] for part in parts if len(part) for own in fitted), default=0.0)
 
 
-def repeatability(runs: Sequence[Run]) -> float:
+def measure_repeatability(runs: Sequence[Run]) -> float:
     """Returns how far the robot is from itself over runs of the same commands (rad).
 
     The middle half of each run beside the first run that it repeats, as their commands align; NaN
@@ -283,7 +293,7 @@ def repeatability(runs: Sequence[Run]) -> float:
                 its = np.column_stack([np.interp(at, there, one) for one in other.position.T])
                 off.append((own - its) / math.sqrt(2.0))  # each is off from what both would be
                 break
-    return root_mean_square(off) if off else math.nan
+    return compute_rms(off) if off else math.nan
 
 
 def _encoder_noise(series: Sequence[Array]) -> float:
@@ -295,7 +305,7 @@ def _encoder_noise(series: Sequence[Array]) -> float:
     """
     steps = np.concatenate([np.abs(np.diff(one, 3)) for one in series])
     steps = steps[np.isfinite(steps)]
-    quantum = max(column_quantum(one[np.isfinite(one)]) for one in series)
+    quantum = max(find_column_step(one[np.isfinite(one)]) for one in series)
     if not steps.size:
         return math.nan
     return max(float(np.median(steps)) / _MEDIAN / math.sqrt(20.0), quantum / math.sqrt(12.0))
@@ -321,7 +331,7 @@ _FINER = 4
 error, that of dry friction, falls with the square. Derivatives are right to 1 % without."""
 
 
-class Motion:
+class MotionResiduals:
     """Measured and simulated runs, and how far they are apart.
 
     Fine steps predict; coarse ones, of which there are thirty for one, make derivatives.
@@ -335,25 +345,25 @@ class Motion:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
         self.finer = simulator.with_steps(_FINER * simulator.steps)
-        self.moments = Moments(self.table)
+        self.moments = MomentCoordinates(self.table)
         self._noise: tuple[SeriesNoise, ...] = ()
         self._remembers = False
         self._at: Array | None = None
         self._known: Array | None = None
         self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
 
-    def linearise(self, moments: Array, about: Array) -> Linearised:
+    def linearise(self, moments: Array, about: Array) -> LinearisedResiduals:
         """Returns whitened residuals as sums; see ``estimate_parameters``.
 
         Noise is what is left at ``about``, and derivatives are made near it.
         """
         x = self.moments.to_parameters(moments)
         left = [
-            self.finer.predict(run, [x])[0] - np.where(run.counts, run.position, np.nan)
+            self.finer.predict_positions(run, [x])[0] - np.where(run.counts, run.position, np.nan)
             for run in self.fitted
         ]
         if moments is about:
-            kind = SeriesNoise.of if self._remembers else SeriesNoise.white
+            kind = SeriesNoise.fit_autoregression if self._remembers else SeriesNoise.fit_white
             self._noise = tuple(
                 kind([one[:, joint] for one in left]) for joint in range(left[0].shape[1])
             )
@@ -361,22 +371,22 @@ class Motion:
             if off is None or off @ self._known @ off > _NEAR:
                 self._at = moments.copy()
                 self._jacobians = [
-                    differentiate(self.simulator, self.moments, run, moments, self._known)
+                    differentiate_motion(self.simulator, self.moments, run, moments, self._known)
                     for run in self.fitted
                 ]
         size = len(self.table)
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        white = [one / np.array([own.long_run for own in self._noise]) for one in left]
+        white = [one / np.array([own.long_run_std for own in self._noise]) for one in left]
         for places, rows, joint, run in self._rows():
             finding = np.isfinite(white[run][:, joint])
-            counted = rows[finding] / self._noise[joint].long_run
+            counted = rows[finding] / self._noise[joint].long_run_std
             information[places[:, None], places] += counted.T @ counted
             gradient[places] += counted.T @ white[run][finding, joint]
         if moments is about:
             width = self.table.width
             self._known = width[:, None] * information * width + self.table.precision
         whole = np.concatenate([one[np.isfinite(one)] for one in white])
-        return Linearised(information, gradient, float(whole @ whole), whole.size)
+        return LinearisedResiduals(information, gradient, float(whole @ whole), whole.size)
 
     def _rows(self) -> Iterator[tuple[IntArray, Array, int, int]]:
         """Yields parameters, derivatives by them (n, ...), the joint, and the run."""
@@ -396,7 +406,7 @@ class Motion:
         Raises:
             FitError: If it does not converge.
         """
-        y = self.moments.of_parameters(self.table.stated)
+        y = self.moments.from_parameters(self.table.stated)
         for self._remembers, enough in ((False, _ROUGHLY), (True, _ENOUGH)):
             posterior = estimate_parameters(self.table, self.linearise, y, enough=enough)
             y = posterior.mean
@@ -405,7 +415,7 @@ class Motion:
         for places, rows, joint, run in self._rows():
             noise = self._noise[joint]
             counted = np.where(self.fitted[run].counts[:, joint, None], rows, 0.0)
-            back = noise.spread(counted / noise.long_run**2)
+            back = noise.propagate_weights(counted / noise.long_run_std**2)
             spread[places[:, None], places] += back @ back.T
         whole = posterior.information + posterior.precision
         narrow = np.linalg.inv(whole)
@@ -413,7 +423,7 @@ class Motion:
         # With what was promised and not found.
         promised = posterior.covariance / np.outer(width, width)
         covariance = narrow @ (spread - whole) @ narrow + promised
-        return self.moments.of_posterior(posterior, covariance)
+        return self.moments.transform_posterior(posterior, covariance)
 
 
 # What is left of a fitted motion, as noise that remembers itself.
@@ -448,20 +458,20 @@ class SeriesNoise:
     deviation: float
 
     @staticmethod
-    def white(series: Sequence[Array]) -> SeriesNoise:
+    def fit_white(series: Sequence[Array]) -> SeriesNoise:
         """Returns noise without memory, that some series (n,) are."""
-        deviation = float(np.fmax(root_mean_square(series), _LEAST))  # which is NaN of nothing
+        deviation = float(np.fmax(compute_rms(series), _LEAST))  # which is NaN of nothing
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
     @staticmethod
-    def of(series: Sequence[Array]) -> SeriesNoise:
+    def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
         """Returns the noise that some series (n,) are; NaN are missing.
 
         By Yule's and Walker's equations, whose noise never grows.
         """
         filled = [np.where(np.isfinite(one), one, 0.0) for one in series]
         count = int(sum(np.isfinite(one).sum() for one in series))
-        white = SeriesNoise.white(series)
+        white = SeriesNoise.fit_white(series)
         if count < _SAMPLES_PER_LAG * _MOST_LAGS or white.deviation <= _LEAST:
             return white
         moments = np.array(
@@ -473,11 +483,11 @@ class SeriesNoise:
         return SeriesNoise(given, math.sqrt(variance), white.deviation)
 
     @property
-    def long_run(self) -> float:
+    def long_run_std(self) -> float:
         """Standard deviation of independent samples that tell as little; that of e at least."""
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
-    def spread(self, weights: Array) -> Array:
+    def propagate_weights(self, weights: Array) -> Array:
         """Returns B^T with B^T B the covariance of sums of the noise with weights (n, m): (m, n).
 
         The noise is w through a filter; so its sums are those of w with the weights through the
@@ -487,7 +497,7 @@ class SeriesNoise:
         return np.asarray(lfilter([self.innovation], turned, weights[::-1], axis=0)).T
 
 
-def root_mean_square(series: Iterable[Array]) -> float:
+def compute_rms(series: Iterable[Array]) -> float:
     """Returns the root mean square of what is not NaN; NaN of nothing."""
     whole = np.concatenate([one.ravel() for one in series])
     finding = whole[np.isfinite(whole)]
@@ -505,8 +515,12 @@ _FIRST_STEP = 1e-2
 """Of a prior's width, while nothing else is known."""
 
 
-def differentiate(
-    simulator: Simulator, moments: Moments, run: Run, at: Array, known: Array | None = None
+def differentiate_motion(
+    simulator: Simulator,
+    moments: MomentCoordinates,
+    run: Run,
+    at: Array,
+    known: Array | None = None,
 ) -> Mapping[int, tuple[IntArray, Array]]:
     """Returns how predicted positions change with parameters by moments.
 
@@ -528,7 +542,7 @@ def differentiate(
     Returns:
         {group of joints: (numbers of the parameters that act on it, (n, joints, parameters))}.
     """
-    groups, shared = simulator.groups, simulator.bodies.shared(simulator.table)
+    groups, shared = simulator.groups, simulator.bodies.find_common_parameters(simulator.table)
     turns, width = max(len(columns) for _, columns in groups), simulator.table.width
     changes = np.zeros((turns + len(shared), len(at)))
     steps = []
@@ -539,7 +553,7 @@ def differentiate(
     changes *= width
 
     vectors = [moments.to_parameters(one) for one in (at, *(at + changes))]
-    predicted = simulator.predict(run, vectors)
+    predicted = simulator.predict_positions(run, vectors)
     moved = predicted[1:] - predicted[0]
     found: dict[int, tuple[IntArray, Array]] = {}
     for number, (joints, columns) in enumerate(groups):
@@ -553,7 +567,7 @@ def differentiate(
             axis=2,
         )
         found[number] = places, jacobians / width[places]
-        simulator.follow_lag(vectors[0], *found[number])
+        simulator.replace_lag_derivatives(vectors[0], *found[number])
     return found
 
 

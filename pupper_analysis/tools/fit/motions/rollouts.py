@@ -21,19 +21,22 @@ from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.parameters import AXES, ParameterTable, link_of
+from pupper_analysis.tools.fit.parameters import AXES, ParameterTable, find_moved_link
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SERVOS = "servos"
+SERVOS_SUBJECT = "servos"
 """Subject of the delay between commands and what servos do: one for all of them."""
 
-LATE = (("delay", SERVOS, "", 0.0), *(("lag", SERVOS, p, 0.0) for p in ("command", "position")))
+DELAY_PARAMETERS = (
+    ("delay", SERVOS_SUBJECT, "", 0.0),
+    *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
+)
 """What a torque may follow late: commands by a delay, part of which smooths them as a lag does; and
 by itself a position: a slow motor lags in both, a bus delays commands alone."""
 
-BURN_IN = 0.25
+BURN_IN_DURATION = 0.25
 """s: where a run begins, its velocity is not known to better than encoders tell: what that does
 has decayed after some time constants kd / kp of servos (20 to 50 ms)."""
 
@@ -84,13 +87,13 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
     """
     ends = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
     for first, last in pairwise(ends):
-        part = log.part(slice(first, last))
+        part = log.select_rows(slice(first, last))
         time = part.time - part.time[0]
-        if time[-1] < 4 * BURN_IN:
+        if time[-1] < 4 * BURN_IN_DURATION:
             continue
         silent = ~np.isfinite(part.position).any(axis=0)
         command = np.where(silent, rest, _held(part.command))
-        there = np.isfinite(part.position) & (time > BURN_IN)[:, None]
+        there = np.isfinite(part.position) & (time > BURN_IN_DURATION)[:, None]
         late = (time > (1 - hold_out) * time[-1])[:, None]
         begin = _beginning(time[:_FIRST], part.position[:_FIRST])
         begin = np.where(np.isfinite(begin), begin, [command[0], 0.0 * command[0]])
@@ -164,7 +167,7 @@ class Simulator:
         self._model = model
         self._workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
         self._models: list[mujoco.MjModel] = []
-        self.groups = self.bodies.groups(table)
+        self.groups = self.bodies.find_independent_groups(table)
 
     def _inertia(self) -> Array:
         """Returns what each joint alone moves (nu,), at home: of the mass matrix' inverse."""
@@ -180,7 +183,7 @@ class Simulator:
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
-    def predict(self, run: Run, vectors: Sequence[Array]) -> Array:
+    def predict_positions(self, run: Run, vectors: Sequence[Array]) -> Array:
         """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run.
 
         Some at a time: states of all take much memory.
@@ -193,7 +196,7 @@ class Simulator:
             self._models.append(copy.copy(self._model))  # meshes too: 20 ms
         models = self._models[: len(vectors)]
         for model, vector in zip(models, vectors, strict=True):
-            self.put(model, vector)
+            self.set_parameters(model, vector)
         step = float(self._model.opt.timestep)
         count = int(np.ceil(run.time[-1] / step - 1e-9))
         commands = _mean_commands(run.time, run.command, step * np.arange(count + 1, dtype=float))
@@ -223,12 +226,12 @@ class Simulator:
         return np.array(found)
 
     def _per_joint(self, vector: Array, kind: str, stated: Array) -> Array:
-        return self.table.of_each(vector, kind, self.robot.joint_names, stated)
+        return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _late(self, vector: Array, part: str = "") -> float:
-        return self.table.value(vector, "lag" if part else "delay", SERVOS, part, 0.0)
+        return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
-    def follow_lag(self, vector: Array, places: IntArray, jacobians: Array) -> None:
+    def replace_lag_derivatives(self, vector: Array, places: IntArray, jacobians: Array) -> None:
         """Makes derivatives by the positions' lag those by the damping and armature it amounts to.
 
         Nothing distinguishes them, and no error of differences must seem to.
@@ -237,13 +240,13 @@ class Simulator:
         rates = np.zeros(len(self.table))
         for kind, own in (("damping", -kp), ("armature", 2 * kp * late)):
             for name, rate in zip(self.robot.joint_names, own.tolist(), strict=True):
-                if (place := self.table.place(kind, name)) is not None:
+                if (place := self.table.find_index(kind, name)) is not None:
                     rates[place] = rate
         if rates.any():
-            lag = self.table.place("lag", SERVOS, "position")
+            lag = self.table.find_index("lag", SERVOS_SUBJECT, "position")
             jacobians[..., places == lag] = (jacobians @ rates[places])[..., None]
 
-    def put(self, model: mujoco.MjModel, vector: Array) -> None:
+    def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
         """Gives a model all of a vector of parameters.
 
         Dry friction and armature are not below zero; damping may be, where derivatives are made.
@@ -263,7 +266,7 @@ class Simulator:
             least = -np.inf if kind == "damping" else 0.0
             values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), least)
         model.dof_armature[dofs] += kp * late**2
-        self.bodies.put(model, self.table, vector)
+        self.bodies.set_parameters(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
 
 
@@ -321,7 +324,8 @@ class MovingBodies:
         self.model.dof_simplenum[:] = 0
         self._to_link = list(_link_frames(robot, self.model, self._bodies))
         self.links = tuple(
-            link_of(robot.pin_model, robot.pin_model.getJointId(name)) for name in robot.joint_names
+            find_moved_link(robot.pin_model, robot.pin_model.getJointId(name))
+            for name in robot.joint_names
         )
         self.mass = self.model.body_mass[self._bodies].copy()
         self._inertia = self.model.body_inertia[self._bodies].copy()
@@ -356,19 +360,19 @@ class MovingBodies:
         model.body_inertia[body] = values
         mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
 
-    def put(self, model: mujoco.MjModel, table: ParameterTable, vector: Array) -> None:
+    def set_parameters(self, model: mujoco.MjModel, table: ParameterTable, vector: Array) -> None:
         """Writes masses and coms of a vector of parameters into a copy of ``model``."""
         for number, (link, body) in enumerate(zip(self.links, self._bodies, strict=True)):
             if self.mass[number] <= 0:
                 continue
-            least = LEAST_MASS * self.mass[number]
-            mass = max(table.value(vector, "mass", link, "", self.mass[number]), least)
-            com = table.of_each_axis(vector, link, self.com[number])
+            least = MIN_MASS_FRACTION * self.mass[number]
+            mass = max(table.get_value(vector, "mass", link, "", self.mass[number]), least)
+            com = table.get_com(vector, link, self.com[number])
             model.body_mass[body] = mass
             model.body_inertia[body] = self._inertia[number] * mass / self.mass[number]
             model.body_ipos[body] = self._to_link[number].actInv(com)
 
-    def groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
+    def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Returns groups of joints that do not feel each other, with the parameters of each.
 
         The base is held, so those are one that have a moving body in common; all are where loops,
@@ -386,7 +390,7 @@ class MovingBodies:
             found.append((joints, columns))
         return found
 
-    def shared(self, table: ParameterTable) -> list[int]:
+    def find_common_parameters(self, table: ParameterTable) -> list[int]:
         """Returns the parameters of no joint or link: those that act on all."""
         own = {*self._names, *self.links}
         return [place for place, one in enumerate(table) if one.subject not in own]
@@ -426,11 +430,11 @@ def _base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3
 # Coordinates of parameters in which forces are linear: first moments in place of coms.
 
 
-LEAST_MASS = 0.01
+MIN_MASS_FRACTION = 0.01
 """Of the stated mass: a lighter body's com is anywhere, and no simulation is of use."""
 
 
-class Moments:
+class MomentCoordinates:
     """A vector of parameters by first moments, and back.
 
     Gravity and inertia act by m and m c. A step that is good in them is none in m and c, as
@@ -450,17 +454,20 @@ class Moments:
     def __init__(self, table: ParameterTable) -> None:
         pairs = []
         for place, one in enumerate(table):
-            mass = table.place("mass", one.subject) if one.kind == "com" else None
+            mass = table.find_index("mass", one.subject) if one.kind == "com" else None
             if mass is not None and one.component in AXES:
                 pairs.append((place, mass))
         self._coms, self._masses = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         self._stated_com, self._stated_mass = table.stated[self._coms], table.stated[self._masses]
-        late = [table.place("delay", SERVOS), table.place("lag", SERVOS, "command")]
+        late = [
+            table.find_index("delay", SERVOS_SUBJECT),
+            table.find_index("lag", SERVOS_SUBJECT, "command"),
+        ]
         self._late = np.array(late if None not in late else [], dtype=np.int64).reshape(-1, 2).T
 
     def _lightness(self, vector: Array) -> Array:
         """Returns m0 / m of each com."""
-        least = LEAST_MASS * self._stated_mass
+        least = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], least))
 
     def to_parameters(self, moments: Array) -> Array:
@@ -471,7 +478,7 @@ class Moments:
         found[self._late[0]] += moments[self._late[1]]
         return found
 
-    def of_parameters(self, vector: Array) -> Array:
+    def from_parameters(self, vector: Array) -> Array:
         """Returns moments (n,) of parameters (n,)."""
         found = vector.copy()
         off = vector[self._coms] - self._stated_com
@@ -479,7 +486,7 @@ class Moments:
         found[self._late[0]] -= vector[self._late[1]]
         return found
 
-    def derivative(self, moments: Array) -> Array:
+    def differentiate_parameters(self, moments: Array) -> Array:
         """Returns how parameters change with moments (n, n)."""
         found, lightness = np.eye(len(moments)), self._lightness(moments)
         off = moments[self._coms] - self._stated_com
@@ -488,7 +495,7 @@ class Moments:
         found[self._late[0], self._late[1]] = 1.0
         return found
 
-    def of_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
+    def transform_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
         """Returns what is known of parameters, of what is known of moments, linear about the best.
 
         Args:
@@ -496,7 +503,7 @@ class Moments:
             covariance: (n, n) of them, in the priors' widths.
         """
         width = np.array([one.width for one in posterior.parameters])
-        turn = self.derivative(posterior.mean) * width / width[:, None]
+        turn = self.differentiate_parameters(posterior.mean) * width / width[:, None]
         back = np.linalg.inv(turn)
         covariance = turn @ covariance @ turn.T
         return replace(

@@ -23,7 +23,7 @@ GROUP = "pupper_analysis.bridges"
 """Entry points of other packages: a function of the robot and of what follows a colon."""
 
 
-class Person(Protocol):
+class Operator(Protocol):
     """Who stands beside the robot."""
 
     def prepare(self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str]) -> bool:
@@ -61,7 +61,7 @@ class Bridge(Protocol):
         """Lets the robot go, which holds what it was commanded last."""
 
 
-def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Person]:
+def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
     """Returns a bridge and who stands beside the robot, by ``NAME`` or ``NAME:WORDS``.
 
     Raises:

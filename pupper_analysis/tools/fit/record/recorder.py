@@ -33,13 +33,13 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.statics.support_polygon import com_margin
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
-from pupper_analysis.tools.fit.record.bridge import Bridge, Person
-from pupper_analysis.tools.fit.stands.plan import PlannedStand, com_width
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
+from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 
 Array = NDArray[np.float64]
 
-SPEED = 0.5
+MAX_JOINT_SPEED = 0.5
 """rad/s, at most: from one stand of a plan to the next it takes two seconds."""
 
 _TICK = 0.02
@@ -108,7 +108,7 @@ class _LeftOutError(_EndError):
 
 
 def record_stands(
-    robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, person: Person
+    robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, person: Operator
 ) -> Recording:
     """Takes the stands of a plan, and adds a row for each to a file.
 
@@ -155,12 +155,12 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def _record_stands(
-    robot: Robot, plan: str | Path, path: Path, bridge: Bridge, person: Person
+    robot: Robot, plan: str | Path, path: Path, bridge: Bridge, person: Operator
 ) -> Recording:
     """Take the stands of a plan while no other recording writes to the file."""
-    planned = read_stands(plan).ordered(robot)
+    planned = read_stands(plan).order_joints(robot)
     margins = list(_check(robot, planned))  # before anything moves
-    aside = com_width(robot, ())
+    aside = compute_com_std(robot, ())
     had = _names_in(path, planned)
     rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
     taken: list[str] = []
@@ -205,7 +205,7 @@ def _record_stands(
 class _Session:
     """A robot that is led from stand to stand."""
 
-    def __init__(self, robot: Robot, bridge: Bridge, person: Person) -> None:
+    def __init__(self, robot: Robot, bridge: Bridge, person: Operator) -> None:
         self._robot, self._bridge, self._person = robot, bridge, person
         self._command: Array | None = None
         self._lived = np.zeros(robot.nu, dtype=int)  # rows there were as a servo last did its work
@@ -238,7 +238,7 @@ class _Session:
             self._bridge.send(self._command)
             self._rest(stand)  # what it was commanded before, which carried it, is not known
         begin, first = self._command, self._positions(stand)
-        steps = max(1, math.ceil(np.abs(target - begin).max() / (SPEED * _TICK)))
+        steps = max(1, math.ceil(np.abs(target - begin).max() / (MAX_JOINT_SPEED * _TICK)))
         for step in range(1, steps + 1):
             self._command = begin + step / steps * (target - begin)
             self._bridge.send(self._command)
@@ -379,12 +379,12 @@ def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequ
     Returns:
         How long it was before.
     """
-    one = replace(planned.part([row]), position=read[None], swing=(tuple(up),))
+    one = replace(planned.select_rows([row]), position=read[None], swing=(tuple(up),))
     there = path.read_bytes() if path.exists() else None
     had = there or b""
     if had and not had.endswith(b"\n"):
         had += b"\n"
-    content = had + stands_text(one, header=not had).encode()
+    content = had + format_stands(one, header=not had).encode()
     write_all([Writing(path, content, RECORD, before=there)])
     return len(had)
 

@@ -15,8 +15,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
 from pupper_analysis.robot.tool import with_payload
-from pupper_analysis.tools.fit.parameters import bodies_of
-from pupper_analysis.tools.fit.stands.equations import level_base
+from pupper_analysis.tools.fit.parameters import list_bodies
+from pupper_analysis.tools.fit.stands.equations import compute_level_base
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -58,7 +58,7 @@ class SimulatedRobot:
     def __init__(self, robot: Robot, seed: int = 0, kp: float | None = None) -> None:
         rng = np.random.default_rng(seed)
         factors = {}
-        for link, _ in bodies_of(robot):
+        for link, _ in list_bodies(robot):
             factors[f"mass:{link}"] = math.exp(MASS * rng.normal())
             factors |= {f"com_{axis}:{link}": COM * rng.normal() for axis in "xyz"}
         common = rng.normal()
@@ -114,7 +114,7 @@ class SimulatedRobot:
         loads: Mapping[str, Array],
         todo: Sequence[str],  # noqa: ARG002 - it does what is planned
     ) -> bool:
-        """See ``Person``: lifts it, puts the mass on, and sets it down as it was commanded."""
+        """See ``Operator``: lifts it, puts the mass on, and sets it down as it was commanded."""
         self._put_on(loads)
         self._set_down(stand.swing)
         return True
@@ -122,7 +122,7 @@ class SimulatedRobot:
     def _set_down(self, swing: Sequence[str]) -> None:
         robot, joints = self._loaded, self.sent[-1] - self.offset
         on = [point for foot, own in robot.feet.items() if foot not in swing for point in own]
-        qpos, base = robot.posed(joints), level_base(robot, joints, on)
+        qpos, base = robot.posed(joints), compute_level_base(robot, joints, on)
         qpos[2], qpos[3:7] = base[4], base[:4]
         every = robot.contact_points
         lowest = Configuration(robot, qpos).foot_places(every)[:, 2]
@@ -136,7 +136,7 @@ class SimulatedRobot:
         feet: Sequence[str],
         planned: Sequence[str],  # noqa: ARG002 - it sees
     ) -> tuple[str, ...] | None:
-        """See ``Person``: as it is; None if it lies on something else, or on two feet."""
+        """See ``Operator``: as it is; None if it lies on something else, or on two feet."""
         carried, force = dict.fromkeys(feet, 0.0), np.zeros(6)
         for number, contact in enumerate(self._data.contact[: self._data.ncon]):
             mujoco.mj_contactForce(self._drive.model, self._data, number, force)
@@ -150,7 +150,7 @@ class SimulatedRobot:
         return up if len(feet) - len(up) >= 3 else None
 
     def stops(self) -> bool:
-        """See ``Person``."""
+        """See ``Operator``."""
         return False
 
 

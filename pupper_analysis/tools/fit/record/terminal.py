@@ -27,7 +27,7 @@ class Terminal:
         loads: Mapping[str, Array],  # noqa: ARG002
         todo: Sequence[str],
     ) -> bool:
-        """See ``Person``."""
+        """See ``Operator``."""
         for line in todo:
             click.echo(f"  {line}", err=True)
         said: str = click.prompt(
@@ -36,7 +36,7 @@ class Terminal:
         return said.strip().lower() != "s"
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """See ``Person``."""
+        """See ``Operator``."""
         known = {foot.lower(): foot for foot in feet}
         while True:
             default = " ".join(planned) or "none"
@@ -51,7 +51,7 @@ class Terminal:
             click.echo(f"  {' '.join(feet)}, or none", err=True)
 
     def stops(self) -> bool:
-        """See ``Person``."""
+        """See ``Operator``."""
         if not sys.stdin.isatty():
             return False
         # A terminal hands over lines; without that a key is there once it is pressed.

@@ -15,9 +15,9 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior
+from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
-from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, bodies_of
+from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, list_bodies
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class StandNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class StandReading:
     """What was measured of one stand; NaN is not measured. See ``MeasuredStands``.
 
     Attributes:
@@ -91,10 +91,10 @@ class Reading:
     added: Mapping[str, Array] = field(default_factory=dict)
 
 
-def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
+def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading]:
     """Yields what was measured of each stand."""
     for row in range(len(stands)):
-        yield Reading(
+        yield StandReading(
             command=stands.command[row],
             position=stands.position[row],
             points=tuple(
@@ -144,8 +144,8 @@ class StandRows:
     def __init__(
         self,
         table: ParameterTable,
-        numbers: Numbers,
-        reading: Reading,
+        numbers: StandValues,
+        reading: StandReading,
         laws: dict[str, GroundLaw],
         base: Array,
         forces: Array,
@@ -196,9 +196,9 @@ class StandRows:
         )
         self._balance()
         self._contact()
-        self.weigh(noise)
+        self.set_noise(noise)
 
-    def weigh(self, noise: StandNoise) -> None:
+    def set_noise(self, noise: StandNoise) -> None:
         """Takes noise to be another: nothing else of the rows depends on it."""
         pressed, length = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
@@ -217,10 +217,10 @@ class StandRows:
         found: Array = self._sources**2 * self.by_noise @ self.by_noise.T
         return found + np.diag(self.deviation**2)
 
-    def eliminate(self) -> tuple[Linearised, Array]:
+    def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
         """Returns residuals, whitened, that no own unknown changes; and the own unknowns' step."""
         rest, log_noise, step = self._without_own(np.column_stack([self.residual, self.by_x]))
-        return Linearised.of(rest[:, 0], rest[:, 1:], log_noise), step
+        return LinearisedResiduals.from_residuals(rest[:, 0], rest[:, 1:], log_noise), step
 
     def _without_own(self, columns: Array) -> tuple[Array, float, Array]:
         """Returns columns of which the first is residuals: what is left of them, whitened.
@@ -237,7 +237,7 @@ class StandRows:
         log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(lengths[:rank]).sum())
         return left[:, rank:].T @ white[:, :n], log_noise, step
 
-    def contradictions(self, known: Array) -> tuple[Array, Array]:
+    def find_contradictions(self, known: Array) -> tuple[Array, Array]:
         """Returns by how much each joint was read beyond what all other readings say, and how sure.
 
         (nu,) each (rad), the second as standard deviations: the error of that reading alone which
@@ -253,7 +253,7 @@ class StandRows:
 
     def _put(self, rows: Array, by: Array | float, *name: str) -> None:
         """Adds what rows (k, n) change by with a parameter, if it is estimated."""
-        place = self._table.place(*name)
+        place = self._table.find_index(*name)
         if place is not None:
             rows[..., place] += by
 
@@ -264,7 +264,7 @@ class StandRows:
         kept = self._forces[:, 2:] * moments
         wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + kept])
         stiffness = self.config.pushed_rates(self._twists, wrenches)
-        gravity, by_mass, by_com, by_slope = self._regressor.at(self.config, numbers)
+        gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, numbers)
         residual = self.config.passive() - gravity
         residual[2] -= numbers.load * numbers.mass * numbers.size
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
@@ -394,7 +394,7 @@ def _turned(band: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Load:
+class KnownMass:
     """A known mass that was put on a link.
 
     Attributes:
@@ -415,7 +415,7 @@ class Load:
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class StandValues:
     """What a vector of parameters says of a robot and its surroundings.
 
     Attributes:
@@ -460,9 +460,9 @@ class Numbers:
     stiff: Array
     stuck: float
     rubbing: Array
-    loads: tuple[Load, ...] = ()
+    loads: tuple[KnownMass, ...] = ()
 
-    def of(self, reading: Reading, table: ParameterTable) -> Numbers:
+    def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
         """Returns the same as a stand has it: with known masses on, turned about the vertical."""
         if not reading.added and not reading.heading:
             return self
@@ -472,11 +472,11 @@ class Numbers:
         other = self.robot.structure.model  # whose joints the regressor numbers
         for link, (stated, *place) in reading.added.items():
             frame = other.frames[other.getFrameId(link, pin.FrameType.BODY)]
-            mass = stated * table.value(self.vector, "added", link, "", 1.0)
-            moved = [table.value(self.vector, "place", link, axis, 0.0) for axis in AXES]
+            mass = stated * table.get_value(self.vector, "added", link, "", 1.0)
+            moved = [table.get_value(self.vector, "place", link, axis, 0.0) for axis in AXES]
             at = frame.placement.act(np.array(place) + moved)
             turn = frame.placement.rotation
-            loads.append(Load(link, frame.parentJoint, float(stated), mass, at, turn))
+            loads.append(KnownMass(link, frame.parentJoint, float(stated), mass, at, turn))
             model = robot.pin_model
             moves = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
             model.inertias[moves] += pin.Inertia(mass, at, np.zeros((3, 3)))
@@ -505,7 +505,7 @@ def _ahead_of(robot: Robot, point: str) -> Array:
     return found
 
 
-def level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
+def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
     """Returns the base's quaternion (w, x, y, z) and height (m), with contact points on the ground.
 
     The plane z = a x + b y + c through them is turned level, and brought to the ground.
@@ -532,8 +532,8 @@ class GravityRegressor:
         self._model = robot.structure.model.copy()
         self._data, self._rest = self._model.createData(), np.zeros(self._model.nv)
 
-    def at(
-        self, config: Configuration, numbers: Numbers
+    def evaluate(
+        self, config: Configuration, numbers: StandValues
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
         """Returns gravity's forces (nv,), and their derivatives.
 
@@ -603,58 +603,60 @@ class StandEquations:
         self._heaviness = robot.total_mass
         self.stuck = 0.0
         model = robot.structure.model
-        self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
+        self._bodies = [(link, at, model.inertias[at].copy()) for link, at in list_bodies(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
         self._ahead = {point: _ahead_of(robot, point) for point in robot.contact_points}
-        self._readings = list(readings_of(robot, stands))
+        self._readings = list(make_readings(robot, stands))
         self._own = [self._begin(reading) for reading in self._readings]
 
-    def linearise(self, x: Array, about: Array, evaluations: int = _LOOKS) -> Linearised:
+    def linearise(self, x: Array, about: Array, evaluations: int = _LOOKS) -> LinearisedResiduals:
         """Returns the whitened residuals of all stands; see ``estimate_parameters``.
 
         Where they are only tried (x is not ``about``), stands' own unknowns stay as they are. Where
         these are known for about these parameters, one look is enough.
         """
-        total, had = Linearised.nothing(len(x)), list(self._own)
+        total, had = LinearisedResiduals.empty(len(x)), list(self._own)
         try:
             numbers = self._numbers(x)
             for stand in range(len(self._readings)):
-                total += self.stand(stand, numbers, evaluations)
+                total += self.linearise_stand(stand, numbers, evaluations)
         except (np.linalg.LinAlgError, ArithmeticError):  # far from anything that stands
             total = replace(total, chi2=math.inf)
         if x is not about:
             self._own = had
         return total
 
-    def weigh_at(self, x: Array) -> None:
+    def set_noise_point(self, x: Array) -> None:
         """Takes kp, weight and dead band, by which noise becomes torque, from x.
 
         Before it is the stated ones. If it followed the parameters from step to step, steps would
         go where noise is large.
         """
         names = self.robot.joint_names
-        self._stiff = self.table.of_each(x, "kp", names, self._kp)
+        self._stiff = self.table.get_values(x, "kp", names, self._kp)
         self._heaviness = self._mass(x)
-        self.stuck = abs(self.table.value(x, "deadband", "servos", "", 0.0))
+        self.stuck = abs(self.table.get_value(x, "deadband", "servos", "", 0.0))
 
-    def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
+    def linearise_stand(
+        self, stand: int, numbers: StandValues, evaluations: int = _LOOKS
+    ) -> LinearisedResiduals:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
         for _ in range(evaluations):
-            found, step = self._look(stand, numbers).eliminate()
+            found, step = self._look(stand, numbers).eliminate_own_unknowns()
             self._move(stand, step)
         return found
 
-    def looks(self, x: Array) -> list[StandRows]:
+    def evaluate_rows(self, x: Array) -> list[StandRows]:
         """Returns the rows of every stand at parameters, and at own unknowns as they are."""
         numbers = self._numbers(x)
         return [self._look(stand, numbers) for stand in range(len(self._readings))]
 
-    def _look(self, stand: int, numbers: Numbers) -> StandRows:
+    def _look(self, stand: int, numbers: StandValues) -> StandRows:
         (base, forces), reading = self._own[stand], self._readings[stand]
         return StandRows(
             self.table,
-            numbers.of(reading, self.table),
+            numbers.for_reading(reading, self.table),
             reading,
             self._laws,
             base,
@@ -663,44 +665,44 @@ class StandEquations:
             self._regressor,
         )
 
-    def _numbers(self, x: Array) -> Numbers:
+    def _numbers(self, x: Array) -> StandValues:
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
-            mass, com = table.inertial(x, link, stated)
+            mass, com = table.get_inertial(x, link, stated)
             bodies.append((link, number, mass, com))
             at = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
             model.inertias[at] = pin.Inertia(mass, com, stated.inertia)  # at rest nothing turns
         for point, ahead in self._ahead.items():
-            longer = table.value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
+            longer = table.get_value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
             if longer:
                 at = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
                 model.frames[at].placement *= pin.SE3(np.eye(3), longer * ahead)
         size = float(np.linalg.norm(robot.gravity))
-        one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
+        one, two = (table.get_value(x, "slope", "floor", axis, 0.0) for axis in "xy")
         if (squared := 1 - one * one - two * two) <= 0:
             raise np.linalg.LinAlgError("on a wall")
         upright = math.sqrt(squared)
-        return Numbers(
+        return StandValues(
             vector=x,
             robot=replace(robot, pin_model=model),
             bodies=tuple(bodies),
-            kp=table.of_each(x, "kp", robot.joint_names, self._kp),
-            offset=table.of_each(x, "offset", robot.joint_names, np.zeros(robot.nu)),
-            softness={foot: table.value(x, "softness", foot, "", 1.0) for foot in robot.feet},
+            kp=table.get_values(x, "kp", robot.joint_names, self._kp),
+            offset=table.get_values(x, "offset", robot.joint_names, np.zeros(robot.nu)),
+            softness={foot: table.get_value(x, "softness", foot, "", 1.0) for foot in robot.feet},
             moment={
-                foot: np.array([table.value(x, "moment", foot, axis, 0.0) for axis in AXES])
+                foot: np.array([table.get_value(x, "moment", foot, axis, 0.0) for axis in AXES])
                 for foot in robot.feet
             },
             ahead=self._ahead,
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
-            deadband=table.value(x, "deadband", "servos", "", 0.0),
+            deadband=table.get_value(x, "deadband", "servos", "", 0.0),
             settling={
-                link: table.value(x, "settling", link, "", 0.0)
+                link: table.get_value(x, "settling", link, "", 0.0)
                 for link in dict.fromkeys(link for one in self._readings for link in one.added)
             },
-            load=table.value(x, "load", "scale", "", 0.0),
+            load=table.get_value(x, "load", "scale", "", 0.0),
             size=size,
             mass=self._mass(x),
             heaviness=self._heaviness,
@@ -714,20 +716,22 @@ class StandEquations:
         masses = [place for place, one in enumerate(self.table) if one.kind == "mass"]
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
-    def _begin(self, reading: Reading) -> tuple[Array, Array]:
+    def _begin(self, reading: StandReading) -> tuple[Array, Array]:
         """Returns a stand's own unknowns to begin with: on its feet, as the encoders have it."""
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.weight / len(points)
-        return level_base(robot, reading.position, points), forces
+        return compute_level_base(robot, reading.position, points), forces
 
-    def informations(self, x: Array) -> list[Array]:
+    def compute_informations(self, x: Array) -> list[Array]:
         """Returns what each stand tells (n, n), where the priors' widths are the units."""
         numbers, width = self._numbers(x), self.table.width
-        found = [self.stand(stand, numbers).information for stand in range(len(self._readings))]
+        found = [
+            self.linearise_stand(stand, numbers).information for stand in range(len(self._readings))
+        ]
         return [width[:, None] * one * width for one in found]
 
-    def normal_forces(self, stand: int) -> dict[str, float]:
+    def sum_normal_forces(self, stand: int) -> dict[str, float]:
         """Returns the normal force on each foot that carries in a stand (N)."""
         forces = dict(zip(self._readings[stand].points, self._own[stand][1], strict=True))
         return {
@@ -736,7 +740,7 @@ class StandEquations:
             if any(point in forces for point in points)
         }
 
-    def heights_in_the_air(
+    def compute_swing_heights(
         self, stand: int, x: Array, offsets: Array
     ) -> dict[str, tuple[float, float]]:
         """Returns how high each foot is that is in the air in a stand, its lowest point.
@@ -761,18 +765,20 @@ class StandEquations:
                 found[foot] = float(heights[lowest]), off
         return found
 
-    def residuals(self, x: Array) -> list[float]:
+    def compute_rms_residuals(self, x: Array) -> list[float]:
         """Returns the root mean square of each stand's whitened residuals."""
         numbers = self._numbers(x)
-        left = [self.stand(stand, numbers) for stand in range(len(self._readings))]
+        left = [self.linearise_stand(stand, numbers) for stand in range(len(self._readings))]
         return [math.sqrt(one.chi2 / max(one.rows, 1)) for one in left]
 
-    def contradictions(self, known: Posterior) -> tuple[Array, Array]:
+    def find_contradictions(self, known: Posterior) -> tuple[Array, Array]:
         """Returns by how much each joint in each stand was read beyond what all others say.
 
         (m, nu) (rad), and standard deviations; see ``StandRows``.
         """
-        found = [rows.contradictions(known.covariance) for rows in self.looks(known.mean)]
+        found = [
+            rows.find_contradictions(known.covariance) for rows in self.evaluate_rows(known.mean)
+        ]
         off, sure = np.moveaxis(np.array(found), 1, 0)
         return off, sure
 

@@ -16,25 +16,30 @@ from pupper_analysis.base.errors import ConfigurationError, FitError, Measuremen
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
-from pupper_analysis.tools.fit.estimate import NORMAL_95, Linearised, Posterior, estimate_parameters
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of
+from pupper_analysis.tools.fit.estimate import (
+    HALF_WIDTH_95,
+    LinearisedResiduals,
+    Posterior,
+    estimate_parameters,
+)
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, estimate_encoder_step
 from pupper_analysis.tools.fit.parameters import (
     AXES,
     KINDS,
-    OF_SURROUNDINGS,
+    SURROUNDINGS_KINDS,
     Parameter,
     ParameterTable,
     Prior,
-    bodies_of,
-    give_widths,
+    apply_priors,
+    list_bodies,
     parse_priors,
 )
 from pupper_analysis.tools.fit.result import (
     Estimate,
     Fit,
-    derive,
+    derive_estimate,
     describe_parameters,
-    kp_over_mass,
+    estimate_kp_over_mass,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
@@ -89,7 +94,7 @@ class StandFit(Fit):
 def _joint_residuals(
     stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    off, sure = equations.contradictions(known)
+    off, sure = equations.find_contradictions(known)
     found = [
         JointResidual(stand, joint, float(off[row, column]), float((off / sure)[row, column]))
         for row, stand in enumerate(stands.names)
@@ -103,10 +108,10 @@ def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
     stated = np.array([one.stated for one in posterior.parameters])
     whole = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
     mean = robot.total_mass + float(line @ (posterior.mean - stated))
-    return derive(posterior, whole, mean, line)
+    return derive_estimate(posterior, whole, mean, line)
 
 
-def whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
+def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yields x, y, z of the whole robot's com in the base's frame, at nominal joint positions.
 
     With bodies i of mass m_i, whose frames are R_i, p_i and coms c_i, com = sum m_i x_i / M and
@@ -119,28 +124,28 @@ def whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     )
     table, x = ParameterTable(posterior.parameters), posterior.mean
     masses, places, rates, stated = [], [], np.zeros((3, len(x))), np.zeros(3)
-    for link, number in bodies_of(robot):
+    for link, number in list_bodies(robot):
         own, here = model.inertias[number], data.oMi[1].actInv(data.oMi[number])
-        mass, com = table.inertial(x, link, own)
+        mass, com = table.get_inertial(x, link, own)
         masses.append(mass)
         places.append(here.act(com))
         stated += own.mass * here.act(own.lever)
         for axis, column in zip(AXES, here.rotation.T, strict=True):
-            if (at := table.place("com", link, axis)) is not None:
+            if (at := table.find_index("com", link, axis)) is not None:
                 rates[:, at] = mass * column
     whole = np.array(masses) @ np.array(places) / sum(masses)
-    for (link, _), place in zip(bodies_of(robot), places, strict=True):
-        if (at := table.place("mass", link)) is not None:
+    for (link, _), place in zip(list_bodies(robot), places, strict=True):
+        if (at := table.find_index("mass", link)) is not None:
             rates[:, at] = place - whole
     for number, axis in enumerate(AXES):
         one = Parameter("com", robot.name, axis, float(stated[number] / robot.total_mass), 0.0)
-        yield derive(posterior, one, float(whole[number]), rates[number] / sum(masses))
+        yield derive_estimate(posterior, one, float(whole[number]), rates[number] / sum(masses))
 
 
 # What a model does not explain of stands: noise, numbers, and what surrounds the robot.
 
 
-def suspect_scale(
+def check_scale(
     robot: Robot, posterior: Posterior, weight: float | None = None, *, level: bool = True
 ) -> Iterator[Diagnostic]:
     """Yields that all kp, and the whole mass, are further from the file than files are.
@@ -170,7 +175,7 @@ def suspect_scale(
     signs, freedom, _ = _surprise(posterior, lines)
     if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
         return
-    stiffer, total = kp_over_mass(posterior, alone=True), _total_mass(robot, posterior)
+    stiffer, total = estimate_kp_over_mass(posterior, kp_only=True), _total_mass(robot, posterior)
     yield diagnose(
         "scale-far-from-the-file",
         weight=None if weight is None else Quantity(weight, "kg"),
@@ -214,7 +219,7 @@ def _findings(posterior: Posterior, stuck: float) -> Iterator[Diagnostic]:
     """
     loaded = "added" in posterior.kinds
     for place, one in enumerate(posterior.parameters):
-        mean, half = float(posterior.mean[place]), float(NORMAL_95 * posterior.std[place])
+        mean, half = float(posterior.mean[place]), float(HALF_WIDTH_95 * posterior.std[place])
         if abs(mean) < half or (one.kind == "load" and not loaded):
             continue
         if one.kind == "deadband" and mean - half > stuck:
@@ -253,7 +258,7 @@ _RESIDUALS_CHANCE = 1e-3
 """Probability of residuals that are larger by chance."""
 
 
-def suspect_stands(
+def check_residuals(
     posterior: Posterior, found: StandNoise, expected: StandNoise, stuck: float
 ) -> Iterator[Diagnostic]:
     """Yields what the model does not explain of the measurements.
@@ -266,8 +271,8 @@ def suspect_stands(
     """
     from scipy import stats  # slow to import
 
-    if stats.chi2.sf(posterior.chi2, max(posterior.freedom, 1.0)) < _RESIDUALS_CHANCE:
-        ratio = posterior.chi2 / max(posterior.freedom, 1.0)
+    if stats.chi2.sf(posterior.chi2, max(posterior.degrees_of_freedom, 1.0)) < _RESIDUALS_CHANCE:
+        ratio = posterior.chi2 / max(posterior.degrees_of_freedom, 1.0)
         yield diagnose("residuals-too-large", times=math.sqrt(ratio))
     if found.flatness > _NOISY * expected.flatness:
         yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
@@ -280,18 +285,18 @@ def suspect_stands(
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
     # tells as much by a smaller step.
-    surprise = np.sqrt(np.maximum(1 - posterior.shares, _LEAST_DETERMINED))
+    surprise = np.sqrt(np.maximum(1 - posterior.variance_ratios, _LEAST_DETERMINED))
     moved = posterior.moved / surprise
     gone = np.isin(kinds, _NEVER_NOTHING) & (posterior.mean < _NOTHING * stated) & (moved < 0)
-    off = ~np.isin(kinds, OF_SURROUNDINGS) & (gone | (np.abs(moved) > _FAR))
+    off = ~np.isin(kinds, SURROUNDINGS_KINDS) & (gone | (np.abs(moved) > _FAR))
     if len(far := np.flatnonzero(off)):
         names, widths = [posterior.parameters[place].name for place in far], np.abs(moved[far])
         yield diagnose("far-from-the-file", names=names, widths=float(widths.max()))
     flatter = min(1.0, found.flatness / expected.flatness)
-    yield from suspect_surroundings(posterior, flatter)
+    yield from check_surroundings(posterior, flatter)
 
 
-def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator[Diagnostic]:
+def check_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator[Diagnostic]:
     """Yields what of the surroundings is not as it was said to be, one kind at a time.
 
     See ``_surprise``: several weak signs of a slope, or of soft soles, are one together.
@@ -318,7 +323,7 @@ def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator
         if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
             continue
         free = width * far
-        message = np.maximum(1 - posterior.shares[places], _LEAST_DETERMINED)
+        message = np.maximum(1 - posterior.variance_ratios[places], _LEAST_DETERMINED)
         message *= 1 - (1 - sure**2) * message
         each = np.abs(posterior.moved[places]) / np.sqrt(message)
         if kind == "load":
@@ -340,13 +345,13 @@ def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator
 _SAME_LENGTH = 0.005
 """Of a leg's last link: standard deviation of parts that are printed and glued by the same file."""
 
-WEIGHED = 0.002
+SCALE_RTOL = 0.002
 """Of a mass that a scale shows: standard deviation."""
 
-KNOWN_MASS = 0.15
+KNOWN_MASS_FRACTION = 0.15
 """Of the robot's: 500 g on Pupper v3. With 200 g kp is known to 12 to 14 % by it alone."""
 
-LEAST_STANDS = 3
+MIN_STANDS = 3
 
 _FINE_ENCODER = 2e-4
 """rad: where no step shows, a position is taken to be as sure as one of 14 bits that shakes."""
@@ -405,13 +410,15 @@ def fit_stands(
             raise ConfigurationError(name, diagnose("not-positive", value=value))
     robot.check_floating()
     robot.check_tree("fit")
-    given = stands.ordered(robot)
+    given = stands.order_joints(robot)
 
     def fit(given: MeasuredStands) -> StandFit:
-        return _Problem.of(robot, given, wanted, weight, kp, encoder).solve()
+        return _Problem.from_stands(robot, given, wanted, weight, kp, encoder).solve()
 
     def evidence(given: MeasuredStands) -> float:
-        return _Problem.of(robot, given, wanted, weight, kp, encoder).evidence()
+        return _Problem.from_stands(
+            robot, given, wanted, weight, kp, encoder
+        ).compute_log_evidence()
 
     try:
         found = _without_contradictions(fit, given)
@@ -458,7 +465,7 @@ def _without_contradictions(
                 raise first from None
             name = error.cause.values["stand"]
             notes.append(diagnose("stand-left-out", why=error.cause))
-            rest = rest.part([row for row, own in enumerate(rest.names) if own != name])
+            rest = rest.select_rows([row for row, own in enumerate(rest.names) if own != name])
         else:
             return replace(found, diagnostics=(*notes, *found.diagnostics))
 
@@ -492,7 +499,7 @@ class _Problem:
     weight: float | None
 
     @staticmethod
-    def of(
+    def from_stands(
         robot: Robot,
         stands: MeasuredStands,
         priors: Sequence[Prior],
@@ -505,14 +512,14 @@ class _Problem:
         Raises:
             MeasurementError: If they are none of this robot's.
         """
-        given = stands.checked(robot).repeated()
-        if len(given) < LEAST_STANDS:
-            found = diagnose("too-few-stands", stands=len(given), least=LEAST_STANDS)
+        given = stands.check_readings(robot).average_repeats()
+        if len(given) < MIN_STANDS:
+            found = diagnose("too-few-stands", stands=len(given), least=MIN_STANDS)
             raise MeasurementError(given.source, found)
         asked = np.isfinite(given.command).sum(axis=0) > 0
-        stiffness = stated_stiffness(robot, given.source, asked, kp)
-        noise, friction = expected_noise(robot, given, encoder)
-        table = ParameterTable(give_widths(parameters_of(robot, given, stiffness), priors))
+        stiffness = get_stated_stiffness(robot, given.source, asked, kp)
+        noise, friction = predict_noise(robot, given, encoder)
+        table = ParameterTable(apply_priors(list_parameters(robot, given, stiffness), priors))
         return _Problem(robot, given, stiffness, friction, table, noise, weight)
 
     @property
@@ -528,10 +535,10 @@ class _Problem:
         stated = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if stated > _TYPED else _UNMODELLED / stated
 
-    def evidence(self) -> float:
+    def compute_log_evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
         message = self.equations()[0].linearise(self.table.stated, self.table.stated)
-        return message.evidence(self.table, np.zeros(len(self.table)))
+        return message.compute_log_evidence(self.table, np.zeros(len(self.table)))
 
     def equations(
         self, known: Posterior | None = None
@@ -552,37 +559,37 @@ class _Problem:
 
         def by(noise: StandNoise) -> tuple[Posterior, float]:
             """Returns what is known with a noise, and the logarithm of how likely stands are."""
-            equations.noise, equations.table = noise, alike(table, noise, self.noise)
+            equations.noise, equations.table = noise, scale_common_widths(table, noise, self.noise)
             found = _estimate(robot, stands, equations, weighed, known.mean)
             left = equations.linearise(found.mean, found.mean) + weighed(found.mean)
-            return found, left.evidence(ParameterTable(found.parameters), found.moved)
+            return found, left.compute_log_evidence(ParameterTable(found.parameters), found.moved)
 
         for _ in range(_PASSES):
-            equations.weigh_at(before := known.mean)
+            equations.set_noise_point(before := known.mean)
             equations.noise, equations.table = self.noise, table
-            noise = find_noise(equations, known, weighed, self.rubs)
+            noise = estimate_noise(equations, known, weighed, self.rubs)
             known, likely = by(noise)
-            at = table.place("deadband", "servos")
+            at = table.find_index("deadband", "servos")
             if at is None or abs(known.mean[at] - before[at]) < known.std[at]:
                 break
         _check_feet(robot, stands, equations, known)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
         usual = replace(self.noise, friction=self.rubs)
-        doubts = tuple(suspect_stands(known, noise, usual, self.stuck))
+        doubts = tuple(check_residuals(known, noise, usual, self.stuck))
         level = all(one.code != "ground-slopes" for one in doubts)
-        scale = suspect_scale(robot, known, weight, level=level)
+        scale = check_scale(robot, known, weight, level=level)
         return StandFit(
             name=robot.name,
             source=stands.source,
             stands=len(stands),
             estimates=tuple(describe_parameters(known)),
             total_mass=_total_mass(robot, known),
-            com=tuple(whole_com(robot, known)),
-            kp_factor=kp_over_mass(known, alone=True),
-            kp_over_mass=kp_over_mass(known),
+            com=tuple(estimate_com(robot, known)),
+            kp_factor=estimate_kp_over_mass(known, kp_only=True),
+            kp_over_mass=estimate_kp_over_mass(known),
             weight=weight,
-            residuals=dict(zip(stands.names, equations.residuals(x), strict=True)),
+            residuals=dict(zip(stands.names, equations.compute_rms_residuals(x), strict=True)),
             joint_residuals=_joint_residuals(stands, equations, known),
             noise=dict(vars(noise)),
             failures=(*scale, *doubts, *self._contradicted(equations, noise, likely, by)),
@@ -628,25 +635,25 @@ def _estimate(
     robot: Robot,
     stands: MeasuredStands,
     equations: StandEquations,
-    weighed: Callable[[Array], Linearised],
+    weighed: Callable[[Array], LinearisedResiduals],
     start: Array | None,
 ) -> Posterior:
     """Returns the parameters that stands and priors make most probable."""
     table = equations.table
-    logarithms = Logarithms(table)
+    logarithms = LogCoordinates(table)
 
-    def linearise(y: Array, about: Array) -> Linearised:
+    def linearise(y: Array, about: Array) -> LinearisedResiduals:
         x = logarithms.to_parameters(y)
         other = x if y is about else logarithms.to_parameters(about)
-        return logarithms.linearise(equations.linearise(x, other) + weighed(x), y)
+        return logarithms.transform_linearised(equations.linearise(x, other) + weighed(x), y)
 
-    begin = logarithms.of_parameters(table.stated if start is None else start)
+    begin = logarithms.from_parameters(table.stated if start is None else start)
     try:
         found = estimate_parameters(table, linearise, begin, least=logarithms.least, enough=_ENOUGH)
     except FitError:
         _check_feet(robot, stands, equations)  # which may tell why
         raise
-    return logarithms.of_posterior(found)
+    return logarithms.transform_posterior(found)
 
 
 _ENOUGH = 2e-3
@@ -654,7 +661,7 @@ _ENOUGH = 2e-3
 noise does depends a little on contact forces, of which no derivative is taken: less is not kept."""
 
 
-def expected_noise(
+def predict_noise(
     robot: Robot, stands: MeasuredStands, encoder: float | None
 ) -> tuple[StandNoise, Array]:
     """Returns the noise that is expected, and the dry friction (nu,) that makes torques uncertain.
@@ -666,13 +673,13 @@ def expected_noise(
     """
     scale = robot.weight * robot.stand_height
     if encoder is None:
-        step = quantum_of(stands)
+        step = estimate_encoder_step(stands)
         encoder = step / math.sqrt(12.0) if step else _FINE_ENCODER
     rubbing = robot.joint_friction
     return StandNoise(encoder), np.where(rubbing > 0, rubbing, _UNMODELLED * scale)
 
 
-def parameters_of(
+def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
     """Yields kind, subject, component and stated value of what stands may tell.
@@ -682,7 +689,7 @@ def parameters_of(
         stands: Its stands.
         kp: (nu,) stated stiffness (N m/rad).
     """
-    yield from inertials_of(robot)
+    yield from list_inertials(robot)
     for joint, name in enumerate(robot.joint_names):
         yield "offset", name, "", 0.0
         if np.isfinite(stands.command[:, joint]).any():
@@ -705,16 +712,16 @@ def parameters_of(
                 yield "place", link, axis, 0.0
 
 
-def inertials_of(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
+def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
     """Yields kind, subject, component and stated value of masses and coms."""
-    for link, number in bodies_of(robot):
+    for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
         yield "mass", link, "", float(inertia.mass)
         for axis, value in zip(AXES, inertia.lever, strict=True):
             yield "com", link, axis, float(value)
 
 
-def stated_stiffness(
+def get_stated_stiffness(
     robot: Robot, source: str, commanded: NDArray[np.bool_], kp: ArrayLike | None
 ) -> Array:
     """Returns the servos' stated stiffness (nu,) (N m/rad); 0 without a servo.
@@ -745,14 +752,14 @@ def stated_stiffness(
 _AT_STOP = 2e-3
 """rad: as near as that to a limit, a stop may carry, and no servo tells what."""
 
-SURE = 3.0
+LIMIT_MARGIN_STDS = 3.0
 """Standard deviations of an encoder's zero: a joint that is so far from a limit is not at it."""
 
 
 def _zeros(robot: Robot, table: ParameterTable, known: Posterior | None) -> tuple[Array, Array]:
     """Returns the zeros of encoders (nu,), and how sure: before measurements, or after (rad)."""
     mean, std = (table.stated, table.width) if known is None else (known.mean, known.std)
-    places = [table.place("offset", name) for name in robot.joint_names]
+    places = [table.find_index("offset", name) for name in robot.joint_names]
     found = [(0.0, 0.0) if place is None else (mean[place], std[place]) for place in places]
     return np.array(found)[:, 0], np.array(found)[:, 1]
 
@@ -766,7 +773,10 @@ def _used(
     can, nobody knows by how much a command leads.
     """
     commanded, position = np.isfinite(stands.command), stands.position - zeros
-    lead, margin = np.nan_to_num(stands.command - stands.position), _AT_STOP + SURE * sure
+    lead, margin = (
+        np.nan_to_num(stands.command - stands.position),
+        _AT_STOP + LIMIT_MARGIN_STDS * sure,
+    )
     stopped = (position < robot.lower_limits + margin) | (position > robot.upper_limits - margin)
     full = (np.abs(kp * lead) > _FULL * robot.effort_limits) & ~stopped
     notes = [] if commanded.any() else [diagnose("stands-without-commands")]
@@ -788,16 +798,18 @@ _FULL = 0.98
 
 def _weighed(
     robot: Robot, table: ParameterTable, weight: float | None
-) -> Callable[[Array], Linearised]:
+) -> Callable[[Array], LinearisedResiduals]:
     """Returns what a scale says of the masses: one residual, or none."""
     line = np.array([float(one.kind == "mass") for one in table])
     rest = robot.total_mass - float(line @ table.stated)  # of what is no parameter
 
-    def residuals(x: Array) -> Linearised:
+    def residuals(x: Array) -> LinearisedResiduals:
         if weight is None:
-            return Linearised.nothing(len(table))
-        sure = WEIGHED * weight
-        return Linearised.of(np.array([(line @ x + rest - weight) / sure]), line[None] / sure)
+            return LinearisedResiduals.empty(len(table))
+        sure = SCALE_RTOL * weight
+        return LinearisedResiduals.from_residuals(
+            np.array([(line @ x + rest - weight) / sure]), line[None] / sure
+        )
 
     return residuals
 
@@ -823,12 +835,12 @@ def _check_feet(
     weight = robot.weight
     found: list[tuple[float, Diagnostic]] = []
     for row, name in enumerate(stands.names):
-        for foot, (height, off) in equations.heights_in_the_air(row, x, offsets).items():
+        for foot, (height, off) in equations.compute_swing_heights(row, x, offsets).items():
             if height < -_TOUCHES * off:
                 at, high = ("foot", foot), Quantity(height, "m")
                 one = diagnose("foot-in-the-air-touches", subject=at, stand=name, height=high)
                 found.append((-height / off, one))
-        for foot, force in equations.normal_forces(row).items():
+        for foot, force in equations.sum_normal_forces(row).items():
             if force < -_PULLS * weight:
                 at, pull, up = ("foot", foot), Quantity(-force, "N"), list(stands.swing[row])
                 one = diagnose("foot-would-pull", subject=at, stand=name, force=pull, swing=up)
@@ -841,7 +853,7 @@ def _check_feet(
 # Coordinates of parameters in which what is known before is normal: logarithms of what scales.
 
 
-class Logarithms:
+class LogCoordinates:
     """A vector of parameters by logarithms of masses and stiffness, and back.
 
     Stands tell kp and masses by their ratio. Were each normal, all smaller together would be more
@@ -867,33 +879,35 @@ class Logarithms:
 
     def to_parameters(self, logarithms: Array) -> Array:
         """Returns parameters (n,) of coordinates (n,)."""
-        return np.where(self._factors, self._stated * self.rates(logarithms), logarithms)
+        return np.where(self._factors, self._stated * self.compute_rates(logarithms), logarithms)
 
-    def of_parameters(self, vector: Array) -> Array:
+    def from_parameters(self, vector: Array) -> Array:
         """Returns coordinates (n,) of parameters (n,)."""
         found, stated = vector.copy(), self._stated[self._factors]
         found[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
         return found
 
-    def rates(self, logarithms: Array) -> Array:
+    def compute_rates(self, logarithms: Array) -> Array:
         """Returns how fast parameters change with coordinates (n,): x / x0 of what scales."""
         found = np.ones(len(logarithms))
         stated = self._stated[self._factors]
         found[self._factors] = np.exp(logarithms[self._factors] / stated - 1)
         return found
 
-    def linearise(self, linearised: Linearised, logarithms: Array) -> Linearised:
+    def transform_linearised(
+        self, linearised: LinearisedResiduals, logarithms: Array
+    ) -> LinearisedResiduals:
         """Returns measurements about coordinates, of those about the parameters that they are."""
-        rates = self.rates(logarithms)
+        rates = self.compute_rates(logarithms)
         information = rates[:, None] * linearised.information * rates
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
-    def of_posterior(self, posterior: Posterior) -> Posterior:
+    def transform_posterior(self, posterior: Posterior) -> Posterior:
         """Returns what is known of parameters, as it is of coordinates, linear about the best.
 
         What was known before is as wide as it is there: of a robot twice as heavy, twice as wide.
         """
-        rates = self.rates(posterior.mean)
+        rates = self.compute_rates(posterior.mean)
         return replace(
             posterior,
             parameters=tuple(
@@ -929,19 +943,21 @@ _EVALUATIONS = 40
 """Of the evidence, in search of three levels: they are wanted to some ten per cent."""
 
 
-def alike(table: ParameterTable, noise: StandNoise, expected: StandNoise) -> ParameterTable:
+def scale_common_widths(
+    table: ParameterTable, noise: StandNoise, expected: StandNoise
+) -> ParameterTable:
     """Returns parameters with what stands keep alike as large as what each keeps by itself.
 
     Friction of one sign no evidence shows: it is what the files state at least.
     """
-    moments = table.scaled("moment", noise.moment / expected.moment)
-    return moments.scaled("settling", max(1.0, noise.friction / expected.friction))
+    moments = table.with_scaled_widths("moment", noise.moment / expected.moment)
+    return moments.with_scaled_widths("settling", max(1.0, noise.friction / expected.friction))
 
 
-def find_noise(
+def estimate_noise(
     equations: StandEquations,
     known: Posterior,
-    more: Callable[[Array], Linearised],
+    more: Callable[[Array], LinearisedResiduals],
     rubs: float,
 ) -> StandNoise:
     """Returns the noise with moments on feet, flatness and joints' friction that are most likely.
@@ -959,7 +975,7 @@ def find_noise(
 
     expected, x, table = equations.noise, known.mean, ParameterTable(known.parameters)
     equations.linearise(x, x, _SETTLES)  # finds stands' own unknowns
-    stands, others = equations.looks(x), more(x)
+    stands, others = equations.evaluate_rows(x), more(x)
 
     def at(levels: Array) -> StandNoise:
         moment, flatness, friction = np.exp(levels)
@@ -973,9 +989,11 @@ def find_noise(
     def unlikely(levels: Array) -> float:
         noise, finding = at(levels), others
         for stand in stands:
-            stand.weigh(noise)
-            finding += stand.eliminate()[0]
-        evidence = finding.evidence(alike(table, noise, expected), known.moved)
+            stand.set_noise(noise)
+            finding += stand.eliminate_own_unknowns()[0]
+        evidence = finding.compute_log_evidence(
+            scale_common_widths(table, noise, expected), known.moved
+        )
         return float(levels @ levels) / (2 * _SPREAD**2) - evidence
 
     simplex = np.vstack([np.zeros(3), -np.eye(3)])

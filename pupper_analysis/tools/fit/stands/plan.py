@@ -27,19 +27,19 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, stands_text
-from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, give_widths, parse_priors
-from pupper_analysis.tools.fit.result import Estimate, describe_parameter, determined_by
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands
+from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
+from pupper_analysis.tools.fit.result import Estimate, classify_determination, describe_parameter
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
-    KNOWN_MASS,
-    LEAST_STANDS,
-    SURE,
-    expected_noise,
-    inertials_of,
-    parameters_of,
-    stated_stiffness,
-    whole_com,
+    KNOWN_MASS_FRACTION,
+    LIMIT_MARGIN_STDS,
+    MIN_STANDS,
+    estimate_com,
+    get_stated_stiffness,
+    list_inertials,
+    list_parameters,
+    predict_noise,
 )
 
 Array = NDArray[np.float64]
@@ -128,35 +128,35 @@ def plan_stands(
     """
     robot.check_floating()
     robot.check_tree("fit")
-    if not LEAST_STANDS <= count <= _MOST_STANDS:
-        raise ConfigurationError("count", diagnose("no-count", count=count, least=LEAST_STANDS))
+    if not MIN_STANDS <= count <= _MOST_STANDS:
+        raise ConfigurationError("count", diagnose("no-count", count=count, least=MIN_STANDS))
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
-    stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
+    stiffness = get_stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
     rng = np.random.default_rng(seed)
     known = parse_priors(priors)
     if added is None:
-        added = float(f"{KNOWN_MASS * robot.total_mass:.2g}")
+        added = float(f"{KNOWN_MASS_FRACTION * robot.total_mass:.2g}")
     place = find_place(robot, (0.0, 0.0, _top(robot)) if added_at is None else added_at)
     loaded = with_payload(robot, added, (place.link, *place.offset))
     found: list[_Candidate] = []
     for one in [robot] if loaded is robot else [robot, loaded]:
         candidates = RandomStands(one, rng, kp, known)
         share = _CANDIDATES * count if loaded is robot else -(-_CANDIDATES * count // 2)
-        drawn = candidates.draw(share)
+        drawn = candidates.draw_stands(share)
         mass = 0.0 if one is robot else added
         found += [
             _candidate(robot, stand, sagged, stiffness, math.pi * (at % 2), mass)
             for at, (stand, sagged) in enumerate(drawn)
         ]
         if len(drawn) < min(count, share):
-            raise MeasurementError(robot.name, candidates.explain(count))
+            raise MeasurementError(robot.name, candidates.explain_shortage(count))
     stands = _as_measured(robot.name, [one.planned for one in found], place)
     stands = replace(stands, position=np.array([one.position for one in found]))
-    table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness), known))
-    noise, friction = expected_noise(robot, stands, None)
+    table = ParameterTable(apply_priors(list_parameters(robot, stands, stiffness), known))
+    noise, friction = predict_noise(robot, stands, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
-    each = equations.informations(table.stated)
+    each = equations.compute_informations(table.stated)
     lifted = [bool(one.planned.swing) for one in found]
     chosen = choose_stands(each, table.precision, count, lifted, count // _ON_THREE_AT_MOST)
     whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
@@ -171,7 +171,7 @@ def plan_stands(
         ),
         expected=tuple(
             describe_parameter(
-                one, one.stated, one.width * float(after), determined_by(float(after) ** 2)
+                one, one.stated, one.width * float(after), classify_determination(float(after) ** 2)
             )
             for one, after in zip(table.parameters, deviation, strict=True)
         ),
@@ -320,7 +320,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
         OutputError: If it cannot be written, or what is there must not be replaced.
     """
     with write_atomically(Path(path), PLAN, force=force) as file:
-        text = stands_text(_as_measured(plan.name, plan.stands, plan.place))
+        text = format_stands(_as_measured(plan.name, plan.stands, plan.place))
         file.write(text.encode())
 
 
@@ -386,8 +386,8 @@ class RandomStands:
         priors: Sequence[Prior] = (),
     ) -> None:
         self._robot, self._rng, self._kp = robot, rng, kp
-        self._off_limits = SURE * _offset_width(robot, priors)
-        self._off_edge = com_width(robot, priors)
+        self._off_limits = LIMIT_MARGIN_STDS * _offset_width(robot, priors)
+        self._off_edge = compute_com_std(robot, priors)
         self._clear = _clearance(robot)
         # A foot stays in the air though servos give way, and zeros of encoders are off.
         lowered = _sag(robot, kp) + self._off_limits * robot.stand_height
@@ -395,7 +395,7 @@ class RandomStands:
         self._far, self._found = 1.0, 0
         self._refused: Counter[str] = Counter()
 
-    def draw(self, count: int) -> list[tuple[Stand, SteadyState]]:
+    def draw_stands(self, count: int) -> list[tuple[Stand, SteadyState]]:
         """Returns stands, and where the servos let them sag to; fewer if there are too few."""
         found: list[tuple[Stand, SteadyState]] = []
         for tries in range(_TRIES * count):
@@ -407,7 +407,7 @@ class RandomStands:
         self._found = len(found)
         return found
 
-    def explain(self, wanted: int) -> Diagnostic:
+    def explain_shortage(self, wanted: int) -> Diagnostic:
         """Returns why there are fewer than that: what most stands failed in."""
         code = max(self._refused, key=lambda one: self._refused[one])
         if code == "too-few-in-reach":
@@ -489,14 +489,14 @@ def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
     """Returns how far an encoder's zero may be off (rad), as a standard deviation."""
     offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
     named = [prior for prior in priors if prior.kind == "offset"]
-    return max((one.width for one in give_widths(offsets, named)), default=0.0)
+    return max((one.width for one in apply_priors(offsets, named)), default=0.0)
 
 
-def com_width(robot: Robot, priors: Sequence[Prior]) -> float:
+def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Returns how far aside the com of the whole robot may be (m), as a standard deviation.
 
     In the nominal stand, along the worse of x and y, by what is known of masses and coms.
     """
     given = [one for one in priors if one.kind in ("mass", "com")]
-    before = Posterior.before(ParameterTable(give_widths(inertials_of(robot), given)))
-    return max(one.std for one in list(whole_com(robot, before))[:2])
+    before = Posterior.from_prior(ParameterTable(apply_priors(list_inertials(robot), given)))
+    return max(one.std for one in list(estimate_com(robot, before))[:2])

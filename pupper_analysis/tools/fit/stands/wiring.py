@@ -48,7 +48,7 @@ class Wiring:
         )
 
 
-def possible_wirings(robot: Robot) -> Iterator[Wiring]:
+def generate_wirings(robot: Robot) -> Iterator[Wiring]:
     """Yields one sign that is wrong, two plugs or two legs that are exchanged: each alone."""
     names, same, plain = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
@@ -103,7 +103,7 @@ def find_wiring(
             return -math.inf
 
     as_is = likely(stands)
-    ranked = [(likely(wiring.apply(stands)), wiring) for wiring in possible_wirings(robot)]
+    ranked = [(likely(wiring.apply(stands)), wiring) for wiring in generate_wirings(robot)]
     ranked = sorted((one for one in ranked if one[0] > as_is), key=lambda one: -one[0])
     for _, wiring in ranked[:_TRIED]:
         try:
