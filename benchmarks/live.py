@@ -18,9 +18,9 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import stance_document
-from pupper_analysis.tools.live.model import Model, predict_sag
+from pupper_analysis.tools.live.model import StanceSolver, predict_sag
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.server import LOOPBACK
+from pupper_analysis.tools.live.server import DEFAULT_HOST
 from pupper_analysis.tools.live.session import Panels, Session
 from pupper_analysis.tools.live.state import State
 
@@ -34,9 +34,9 @@ class Still(Session):
 
 def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
-    model = Model(pa.load_variant(variant))
-    port = render.free_port(LOOPBACK, None)
-    server = render.start_server(LOOPBACK, port, "benchmark")
+    model = StanceSolver(pa.load_variant(variant))
+    port = render.find_free_port(DEFAULT_HOST, None)
+    server = render.start_server(DEFAULT_HOST, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
     wall = taken["all, by the clock"] = []
     try:
@@ -44,7 +44,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
         panels = Panels(server, model, Still(), render.Language())
         for angle in np.sin(np.linspace(0.0, 12.0, moves)):
             begun, since = time.perf_counter(), time.thread_time()
-            answer = model.answer(State(roll=float(12 * angle), height=130.0))
+            answer = model.solve_state(State(roll=float(12 * angle), height=130.0))
             assert answer.refusal is None, answer.refusal
             solved = time.thread_time()
             with server.atomic():

@@ -32,7 +32,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.tools.contract.readers import read_onnx
 from pupper_analysis.tools.walk.gait import simulate_walk
-from pupper_analysis.tools.walk.policy import Policy, onnx_network
+from pupper_analysis.tools.walk.policy import Policy, build_onnx_network
 
 COMMAND, SECONDS, WARM_UP = np.array([0.5, 0.0, 0.0]), 8.0, 2.0
 SAME = 0.03  # m/s: apart by when the first action comes, and where the first foot is put down
@@ -138,7 +138,7 @@ def runner_of(path: Path) -> tuple[Callable[[Any], Any], str]:
     try:
         import onnxruntime
     except ImportError:
-        network = onnx_network(path, read_onnx(path))
+        network = build_onnx_network(path, read_onnx(path))
         return lambda seen: network.forward(seen[None])[0][0], "our network"
     session = onnxruntime.InferenceSession(str(path))
     name = session.get_inputs()[0].name

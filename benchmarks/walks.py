@@ -24,7 +24,7 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, prepare_stage, simulate_cases
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -56,7 +56,7 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         policy = Policy.load(given.policy or made.trot(Path(place) / "trot.json"))
-    stage = stage_of(pa.load_variant(given.robot), policy)
+    stage = prepare_stage(pa.load_variant(given.robot), policy)
     walk(stage, 2, 1)  # what is loaded at first use
     simulated = RUNS * SECONDS
     ours, bare = [], []

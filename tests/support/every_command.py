@@ -227,7 +227,7 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     from pupper_analysis.tools.live.state import State
 
     try:
-        asked = live.Model(pa.load_robot(urdf=urdf, mjcf=mjcf)).answer(State())
+        asked = live.StanceSolver(pa.load_robot(urdf=urdf, mjcf=mjcf)).solve_state(State())
         if asked.refusal is not None:
             raise asked.refusal
         stance = live.simulate_stance(asked)

@@ -28,9 +28,9 @@ from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTabl
 from pupper_analysis.tools.fit.result import PARAMETER_FIELDS
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
-    OF_BODIES,
-    OF_JOINTS,
-    OF_SERVOS,
+    BODY_KINDS,
+    JOINT_KINDS,
+    SERVO_KINDS,
     WrittenNumbers,
     write_numbers,
 )
@@ -88,18 +88,18 @@ def _numbers(
         posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
     ):
         stated = one.stated
-        if one.kind in OF_SERVOS:
-            stated = servos.get(one.subject, (math.nan, math.nan))[OF_SERVOS.index(one.kind)]
+        if one.kind in SERVO_KINDS:
+            stated = servos.get(one.subject, (math.nan, math.nan))[SERVO_KINDS.index(one.kind)]
         if abs(value - stated) <= _NOTHING * std:
             continue
-        if (one.kind in OF_SERVOS and (math.isnan(stated) or one.subject in added)) or (
-            one_file and one.kind in (*OF_SERVOS, "armature")
+        if (one.kind in SERVO_KINDS and (math.isnan(stated) or one.subject in added)) or (
+            one_file and one.kind in (*SERVO_KINDS, "armature")
         ):
             why = diagnose("mjcf-alone-states-it" if one_file else "servo-of-no-file")
             left.append(diagnose("not-in-the-files", parameter=one.name, why=why))
-        elif one.kind in OF_BODIES and one.component:
+        elif one.kind in BODY_KINDS and one.component:
             _put_component(numbers, robot, one, value)
-        elif one.kind in (*OF_BODIES, *OF_JOINTS, *OF_SERVOS):
+        elif one.kind in (*BODY_KINDS, *JOINT_KINDS, *SERVO_KINDS):
             numbers[one.kind, one.subject] = value
     return numbers, left
 
@@ -214,7 +214,7 @@ def _json(
     document = {
         "urdf": None if models.urdf is None else str(models.urdf),
         "mjcf": None if models.mjcf is None else str(models.mjcf),
-        "files": models.hashes(),
+        "files": models.hash_contents(),
         "parameters": rows,
         "covariance": posterior.covariance,
         "edits": [replace(edit, file=Path(edit.file).name) for edit in models.edits],
@@ -279,7 +279,7 @@ def write_fit(
     if names:
         rows = [[f"{value:.12g}" for value in row] for row in samples.tolist()]
         contents["samples.csv"] = _csv(names, rows, _ABOUT_SAMPLES)
-    writings = models.writings(folder, _made_before(folder), force=force)
+    writings = models.make_writings(folder, _made_before(folder), force=force)
     writings += [
         Writing(folder / name, content, FIT_FOLDER.files[name], force=force)
         for name, content in contents.items()

@@ -18,13 +18,13 @@ from urllib.parse import parse_qs, urlsplit
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
-MOST_BYTES = 1 << 20
+MAX_MESSAGE_BYTES = 1 << 20
 """Of a message from a browser: those of sliders and cameras have some hundred."""
 
-HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
+CHECKED_HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
 """What is looked at of a request's."""
 
-COOKIE = "pupper_analysis_token"
+TOKEN_COOKIE = "pupper_analysis_token"
 
 _LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
 
@@ -51,7 +51,7 @@ class Access:
         self._host = host
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
 
-    def refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
+    def find_refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
         """Says why a request is refused; None if it is not.
 
         Args:
@@ -72,16 +72,16 @@ class Access:
     def _knows(self, path: str, headers: Mapping[str, str]) -> bool:
         given = parse_qs(urlsplit(path).query).get("token", [])
         try:
-            cookie = SimpleCookie(headers.get("Cookie", "")).get(COOKIE)
+            cookie = SimpleCookie(headers.get("Cookie", "")).get(TOKEN_COOKIE)
         except CookieError:
             cookie = None
         given += [cookie.value] if cookie is not None else []
         return any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given)
 
     @property
-    def cookie(self) -> str:
+    def cookie_header(self) -> str:
         """The header by which a browser remembers the token."""
-        return f"{COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        return f"{TOKEN_COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
 
 def _name(host: str) -> str:
@@ -92,7 +92,7 @@ def _name(host: str) -> str:
         return ""
 
 
-def without_folders(text: str) -> str:
+def strip_folders(text: str) -> str:
     """Returns a text in which files are called by their names alone.
 
     An error tells of a file where the server has it: that is nothing for who looks at the page.

@@ -25,11 +25,11 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
 from pupper_analysis.cli.stance_options import GAINS, LOAD
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
+from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.tools.live.server import Served, Where
+    from pupper_analysis.tools.live.server import ServedPage, ServeOptions
     from pupper_analysis.tools.live.state import State
 
 PYTHON_THRESHOLDS = 700, 10, 10
@@ -82,8 +82,8 @@ _USES = {
     "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
 )
 @shared.file_option("--policy", help="Let this policy walk it: command it, and push it.")
-@CONTRACT
-@COMMAND
+@CONTRACT_OPTION
+@COMMAND_OPTION
 @with_robot
 def command(
     which: RobotOptions,
@@ -126,7 +126,7 @@ def command(
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _USES)
     meant = which.one(words) or "v3"
-    where: Where = {"language": language, "host": host, "port": port}
+    where: ServeOptions = {"language": language, "host": host, "port": port}
     if policy is not None:
         _open_walk(meant, policy, contract, asked, browser=not no_browser, **where)
         return
@@ -151,7 +151,11 @@ def read_stance(path: Path) -> State:
     Raises:
         ConfigurationError: If it is none, or none that the sliders have.
     """
-    from pupper_analysis.tools.live.state import OF_THE_ROBOT, on_page, state_of_task
+    from pupper_analysis.tools.live.state import (
+        ROBOT_SLIDER_FIELDS,
+        convert_to_page_units,
+        make_state,
+    )
 
     def typed(**_: object) -> None:
         """Takes the options of a stance."""
@@ -161,11 +165,11 @@ def read_stance(path: Path) -> State:
     more = {"payload": given["payload"]}
     if given["payload_at"] is not None:
         place = shared.parse_place("payload-at", given["payload_at"])
-        more["payload_at"] = on_page(OF_THE_ROBOT["payload_at"], place)
+        more["payload_at"] = convert_to_page_units(ROBOT_SLIDER_FIELDS["payload_at"], place)
     for name in ("kp", "kd"):
         for gain in given[name]:
             _, more[name] = shared.parse_number_assignment(name, f"*={gain}")
-    return state_of_task(task_of({name: given[name] for name in TYPED}), **more)
+    return make_state(task_of({name: given[name] for name in TYPED}), **more)
 
 
 def _open_page(
@@ -173,7 +177,7 @@ def _open_page(
     stance: Path | None,
     *,
     browser: bool,
-    **where: Unpack[Where],
+    **where: Unpack[ServeOptions],
 ) -> None:
     """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
@@ -181,7 +185,7 @@ def _open_page(
 
     import_viser()  # before anything is loaded
     begin = None if stance is None else read_stance(stance)
-    robot = walked_robot(meant, "text", everything=False)
+    robot = load_walking_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
         page = Page(robot, begin, **where)
     _serve(page, where["host"], browser=browser)
@@ -194,26 +198,26 @@ def _open_walk(
     asked: str,
     *,
     browser: bool,
-    **where: Unpack[Where],
+    **where: Unpack[ServeOptions],
 ) -> None:
     """Serves the page of a policy until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.walking import WalkPage
-    from pupper_analysis.tools.walk.gait import command_of
+    from pupper_analysis.tools.walk.gait import check_command
     from pupper_analysis.tools.walk.policy import Policy
 
     import_viser()  # before anything is loaded
     wanted, brain = (
-        command_of(shared.parse_point("command", asked, 3)),
+        check_command(shared.parse_point("command", asked, 3)),
         Policy.load(policy, contract),
     )
-    robot = walked_robot(meant, "text", everything=False)
+    robot = load_walking_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
         page = WalkPage(robot, brain, wanted, **where)
     _serve(page, where["host"], browser=browser)
 
 
-def _serve(page: Served, host: str, *, browser: bool) -> None:
+def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
     """Print the address of a page, and serve the page until Ctrl-C."""
     from pupper_analysis.tools.live.access import is_loopback
     from pupper_analysis.tools.live.server import serve

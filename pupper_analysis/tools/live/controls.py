@@ -26,14 +26,14 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.live.render import Language
-from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, factor_of
+from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, find_contact_factor
 
 Array = NDArray[np.float64]
 
-PLACES = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
+PLACE_LABELS = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
 """{what decides where the base is: what it is called}."""
 
-LIFTED = "lift"
+LIFT_SLIDER = "lift"
 """The slider of a foot that does not carry: who moves it lifts the foot."""
 
 
@@ -58,14 +58,14 @@ class Controls:
         self._robot = robot
         self._lock = threading.RLock()
         self._state = State()
-        self._ranges = ranges_of(robot)
+        self._ranges = make_slider_ranges(robot)
         self._feet = {escape_control(foot): foot for foot in robot.feet}
         self.sliders: dict[str, Any] = {}
 
-    def stance(self) -> None:
+    def add_stance_controls(self) -> None:
         """Adds what says how it stands, where viser adds next."""
         gui, say = self._gui, self._say
-        self._places = {say(label): name for name, label in PLACES.items()}
+        self._places = {say(label): name for name, label in PLACE_LABELS.items()}
         for folder in _folders(FIELDS):
             with gui.add_folder(term(folder, say.code)):
                 if folder == "Where":
@@ -74,10 +74,10 @@ class Controls:
                     self.foot = gui.add_dropdown(
                         say("foot"), list(self._feet), hint=say("hint-foot")
                     )
-                self._add(folder, LIFTED)
+                self._add(folder, LIFT_SLIDER)
                 if folder == "Feet":
                     self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
-                    self._add_one(CONTROLS[LIFTED])
+                    self._add_one(CONTROL_BY_NAME[LIFT_SLIDER])
                     self.contacts = gui.add_text(
                         say("contacts"), "", multiline=True, hint=say("hint-contacts")
                     )
@@ -86,7 +86,7 @@ class Controls:
         self.foot.on_update(self._foot_chosen)
         self.contacts.on_update(self._when(self._with_contacts))
 
-    def joints(self) -> None:
+    def add_joint_controls(self) -> None:
         """Adds what says where joints are that carry no foot: of the posture."""
         gui, robot = self._gui, self._robot
         free, home = free_joints(robot), robot.home[-robot.nu :]
@@ -99,7 +99,7 @@ class Controls:
             self._state = self._state.having(posture={**self._state.posture, joint: position})
         self._changed()
 
-    def body(self) -> None:
+    def add_body_controls(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
         for folder in ("Payload", "Servos"):
@@ -108,7 +108,7 @@ class Controls:
 
     def _add(self, folder: str, *but: str) -> None:
         """Adds the sliders under a heading."""
-        for name, control in CONTROLS.items():
+        for name, control in CONTROL_BY_NAME.items():
             if name not in but and _folder(control.field) == folder:
                 self._add_one(control)
 
@@ -149,14 +149,14 @@ class Controls:
         value = float(self.sliders[control.name].value)
         # What is typed may lie beyond its end, and would be cut off later.
         self._slide(control.name, value)
-        if control.name == LIFTED:  # who says how high lifts it
+        if control.name == LIFT_SLIDER:  # who says how high lifts it
             self.lifted.value = True
         whole = getattr(state, field.name)
         own = whole.get(self._chosen) if field.per else whole
         if field.kind == "contact":
             if not isinstance(own, Contact):  # a foot on the ground
                 return state
-            new: Any = own.at(value / factor_of(own))
+            new: Any = own.at(value / find_contact_factor(own))
         elif control.axis is not None:
             numbers = list(own or (0.0,) * len(field.axes))
             numbers[control.axis - len(field.axes)] = value  # behind a frame
@@ -169,7 +169,7 @@ class Controls:
     def _with_lift(self, state: State) -> State:
         others = {foot: height for foot, height in state.swing.items() if foot != self._chosen}
         if self.lifted.value:
-            others[self._chosen] = float(self.sliders[LIFTED].value)
+            others[self._chosen] = float(self.sliders[LIFT_SLIDER].value)
         return state.having(swing=others)
 
     def _with_contacts(self, state: State) -> State:
@@ -204,7 +204,7 @@ class Controls:
         with self._lock:
             return self._state
 
-    def put(self, state: State, *, notify: bool) -> None:
+    def set_state(self, state: State, *, notify: bool) -> None:
         """Sets all controls.
 
         Args:
@@ -214,8 +214,8 @@ class Controls:
         with self._lock:
             self._state = state
             for name in self.sliders:
-                if not CONTROLS[name].field.per:
-                    self._slide(name, self._value(state, CONTROLS[name]))
+                if not CONTROL_BY_NAME[name].field.per:
+                    self._slide(name, self._value(state, CONTROL_BY_NAME[name]))
             special = {
                 foot
                 for name, field in FIELDS.items()
@@ -234,7 +234,7 @@ class Controls:
 
     def _value(self, state: State, control: Control) -> float:
         value = getattr(state, control.field.name)
-        return self._ranges[control.name].value if value is None else control.of(value)
+        return self._ranges[control.name].value if value is None else control.extract_number(value)
 
     def _slide(self, name: str, value: float) -> None:
         """Moves a slider; it is made longer if it does not go so far."""
@@ -246,7 +246,7 @@ class Controls:
         handle.value = value
 
     def _show_place(self) -> None:
-        self.place.value = self._say(PLACES[self._state.place])
+        self.place.value = self._say(PLACE_LABELS[self._state.place])
 
     def _posture_of(self, state: State) -> Mapping[str, float]:
         """Returns where a state puts joints; nowhere, if it names none of the robot."""
@@ -259,11 +259,11 @@ class Controls:
         foot, state = self._chosen, self._state
         self.lifted.value = foot in state.swing
         for name in self.sliders:
-            control = CONTROLS[name]
+            control = CONTROL_BY_NAME[name]
             if control.field.per:
                 values = getattr(state, control.field.name)
                 usual = self._ranges[name].value
-                self._slide(name, control.of(values[foot]) if foot in values else usual)
+                self._slide(name, control.extract_number(values[foot]) if foot in values else usual)
 
 
 def _folders(fields: Mapping[str, Field]) -> list[str]:
@@ -386,18 +386,18 @@ class Control:
         way = {} if self.axis is None else {"axis": _AXIS_WORDS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, way, language)
 
-    def of(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
+    def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
         """Returns its number of the field's value."""
         if isinstance(value, Contact | Weld):
-            return 0.0 if value.plane is None else factor_of(value) * value.plane.number
+            return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number
         if self.axis is None:
             return float(value)  # type: ignore[arg-type]
         return float(value[self.axis - len(self.field.axes)])  # type: ignore[index]  # behind a frame
 
 
-CONTROLS = {
+CONTROL_BY_NAME = {
     control.name: control
-    for field in SHOWN.values()
+    for field in SLIDER_FIELDS.values()
     if field.per != "joint"
     for control in (
         [Control(f"{field.address}_{axis}", field, at) for at, axis in enumerate(field.axes)]
@@ -425,13 +425,13 @@ class Range:
     value: float
 
 
-def ranges_of(robot: Robot) -> dict[str, Range]:
+def make_slider_ranges(robot: Robot) -> dict[str, Range]:
     """Returns the range of each slider: in mm, degrees, kg and N m/rad.
 
     Lengths are parts of the height of the nominal stand, so that they suit a robot of any size.
     """
     found = {}
-    for name, control in CONTROLS.items():
+    for name, control in CONTROL_BY_NAME.items():
         field, slider = control.field, control.field.slider
         assert slider is not None  # or the page would not show it
         if field.kind in ("stiffness", "damping"):
@@ -446,9 +446,9 @@ def ranges_of(robot: Robot) -> dict[str, Range]:
 def _span(field: Field, slider: Slider, robot: Robot) -> Range:
     """Returns how a length goes, in parts of the robot's height; a mass, of its mass."""
     whole = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
-    low, high = (math.copysign(round_up(abs(end) * whole), end) if end else 0.0
+    low, high = (math.copysign(round_up_slider_end(abs(end) * whole), end) if end else 0.0
                  for end in (slider.low, slider.high))  # fmt: skip
-    step = fine_step((slider.high - max(slider.low, 0.0)) * whole)
+    step = choose_slider_step((slider.high - max(slider.low, 0.0)) * whole)
     value = 0.0 if field.nominal == "zero" else 1e3 * getattr(robot, field.nominal)
     if slider.start is not None:
         value = min(1e3 * slider.start, high)
@@ -461,18 +461,18 @@ def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
     values = [gains[("kp", "kd").index(field.name)] for gains in own.values()]
     middle = float(np.median(values)) if values else 0.0
     middle = middle or slider.start or 1.0
-    high = round_up(8 * middle)
-    low = fine_step(high) if field.kind == "stiffness" else 0.0
-    return Range(low, high, fine_step(high), middle)
+    high = round_up_slider_end(8 * middle)
+    low = choose_slider_step(high) if field.kind == "stiffness" else 0.0
+    return Range(low, high, choose_slider_step(high), middle)
 
 
-def fine_step(span: float) -> float:
+def choose_slider_step(span: float) -> float:
     """Returns a step of which a span has some hundreds: 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(span / 200))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)
 
 
-def round_up(value: float) -> float:
+def round_up_slider_end(value: float) -> float:
     """Returns the next number of one digit, or of one and a half."""
     power = 10.0 ** math.floor(math.log10(value))
     factors = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)

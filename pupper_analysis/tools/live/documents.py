@@ -21,13 +21,13 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.stance.sag.steady_state import SteadyState
-from pupper_analysis.tools.live.access import without_folders
+from pupper_analysis.tools.live.access import strip_folders
 from pupper_analysis.tools.live.model import Answer
 from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.stand.stance import Stance
 
-NOWHERE = doc.Name("")
+NO_TITLE = doc.Name("")
 """The title of what is shown of no robot."""
 
 
@@ -63,7 +63,7 @@ def stance_document(
 
 def _title(answer: Answer) -> doc.Name:
     robot = answer.robot
-    return NOWHERE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
+    return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
 def _sag(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
@@ -110,7 +110,7 @@ def simulation_document(stance: Stance) -> doc.Document:
     run = stance.sagging
     expected = None if stance.settled is None else stance.settled.base_height
     headed = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")
-    table = replace(simulated_table(run), title=NOWHERE)
+    table = replace(simulated_table(run), title=NO_TITLE)
     predicted = (text("base-at-predicted"), doc.number_cell(expected, ".5f"), doc.Name("m"))
     blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)
     good = stance.verdict.passed
@@ -130,11 +130,11 @@ _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
 def failure_document(error: PupperAnalysisError) -> doc.Document:
     """Returns why something could not be done."""
     messages = (doc.tell(error.diagnostic),)
-    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)
+    return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)
 
 
 def unexpected_document(error: Exception) -> doc.Document:
     """Returns that something went wrong that should not."""
-    what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
+    what = strip_folders(f"{type(error).__name__}: {error}".rstrip(": "))
     messages = (text("unexpected", what=what),)
-    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)
+    return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)

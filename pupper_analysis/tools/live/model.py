@@ -33,7 +33,7 @@ from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 Array = NDArray[np.float64]
 
-PUSHED = 4.0
+PUSH_SECONDS = 4.0
 """s after a push: a robot that recovers has by then come to rest."""
 
 
@@ -64,7 +64,7 @@ class Answer:
         return isinstance(self.refusal, StanceUnreachableError)
 
 
-class Model:
+class StanceSolver:
     """Answers for one robot's states; several threads may ask.
 
     Args:
@@ -75,7 +75,7 @@ class Model:
         self._robot = robot
         self._loaded: tuple[object, Robot] | None = None
 
-    def robot(self, state: State) -> Robot:
+    def load_robot(self, state: State) -> Robot:
         """Returns a state's robot, with its payload.
 
         Raises:
@@ -89,11 +89,11 @@ class Model:
             self._loaded = last = key, with_payload(self._robot, *key)
         return last[1]
 
-    def answer(self, state: State) -> Answer:
+    def solve_state(self, state: State) -> Answer:
         """Solves a state; what is wrong with it is in the answer."""
         robot = task = stand = None
         try:
-            robot = self.robot(state)
+            robot = self.load_robot(state)
             task = state.task()
             stand = solve_stand(robot, task, explain=False)
             stand = solve_stand_as_simulated(robot, stand)
@@ -128,7 +128,7 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
         return error.diagnostic
 
 
-def expect_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
+def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
     """Returns the verdict of a stance that is not simulated; None of one without balance.
 
     Args:
@@ -178,7 +178,7 @@ def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
         answer.stand,
         impulse,
         direction,
-        duration=PUSHED,
+        duration=PUSH_SECONDS,
         kp=answer.state.kp,
         kd=answer.state.kd,
         feedforward=False,

@@ -30,10 +30,15 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.tools.live.access import HEADERS, MOST_BYTES, Access, without_folders
-from pupper_analysis.tools.live.scene import colour_of, to_css
+from pupper_analysis.tools.live.access import (
+    CHECKED_HEADERS,
+    MAX_MESSAGE_BYTES,
+    Access,
+    strip_folders,
+)
+from pupper_analysis.tools.live.scene import choose_utilisation_colour, to_css
 
-FAREWELL = 0.3
+CLOSE_TIMEOUT = 0.3
 """s that browsers have to answer when the server ends; one that sleeps or is gone never does."""
 
 
@@ -49,7 +54,7 @@ def import_viser() -> Any:
         raise MissingPackageError("viser", "live") from error
 
 
-def free_port(host: str, port: int | None) -> int:
+def find_free_port(host: str, port: int | None) -> int:
     """Returns the port to serve on: the one asked for if it is free, or any.
 
     viser takes the next one where a port is taken, and waits for ever where there is no such host.
@@ -94,7 +99,7 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
     return server
 
 
-def address_of(server: Any, host: str, access: Access) -> str:
+def make_address(server: Any, host: str, access: Access) -> str:
     """Returns what a browser opens.
 
     Args:
@@ -117,16 +122,20 @@ def _behind(access: Access) -> Iterator[None]:
         answer = options["process_request"]
 
         def answered(connection: Any, request: Any) -> Any:
-            headers = {name: ", ".join(request.headers.get_all(name)) for name in HEADERS}
-            if refusal := access.refusal(request.path, headers):
+            headers = {name: ", ".join(request.headers.get_all(name)) for name in CHECKED_HEADERS}
+            if refusal := access.find_refusal(request.path, headers):
                 message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
                 return connection.respond(HTTPStatus.FORBIDDEN, message)
             response = answer(connection, request)
             if response is not None and access.token and urlsplit(request.path).path == "/":
-                response.headers["Set-Cookie"] = access.cookie
+                response.headers["Set-Cookie"] = access.cookie_header
             return response
 
-        own = {"process_request": answered, "max_size": MOST_BYTES, "close_timeout": FAREWELL}
+        own = {
+            "process_request": answered,
+            "max_size": MAX_MESSAGE_BYTES,
+            "close_timeout": CLOSE_TIMEOUT,
+        }
         return serve(handler, *where, **(options | own))
 
     websockets.serve = guarded
@@ -142,7 +151,7 @@ def stop_server(server: Any) -> None:
         server.stop()
 
 
-class Numbers:
+class NumberPanel:
     """A panel of numbers at the left of the controls; on a phone, folded above them."""
 
     def __init__(self, gui: Any, say: Language, waiting: str, width: int = 380) -> None:
@@ -200,19 +209,19 @@ class Language:
         """
         return self._of(text(key, **values))
 
-    def sentence(self, message: Diagnostic) -> str:
+    def format_diagnostic(self, message: Diagnostic) -> str:
         """Returns what a diagnostic says."""
-        return message.with_names(without_folders).text(self.code)
+        return message.with_names(strip_folders).text(self.code)
 
-    def words(self, words: Words) -> str:
+    def translate(self, words: Words) -> str:
         """Returns words of a document."""
-        return without_folders(self._of(words) if isinstance(words, Text) else words.text)
+        return strip_folders(self._of(words) if isinstance(words, Text) else words.text)
 
     def _of(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en
 
 
-STYLE = """<style>
+PANEL_STYLE = """<style>
 .pa{font:13px/1.45 system-ui,sans-serif;padding:0 .9em .6em;overflow-wrap:anywhere}
 .pa table{border-collapse:collapse;width:100%;margin:.35em 0 .7em}
 .pa td,.pa th{overflow-wrap:break-word;padding:.1em .35em .1em 0;text-align:left}
@@ -244,26 +253,26 @@ def render_verdict(document: Document, say: Language) -> str:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
     messages = (*verdict, *document.failures, *document.findings, *document.details)
-    return _box(document.mark, "; ".join(say.words(one) for one in messages))
+    return _box(document.mark, "; ".join(say.translate(one) for one in messages))
 
 
 def join_parts(*parts: str) -> str:
     """Returns parts as one piece of a page."""
-    return f'{STYLE}<div class="pa">{"".join(parts)}</div>'
+    return f'{PANEL_STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
 def render_waiting(words: Words, say: Language) -> str:
     """Returns that something is under way."""
-    return join_parts(_box("warn", say.words(words)))
+    return join_parts(_box("warn", say.translate(words)))
 
 
 def render_hint(words: Words, say: Language) -> str:
     """Returns a hint where there is no result."""
-    return join_parts(f"<div>{_said(say.words(words))}</div>")
+    return join_parts(f"<div>{_said(say.translate(words))}</div>")
 
 
 def _headed(words: Words, say: Language) -> str:
-    message = say.words(words)
+    message = say.translate(words)
     return f"<h4>{_said(message)}</h4>" if message else ""
 
 
@@ -285,7 +294,7 @@ def _block(_: object, __: Language) -> str:
 @_block.register
 def _lines(block: Lines, say: Language) -> str:
     title = "" if block.title is None else _headed(block.title, say)
-    messages = [say.words(one) for one in block.lines]
+    messages = [say.translate(one) for one in block.lines]
     if block.mark:
         return title + "".join(_box(block.mark, one) for one in messages)
     return title + "".join(f"<div>{_said(one)}</div>" for one in messages)
@@ -296,7 +305,7 @@ def _table(block: Table, say: Language) -> str:
     """Returns a table; its header is shown where it tells units."""
     rows = []
     if any(column.unit for column in block.columns):
-        heads = [say.words(one.name) + _unit(one) for one in block.columns]
+        heads = [say.translate(one.name) + _unit(one) for one in block.columns]
         kinds = ["" if one.left else ' class="n"' for one in block.columns]
         cells = (f"<th{kind}>{_said(head)}</th>" for kind, head in zip(kinds, heads, strict=True))
         rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -315,10 +324,13 @@ def _unit(column: Column) -> str:
 
 def _cell(cell: Cell, say: Language) -> str:
     if not isinstance(cell, Number):
-        return f"<td>{_said(say.words(cell))}</td>"
+        return f"<td>{_said(say.translate(cell))}</td>"
     number = f'<td class="n">{_said(cell.text)}</td>'
     if cell.share is None:
         return number
-    width, colour = 3.0 * cell.share, to_css(colour_of(cell.value / 100))  # a share is in percent
+    width, colour = (
+        3.0 * cell.share,
+        to_css(choose_utilisation_colour(cell.value / 100)),
+    )  # a share is in percent
     bar = f'<span class="bar" style="width:{width:.2f}em;background:{colour}"></span>'
     return f'{number}<td style="width:3.1em">{bar}</td>'

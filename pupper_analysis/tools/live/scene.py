@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 # What colour says how hard a motor works: blue, yellow, red, which all eyes tell apart.
 
-SCALE: tuple[tuple[float, Colour], ...] = (
+UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
     (0.0, (52, 108, 176)),
     (0.25, (120, 170, 214)),
     (0.5, (250, 214, 90)),
@@ -41,23 +41,23 @@ SCALE: tuple[tuple[float, Colour], ...] = (
 )
 """Parts of a motor's limit, and their colours."""
 
-BEYOND: Colour = (138, 0, 110)
+OVERLOAD_COLOUR: Colour = (138, 0, 110)
 """Above the limit."""
 
-UNLIMITED: Colour = (150, 150, 150)
+NO_LIMIT_COLOUR: Colour = (150, 150, 150)
 """Of a motor without a limit."""
 
 
-def colour_of(utilisation: float | None) -> Colour:
+def choose_utilisation_colour(utilisation: float | None) -> Colour:
     """Returns the colour of a motor's utilisation, in parts of its limit; None without a limit."""
     if utilisation is None or not math.isfinite(utilisation):
-        return UNLIMITED
-    for (low, one), (high, other) in pairwise(SCALE):
+        return NO_LIMIT_COLOUR
+    for (low, one), (high, other) in pairwise(UTILISATION_COLOURS):
         if utilisation <= high:
             share = (utilisation - low) / (high - low)
             red, green, blue = (round(a + share * (b - a)) for a, b in zip(one, other, strict=True))
             return red, green, blue
-    return BEYOND
+    return OVERLOAD_COLOUR
 
 
 def to_css(colour: Colour) -> str:
@@ -69,20 +69,20 @@ def to_css(colour: Colour) -> str:
 
 Colour = tuple[int, int, int]
 
-MOST_FACES = 40_000
+MAX_FACES = 40_000
 """Of all meshes of a robot together: half a megabyte, which is sent when a page opens."""
 
 
-Parts = dict[tuple[int, Colour], Mesh]
+BodyMeshes = dict[tuple[int, Colour], Mesh]
 """{number of a body in MuJoCo's model, colour: its shapes of that colour, in its frame}."""
 
 
-def parts_of(model: mujoco.MjModel) -> Parts:
+def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
     """Returns a robot's shapes, those of one body and colour together."""
-    shapes, meshes = shapes_of(model, MOST_FACES)
+    shapes, meshes = shapes_of(model, MAX_FACES)
     found: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:
-        mesh = triangles_of(shape.form) if shape.mesh is None else meshes[shape.mesh]
+        mesh = triangulate_shape(shape.form) if shape.mesh is None else meshes[shape.mesh]
         red, green, blue = (round(255 * float(value)) for value in shape.colour[:3])
         placed = Mesh(shape.form.pose.point(mesh.vertices), mesh.faces)
         found.setdefault((shape.body, (red, green, blue)), []).append(placed)
@@ -95,7 +95,7 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
-def triangles_of(shape: Shape) -> Mesh:
+def triangulate_shape(shape: Shape) -> Mesh:
     """Returns a shape that is no mesh as triangles, along z about its centre."""
     from trimesh import creation  # comes with viser
 
@@ -113,14 +113,14 @@ def triangles_of(shape: Shape) -> Mesh:
     return Mesh(np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64))
 
 
-GHOST: Colour = (110, 130, 150)
-TWIN: Colour = (226, 120, 30)
-FORCE: Colour = (0, 128, 96)
-INSIDE: Colour = (30, 140, 70)
-OUTSIDE: Colour = (200, 30, 40)
-LOAD: Colour = (90, 60, 140)
-STONE: Colour = (190, 194, 200)
-PIT: Colour = (120, 126, 134)
+GHOST_COLOUR: Colour = (110, 130, 150)
+TWIN_COLOUR: Colour = (226, 120, 30)
+FORCE_COLOUR: Colour = (0, 128, 96)
+INSIDE_COLOUR: Colour = (30, 140, 70)
+OUTSIDE_COLOUR: Colour = (200, 30, 40)
+LOAD_COLOUR: Colour = (90, 60, 140)
+STEP_COLOUR: Colour = (190, 194, 200)
+PIT_COLOUR: Colour = (120, 126, 134)
 
 _CORNERS = 24
 """Corners of a support polygon as it is drawn, the last one repeated: so that its size stays."""
@@ -133,7 +133,7 @@ _DISC, _DISC_AT = 0.025, 0.13
 """Radius of a joint's disc (m), for a robot of that height: around v3's motors of 23 mm."""
 
 
-class Figure:
+class RobotFigure:
     """A robot as it is drawn.
 
     Args:
@@ -150,7 +150,7 @@ class Figure:
         scene: Any,
         name: str,
         robot: Robot,
-        parts: Parts,
+        parts: BodyMeshes,
         colour: Colour | None = None,
         opacity: float | None = None,
     ) -> None:
@@ -204,8 +204,8 @@ class Scene:
     def __init__(self, scene: Any) -> None:
         self._scene = scene
         self._robot: Robot | None = None
-        self._parts: Parts = {}
-        self._figures: dict[str, Figure] = {}
+        self._parts: BodyMeshes = {}
+        self._figures: dict[str, RobotFigure] = {}
         self._nodes: dict[str, Any] = {}
         self._joints: dict[str, Any] = {}
         self._size = 1.0
@@ -258,16 +258,18 @@ class Scene:
         if name in self._figures:
             self._figures[name].show(False)
 
-    def _figure(self, name: str) -> Figure:
+    def _figure(self, name: str) -> RobotFigure:
         """Returns a figure of the robot; it is made when it is first shown."""
         assert self._robot is not None
         if name not in self._figures:
             evaluations: dict[str, dict[str, Any]] = {
                 "stand": {},
-                "ghost": {"colour": GHOST, "opacity": 0.35},
-                "twin": {"colour": TWIN},
+                "ghost": {"colour": GHOST_COLOUR, "opacity": 0.35},
+                "twin": {"colour": TWIN_COLOUR},
             }
-            made = Figure(self._scene, f"/{name}", self._robot, self._parts, **evaluations[name])
+            made = RobotFigure(
+                self._scene, f"/{name}", self._robot, self._parts, **evaluations[name]
+            )
             self._figures[name] = made
         return self._figures[name]
 
@@ -279,7 +281,7 @@ class Scene:
         for node in self._joints.values():
             node.remove()
         self._figures, self._joints = {}, {}
-        self._robot, self._parts = robot, parts_of(robot.mj_model)
+        self._robot, self._parts = robot, make_body_meshes(robot.mj_model)
         self._size = size = robot.stand_height
         disc = _DISC * (size / _DISC_AT) ** 0.6  # motors grow more slowly than their robots
         for number, name in enumerate(robot.joint_names):
@@ -334,7 +336,7 @@ class Scene:
             else:
                 box = self._node(f"steps/{number}", "add_box")
                 box.dimensions = tuple(2 * half)
-            box.color = PIT if pit else STONE
+            box.color = PIT_COLOUR if pit else STEP_COLOUR
             box.wxyz, box.position = step.turn, step.centre - rise * out
 
     def _support(self, seen: StandingScene, *, held: bool) -> None:
@@ -346,17 +348,17 @@ class Scene:
             "add_mesh_simple",
             padded,
             np.array(fan),
-            color=INSIDE,
+            color=INSIDE_COLOUR,
             opacity=0.25,
             side="double",
             cast_shadow=False,
             receive_shadow=False,
         )
         area.vertices = padded
-        area.color = INSIDE if held else OUTSIDE
+        area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _com(self, seen: StandingScene) -> None:
-        colour = INSIDE if seen.inside else OUTSIDE
+        colour = INSIDE_COLOUR if seen.inside else OUTSIDE_COLOUR
         for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.below, 0.05)):
             ball = self._node(name, "add_icosphere", size * self._size, colour, cast_shadow=False)
             ball.position = place
@@ -371,7 +373,7 @@ class Scene:
     def _load(self, answer: Answer, stand: Stand) -> None:
         if not answer.state.payload:
             return
-        ball = self._node("load", "add_icosphere", 0.13 * self._size, LOAD)
+        ball = self._node("load", "add_icosphere", 0.13 * self._size, LOAD_COLOUR)
         assert answer.robot is not None
         place = find_place(answer.robot, answer.state.payload_point())
         ball.position = place.position(Configuration(answer.robot, stand.qpos))
@@ -381,24 +383,24 @@ class Scene:
         known = [one for one in joints if one.torque is not None]
         for one in known:
             disc = self._joints[one.name]
-            disc.visible, disc.color = True, colour_of(one.share)
+            disc.visible, disc.color = True, choose_utilisation_colour(one.share)
             disc.position, disc.wxyz = one.place, quaternion_along(one.direction)
         if known:
             hardest = max(known, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
             label = self._node("hardest", "add_label", "", anchor="bottom-center")
-            label.text = joint_text(hardest.name, hardest.torque or 0.0, hardest.share)
+            label.text = format_joint_label(hardest.name, hardest.torque or 0.0, hardest.share)
             label.position = hardest.place + np.array([0.0, 0.0, 0.2 * self._size])
 
     def _forces(self, seen: StandingScene) -> None:
         if not seen.contacts:
             return
         assert self._robot is not None
-        arrows = force_arrows(self._robot, seen.contacts)
+        arrows = make_force_arrows(self._robot, seen.contacts)
         node = self._node(
             "forces",
             "add_arrows",
             arrows,
-            FORCE,
+            FORCE_COLOUR,
             shaft_radius=0.025 * self._size,
             head_radius=0.06 * self._size,
             head_length=0.11 * self._size,
@@ -406,14 +408,14 @@ class Scene:
         node.points = arrows
 
 
-def force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
+def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
     """Returns contact forces as arrows (n, 2, 3): from the ground up (m)."""
     weight = robot.weight
     scale = _ARROW * robot.stand_height / weight
     return np.array([[one.point, one.point + scale * one.force] for one in contacts])
 
 
-def joint_text(name: str, torque: float, share: float | None) -> str:
+def format_joint_label(name: str, torque: float, share: float | None) -> str:
     """Returns what stands at a joint: its name, torque (N m) and utilisation."""
     used = "" if share is None else f", {100 * share:.0f} %"
     return f"{escape_control(name)}: {torque:+.3f} N m{used}"

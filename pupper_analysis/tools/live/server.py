@@ -14,12 +14,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
-from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.model import StanceSolver
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session
-from pupper_analysis.tools.live.state import State, check_robot
+from pupper_analysis.tools.live.state import State, check_page_robot
 
-LOOPBACK = "127.0.0.1"
+DEFAULT_HOST = "127.0.0.1"
 
 _FROM = (2.6, -2.3, 1.7)
 """Where it is looked from, in parts of the stand's height: from the front, on the right."""
@@ -27,7 +27,7 @@ _FROM = (2.6, -2.3, 1.7)
 _LEAVE = 1.0  # s that all sessions together have to end what they are at
 
 
-class Where(TypedDict, total=False):
+class ServeOptions(TypedDict, total=False):
     """Where and how a page is served; see ``Served``."""
 
     language: str
@@ -35,7 +35,7 @@ class Where(TypedDict, total=False):
     port: int | None
 
 
-class Served:
+class ServedPage:
     """A page that is served until it is closed: each browser that opens it has a session.
 
     Args:
@@ -62,15 +62,15 @@ class Served:
         session: Callable[[Any, Language], Any],
         *,
         language: str = "en",
-        host: str = LOOPBACK,
+        host: str = DEFAULT_HOST,
         port: int | None = None,
     ) -> None:
         self._language, self._session = Language(language), session
         self.sessions: dict[int, Any] = {}
         self._lock, self._closed = threading.Lock(), False
-        access, free = Access(host), render.free_port(host, port)
+        access, free = Access(host), render.find_free_port(host, port)
         self._server = render.start_server(host, free, f"{robot}, live", access)
-        self.address = render.address_of(self._server, host, access)
+        self.address = render.make_address(self._server, host, access)
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
         camera.look_at = (0.0, 0.0, 0.4 * size)
@@ -107,7 +107,7 @@ class Served:
             thread.join(max(0.0, end - time.monotonic()))
 
 
-class Page(Served):
+class Page(ServedPage):
     """A page of stances.
 
     Args:
@@ -121,10 +121,12 @@ class Page(Served):
         MissingPackageError: If viser is not installed.
     """
 
-    def __init__(self, robot: Robot, state: State | None = None, **where: Unpack[Where]) -> None:
+    def __init__(
+        self, robot: Robot, state: State | None = None, **where: Unpack[ServeOptions]
+    ) -> None:
         render.import_viser()  # before the work
-        check_robot(robot)
-        model, begin = Model(robot), state or State()
+        check_page_robot(robot)
+        model, begin = StanceSolver(robot), state or State()
         check_state(model, begin)
         super().__init__(
             robot.name,
@@ -134,21 +136,21 @@ class Page(Served):
         )
 
 
-def check_state(model: Model, state: State) -> None:
+def check_state(model: StanceSolver, state: State) -> None:
     """Checks that a state is one of a robot.
 
     Raises:
         PupperAnalysisError: If not: it has no such foot, or no such link for a payload.
     """
-    robot = touching(model.robot(state), state.task().contacts)
-    for field, value in state.asked():
+    robot = touching(model.load_robot(state), state.task().contacts)
+    for field, value in state.requested_values():
         for foot in value if field.per == "foot" else ():
             robot.points_of(foot)
         if field.per == "joint":
             placed_joints(robot, value)
 
 
-def serve(page: Served, *, browser: bool, wait: Callable[[], object]) -> None:
+def serve(page: ServedPage, *, browser: bool, wait: Callable[[], object]) -> None:
     """Opens a browser, and serves until ``wait`` is over.
 
     Args:

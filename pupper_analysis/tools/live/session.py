@@ -33,7 +33,7 @@ from pupper_analysis.tools.live.documents import (
     stance_document,
     unexpected_document,
 )
-from pupper_analysis.tools.live.model import Answer, Model
+from pupper_analysis.tools.live.model import Answer, StanceSolver
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -49,22 +49,22 @@ class Panels:
         say: The language.
     """
 
-    def __init__(self, client: Any, model: Model, acts: Session, say: Language) -> None:
+    def __init__(self, client: Any, model: StanceSolver, acts: Session, say: Language) -> None:
         self._client, self._acts, self.say = client, acts, say
         gui = client.gui
-        robot = model.robot(State())
-        self._numbers = render.Numbers(gui, say, "solving", 330)
+        robot = model.load_robot(State())
+        self._numbers = render.NumberPanel(gui, say, "solving", 330)
         self.controls = Controls(gui, robot, say, acts.changed)
         tabs = gui.add_tab_group()
         with tabs.add_tab(say("stance")):
-            self.controls.stance()
+            self.controls.add_stance_controls()
             self._nearest = gui.add_button(say("go-to-the-nearest-stance"), visible=False)
             save = gui.add_button(say("save-the-stance"))
             reset = gui.add_button(say("reset-all"), color="gray")
         with tabs.add_tab(say("joints-title")):
-            self.controls.joints()
+            self.controls.add_joint_controls()
         with tabs.add_tab(say("body-title")):
-            self.controls.body()
+            self.controls.add_body_controls()
         with tabs.add_tab("MuJoCo"):
             self._simulation(gui, robot.total_mass)
         self._nearest.on_click(lambda _: acts.go_to_nearest())
@@ -121,7 +121,7 @@ class Panels:
         self._nearest.visible = there
 
 
-QUIET = 0.15
+QUIET_SECONDS = 0.15
 """s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""
 
 _FRAME = 1 / 30  # s between the pictures of a motion
@@ -140,7 +140,7 @@ class Session:
     def __init__(
         self,
         client: Any,
-        model: Model,
+        model: StanceSolver,
         state: State,
         say: Language,
     ) -> None:
@@ -154,7 +154,7 @@ class Session:
         self._begin(None, None)
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, self, say)
-        self._panels.controls.put(state, notify=False)
+        self._panels.controls.set_state(state, notify=False)
         self.threads = [
             threading.Thread(target=work, name=f"live-{name}", daemon=True)
             for name, work in (("solve", self._solving), ("look", self._looking))
@@ -175,14 +175,16 @@ class Session:
 
     def reset(self) -> None:
         """Goes back to where a page begins."""
-        self._panels.controls.put(State(), notify=True)
+        self._panels.controls.set_state(State(), notify=True)
 
     def go_to_nearest(self) -> None:
         """Goes to the ghost."""
         with self._lock:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
-            self._panels.controls.put(answer.state.with_task(refusal.nearest.task), notify=True)
+            self._panels.controls.set_state(
+                answer.state.with_task(refusal.nearest.task), notify=True
+            )
 
     def simulate(self) -> None:
         """Simulates the stance."""
@@ -218,7 +220,7 @@ class Session:
 
     def _solve(self) -> None:
         """Answers the state that the controls say."""
-        self._show(self._model.answer(self._panels.controls.state))
+        self._show(self._model.solve_state(self._panels.controls.state))
 
     def _begin(self, answer: Answer | None, verdict: Verdict | None) -> None:
         """Forgets what was found of the answer before."""
@@ -238,7 +240,7 @@ class Session:
     def _show(self, answer: Answer) -> None:
         """Shows an answer, and that what follows from it is not known yet."""
         with self._lock, self._client.atomic():
-            self._begin(answer, answers.expect_verdict(answer, closely=False))
+            self._begin(answer, answers.predict_stance_verdict(answer, closely=False))
             self._scene.show(answer)
             self._tell()
             self._panels.answered()
@@ -264,7 +266,7 @@ class Session:
             if answer is None or self._closed.is_set():
                 continue
             if answer is not done:
-                left = QUIET - (monotonic() - since)
+                left = QUIET_SECONDS - (monotonic() - since)
                 if job is None and left > 0 and not self._closed.wait(left):
                     self._think.set()
                     continue
@@ -305,7 +307,10 @@ class Session:
 
             self._if_shown(answer, show_refusal)
         elif answer.statics is not None:
-            sag, verdict = answers.predict_sag(answer), answers.expect_verdict(answer, closely=True)
+            sag, verdict = (
+                answers.predict_sag(answer),
+                answers.predict_stance_verdict(answer, closely=True),
+            )
 
             def show_sag() -> None:
                 self._sag, self._verdict = sag, verdict

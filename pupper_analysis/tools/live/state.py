@@ -19,7 +19,7 @@ from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field
 from pupper_analysis.stance.task import StandTask
 
 
-def check_robot(robot: Robot) -> None:
+def check_page_robot(robot: Robot) -> None:
     """Checks that a page can be of a robot.
 
     Raises:
@@ -31,13 +31,15 @@ def check_robot(robot: Robot) -> None:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
 
 
-PLACES = ("centre", "inside", "offset")
+PLACE_MODES = ("centre", "inside", "offset")
 """What decides where the base is: com over the centre, com anywhere inside, or an offset."""
 
-OF_THE_ROBOT = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
+ROBOT_SLIDER_FIELDS = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
 """Fields that make another robot, which takes longer than a stance, or no other stance."""
 
-SHOWN = {name: field for name, field in FIELDS.items() if field.slider} | OF_THE_ROBOT
+SLIDER_FIELDS = {
+    name: field for name, field in FIELDS.items() if field.slider
+} | ROBOT_SLIDER_FIELDS
 """{name: field} of all that a page asks for by sliders."""
 
 PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
@@ -70,11 +72,11 @@ class State:
     values: Mapping[str, Any]
 
     def __init__(self, place: str = "centre", **values: Any) -> None:
-        if place not in PLACES:
-            raise ConfigurationError("place", diagnose("none-of", value=place, known=PLACES))
+        if place not in PLACE_MODES:
+            raise ConfigurationError("place", diagnose("none-of", value=place, known=PLACE_MODES))
         asked = {}
-        for name, field in SHOWN.items():
-            usual = usual_of(field)
+        for name, field in SLIDER_FIELDS.items():
+            usual = find_default_value(field)
             value = _finite(field, values.pop(name, usual))
             if value != usual:
                 asked[name] = value
@@ -84,15 +86,15 @@ class State:
         object.__setattr__(self, "values", FrozenDict(asked))
 
     def __getattr__(self, name: str) -> Any:
-        if name not in SHOWN:
+        if name not in SLIDER_FIELDS:
             raise AttributeError(f"a State has no {name}")
-        return self.values[name] if name in self.values else usual_of(SHOWN[name])
+        return self.values[name] if name in self.values else find_default_value(SLIDER_FIELDS[name])
 
     def having(self, **values: Any) -> State:
         """Returns the state with other values."""
         return State(**{"place": self.place, **self.values, **values})
 
-    def asked(self) -> Iterator[tuple[Field, Any]]:
+    def requested_values(self) -> Iterator[tuple[Field, Any]]:
         """Yields what is asked of the stand: fields of ``FIELDS``, and their values."""
         for name, field in FIELDS.items():
             if name == "offset":
@@ -110,18 +112,18 @@ class State:
         Raises:
             ConfigurationError: If it is none; in the units in which it was asked.
         """
-        for field, value in self.asked():
+        for field, value in self.requested_values():
             if not isinstance(value, str):
                 for of, number in _numbers(value):
                     name = f"{field.address} {of}" if of else field.name
                     field.check_range(name, number, *PAGE_UNITS[field.kind])
         return StandTask().having(
-            {field.name: in_si(field, value) for field, value in self.asked()}
+            {field.name: convert_to_si(field, value) for field, value in self.requested_values()}
         )
 
     def payload_point(self) -> tuple[str | float, ...]:
         """Returns where the payload is (m); see ``robot.tool.find_place``."""
-        place: tuple[str | float, ...] = in_si(SHOWN["payload_at"], self.payload_at)
+        place: tuple[str | float, ...] = convert_to_si(SLIDER_FIELDS["payload_at"], self.payload_at)
         return place
 
     def with_task(self, task: StandTask) -> State:
@@ -132,19 +134,19 @@ class State:
                 base is.
         """
         found = {
-            name: on_page(SHOWN[name], value)
+            name: convert_to_page_units(SLIDER_FIELDS[name], value)
             for name, value in task.values().items()
-            if name in SHOWN and value is not None and getattr(self, name) is not None
+            if name in SLIDER_FIELDS and value is not None and getattr(self, name) is not None
         }
         return self.having(**found)
 
 
-def factor_of(contact: Contact | Weld) -> float:
+def find_contact_factor(contact: Contact | Weld) -> float:
     """Returns how many of a page's mm or degrees are an SI unit of a contact's number."""
     return PAGE_UNITS["angle" if contact.turns else "length"][1]
 
 
-def usual_of(field: Field) -> Any:
+def find_default_value(field: Field) -> Any:
     """Returns a field's value on a page just opened; None if it is the robot's own."""
     if field.per:
         return FrozenDict()
@@ -182,7 +184,7 @@ def _numbers(value: Any) -> Iterator[tuple[str, float]]:
                 yield of, number
 
 
-def in_si(field: Field, value: Any) -> Any:
+def convert_to_si(field: Field, value: Any) -> Any:
     """Returns a field's value in SI units."""
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
@@ -190,7 +192,7 @@ def in_si(field: Field, value: Any) -> Any:
     return _each(value, parse_length if unit == "mm" else parse_angle)
 
 
-def on_page(field: Field, value: Any) -> Any:
+def convert_to_page_units(field: Field, value: Any) -> Any:
     """Returns a field's value, in SI units, as a slider has it: without the noise of the change."""
     _, factor = PAGE_UNITS[field.kind]
     return _each(value, lambda number: round(factor * number, 9))
@@ -215,7 +217,7 @@ def parse_angle(degrees: float) -> float:
     return degrees * (math.pi / 180)
 
 
-def state_of_task(task: StandTask, **more: Any) -> State:
+def make_state(task: StandTask, **more: Any) -> State:
     """Returns the state of a page that asks for a task.
 
     Args:
@@ -230,11 +232,13 @@ def state_of_task(task: StandTask, **more: Any) -> State:
     if values.get("com") == "inside":
         place, _ = "inside", values.pop("com")
     for name in values:
-        if name not in SHOWN:
+        if name not in SLIDER_FIELDS:
             raise ConfigurationError(
-                "stance", diagnose("entry-unknown", entry=name, known=[*SHOWN])
+                "stance", diagnose("entry-unknown", entry=name, known=[*SLIDER_FIELDS])
             )
-    asked = {name: on_page(SHOWN[name], value) for name, value in values.items()}
+    asked = {
+        name: convert_to_page_units(SLIDER_FIELDS[name], value) for name, value in values.items()
+    }
     return State(place, **asked, **more)
 
 
@@ -254,18 +258,18 @@ def write_stance_file(state: State) -> str:
 
 def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
     """Yields options of stance, payload and servos, of which foot, and how one types the value."""
-    for field, value in state.asked():
+    for field, value in state.requested_values():
         for of, one in value.items() if field.per else [("", value)]:
             yield field.option, of, _typed(field, one)
     for name in ("payload", "payload_at", "kp", "kd"):
         value = getattr(state, name)
         if value is not None and (state.payload or not name.startswith("payload")):
-            yield SHOWN[name].option, "", _typed(SHOWN[name], value)
+            yield SLIDER_FIELDS[name].option, "", _typed(SLIDER_FIELDS[name], value)
 
 
 def _typed(field: Field, value: Any) -> str:
     if field.kind == "angle":
         return f"{value!r}deg"
     if isinstance(value, tuple):
-        return ",".join(p if isinstance(p, str) else repr(p) for p in in_si(field, value))
-    return str(value) if isinstance(value, _WORDS) else repr(in_si(field, value))
+        return ",".join(p if isinstance(p, str) else repr(p) for p in convert_to_si(field, value))
+    return str(value) if isinstance(value, _WORDS) else repr(convert_to_si(field, value))

@@ -17,11 +17,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import unexpected_document
 from pupper_analysis.tools.live.render import Language
-from pupper_analysis.tools.live.scene import Figure, parts_of
-from pupper_analysis.tools.live.server import Served, Where
-from pupper_analysis.tools.walk.gait import fall_of, follow, joint_torques
+from pupper_analysis.tools.live.scene import RobotFigure, make_body_meshes
+from pupper_analysis.tools.live.server import ServedPage, ServeOptions
+from pupper_analysis.tools.walk.gait import describe_fall, evaluate_tracking, joint_torques
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, push_forces, stage_of
+from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, make_push_forces, prepare_stage
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ _WINDOW, _SHOWN, _DRAWN = 1.0, 0.25, 0.04
 
 _AXES = ("forward", "left", "turning")
 
-DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
+PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
               "right": (0.0, -1.0)}  # fmt: skip
 """In the world, as the robot's runs are pushed; it starts with its front along x."""
 
@@ -57,10 +57,10 @@ class WalkSession:
         self._push: tuple[float, float] | None = None
         self.fall: Diagnostic | None = None
         gui, scene = client.gui, client.scene
-        self._numbers = render.Numbers(gui, say, "walking-begins")
+        self._numbers = render.NumberPanel(gui, say, "walking-begins")
         self.sliders = [
             gui.add_slider(
-                say.words(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)
+                say.translate(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)
             )
             for name, at, end in zip(
                 _AXES,
@@ -70,13 +70,13 @@ class WalkSession:
             )
         ]
         self.impulse = gui.add_slider(say("walking-slider-push"), 0.0, _PUSH, 0.01 * _PUSH, 0.5)
-        for name, (x, y) in DIRECTIONS.items():
-            button = gui.add_button(say.words(text(f"walking-push-to-{name}")))
+        for name, (x, y) in PUSH_DIRECTIONS.items():
+            button = gui.add_button(say.translate(text(f"walking-push-to-{name}")))
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
         again = gui.add_button(say("walking-again"))
         again.on_click(lambda _: self.begin_again())
         robot = stage.robot
-        self._figure = Figure(scene, "/walking", robot, parts_of(robot.mj_model))
+        self._figure = RobotFigure(scene, "/walking", robot, make_body_meshes(robot.mj_model))
         self._cell = robot.stand_height
         self._grid = scene.add_grid(
             "/ground",
@@ -128,7 +128,7 @@ class WalkSession:
             runs.commands[0] = [slider.value for slider in self.sliders]
             with self._lock:
                 push, self._push = self._push, None
-            forces = None if push is None else push_forces(stage, [push])
+            forces = None if push is None else make_push_forces(stage, [push])
             states, control, broken = runs.advance(forces)
             seen.append((states[0], control[0]))
             fallen = bool(broken[0]) or stage.upright.has_fallen(runs.current[0])
@@ -141,7 +141,7 @@ class WalkSession:
                 lost=0.0,
             )
             if fallen:
-                self.fall = fall_of(stage, window, runs.tick * action)
+                self.fall = describe_fall(stage, window, runs.tick * action)
             if runs.tick % draw == 0 or fallen:
                 self._pose(runs.current[0])
             if runs.tick % show == 0 or fallen:
@@ -168,7 +168,10 @@ def walking_document(
     stage: Stage, window: Run, duration: float, fall: Diagnostic | None
 ) -> doc.Document:
     """Returns how the last second went: speeds beside what is commanded, torques of the motors."""
-    followed, torques = follow(stage, window, 0.0), np.nan_to_num(joint_torques(stage, window))
+    followed, torques = (
+        evaluate_tracking(stage, window, 0.0),
+        np.nan_to_num(joint_torques(stage, window)),
+    )
     rms, peak = np.sqrt((torques**2).mean(axis=0)), np.abs(torques).max(axis=0)
     limits = stage.robot.effort_limits
     asked, reached = window.case.command, (*followed.velocity, followed.turning)
@@ -207,7 +210,7 @@ def walking_document(
     )
 
 
-class WalkPage(Served):
+class WalkPage(ServedPage):
     """A page of a robot that a policy walks.
 
     Args:
@@ -224,10 +227,10 @@ class WalkPage(Served):
     """
 
     def __init__(
-        self, robot: Robot, policy: Policy, command: Array, **where: Unpack[Where]
+        self, robot: Robot, policy: Policy, command: Array, **where: Unpack[ServeOptions]
     ) -> None:
         render.import_viser()  # before the work
-        stage = stage_of(robot, policy)
+        stage = prepare_stage(robot, policy)
         super().__init__(
             robot.name,
             robot.stand_height,

@@ -24,10 +24,10 @@ from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 Array = NDArray[np.float64]
 
-SECONDS = 6.0
+DROP_SECONDS = 6.0
 """How long a drop is simulated (s). It lands after 0.18 s; after 2.3 s it is steady to 0.005 mm."""
 
-FALL = 0.15
+DROP_HEIGHT = 0.15
 """How high the feet are above the ground (m) where the keyframe has them on it; v3's are, too."""
 
 
@@ -50,16 +50,16 @@ class Drop:
     stable: bool
 
 
-def drop(robot: Robot) -> Drop:
+def simulate_drop(robot: Robot) -> Drop:
     """Drops a robot, its servos at the joint positions of its keyframe ``home``.
 
     It falls from where the keyframe has it (v3: 0.28 m up); if that is on the ground, its feet are
     ``FALL`` above it.
     """
-    data = at_home(robot)
+    data = make_home_data(robot)
     model, servos_at_home = robot.mj_model, data.ctrl.copy()
     timestep = float(model.opt.timestep)
-    height = np.full(round(SECONDS / timestep) + 1, data.qpos[2])
+    height = np.full(round(DROP_SECONDS / timestep) + 1, data.qpos[2])
     for step in range(1, len(height)):
         data.ctrl[:] = servos_at_home
         mujoco.mj_step(model, data)
@@ -87,7 +87,7 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
     return min(float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items())
 
 
-def at_home(robot: Robot) -> mujoco.MjData:
+def make_home_data(robot: Robot) -> mujoco.MjData:
     """Returns MuJoCo's data with a robot's joints, and its servos' commands, at home.
 
     A free base is above the ground.
@@ -96,7 +96,7 @@ def at_home(robot: Robot) -> mujoco.MjData:
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
         clearance = _foot_clearance(robot, qpos)
-        qpos[2] += FALL - clearance if clearance < FALL / 2 else 0.0
+        qpos[2] += DROP_HEIGHT - clearance if clearance < DROP_HEIGHT / 2 else 0.0
     robot.mj_convention.set_state(data, qpos)
     data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]
     mujoco.mj_forward(robot.mj_model, data)
@@ -118,7 +118,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
     """
     if not headless:
         check_display()
-    data, model = at_home(robot), robot.mj_model
+    data, model = make_home_data(robot), robot.mj_model
     print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
         for sensor in map(model.sensor, range(model.nsensor)):
@@ -149,8 +149,8 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         DisplayError: If no window can be opened.
     """
     if not headless:
-        show_window(robot.mj_model, at_home(robot))
-    result = drop(robot)
+        show_window(robot.mj_model, make_home_data(robot))
+    result = simulate_drop(robot)
     print(format_drop(result))
     return result.stable
 

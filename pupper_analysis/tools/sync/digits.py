@@ -14,7 +14,7 @@ from pupper_analysis.models.xml import NUMBER_PATTERN
 Array = NDArray[np.float64]
 
 
-SAME: Final = 1e-12
+NUMBER_RTOL: Final = 1e-12
 """Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""
 
 
@@ -23,7 +23,7 @@ _ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
 are no accident, and may be further off."""
 
 
-def written_word(value: float, scale: float) -> str:
+def format_number(value: float, scale: float) -> str:
     """Writes a number.
 
     Args:
@@ -31,12 +31,12 @@ def written_word(value: float, scale: float) -> str:
         scale: What its error is relative to.
     """
     size = abs(value)
-    if size <= SAME * scale:
+    if size <= NUMBER_RTOL * scale:
         return "0"
     return repr(float(np.copysign(_shortest(size, scale), value))).removesuffix(".0")
 
 
-def written_words(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
+def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
     """Writes a vector, with the old words where they still are right.
 
     Args:
@@ -50,13 +50,13 @@ def written_words(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str
     values = np.atleast_1d(np.asarray(new, dtype=float))
     scale = max(floor, float(np.abs(values).max(initial=0.0)))
     kept = [
-        word if word is not None and abs(_read(word) - value) <= SAME * scale else None
+        word if word is not None and abs(_read(word) - value) <= NUMBER_RTOL * scale else None
         for word, value in zip([*old, *[None] * len(values)], values, strict=False)
     ]
     if len(old) >= len(values) and all(word is not None for word in kept):
         return None
     return " ".join(
-        word if word is not None else written_word(float(value), scale)
+        word if word is not None else format_number(float(value), scale)
         for word, value in zip(kept, values, strict=True)
     )
 

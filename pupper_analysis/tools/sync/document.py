@@ -9,7 +9,7 @@ from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.sync.models import Sync, difference_label
+from pupper_analysis.tools.sync.models import Sync, format_difference_label
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 
@@ -72,7 +72,7 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
             if place
         )
         yield doc.Sides(doc.tell(difference.diagnostic), columns)
-    first, kind = difference_label(sync.differences[0]), sync.differences[0].kind
+    first, kind = format_difference_label(sync.differences[0]), sync.differences[0].kind
     kind = f'"{kind}"' if " " in kind else kind
     yield doc.Lines(
         (

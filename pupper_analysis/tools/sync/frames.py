@@ -31,7 +31,7 @@ _TRIANGLE = 1e-6
 """By how much of itself a principal moment may exceed the sum of the others, for rounding."""
 
 
-def ways_to_weigh(
+def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
     """Returns how one part of a body alone can make it another.
@@ -99,7 +99,7 @@ class MatchedRobots:
     mjcf_frames: Mapping[str, pin.SE3]
     bodies: Mapping[str, pin.SE3]
 
-    def wanted(self, side: str, taken: Collection[Key]) -> MultibodyTree:
+    def merge_values(self, side: str, taken: Collection[Key]) -> MultibodyTree:
         """Returns what one side shall be, with what is taken from the other.
 
         Args:
@@ -170,6 +170,6 @@ class Side:
     """
 
     sides: MatchedRobots
-    wanted: MultibodyTree
-    left: dict[Key, Diagnostic] = field(default_factory=dict)
+    target: MultibodyTree
+    unwritten: dict[Key, Diagnostic] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.tools.sync.digits import written_words
+from pupper_analysis.tools.sync.digits import format_numbers
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
 
 
-class MjcfInPlace:
+class EditableMjcf:
     """The elements of an MJCF, with its includes put in.
 
     Attributes:
@@ -46,12 +46,12 @@ class MjcfInPlace:
         found = self._bodies.get(body)
         if found is None:
             return None
-        joints = [e for e in elements_within(found) if e.tag in ("joint", "freejoint")]
+        joints = [e for e in iterate_body_elements(found) if e.tag in ("joint", "freejoint")]
         named = [joint for joint in joints if joint.get("name") == name]
         unnamed = [joint for joint in joints if joint.get("name") is None]
         return (*named, *unnamed, None)[0]
 
-    def drives(self, joint: str) -> list[Element]:
+    def find_actuators(self, joint: str) -> list[Element]:
         """Returns the actuators at a joint."""
         return [
             element
@@ -75,7 +75,7 @@ class MjcfInPlace:
             text: str | None = value
         else:
             stated = (element.get(attribute) or "").split()
-            text = written_words(stated, value, floor)
+            text = format_numbers(stated, value, floor)
         if text is not None:
             element.set(attribute, text)
 
@@ -123,10 +123,10 @@ class MjcfInPlace:
         return None
 
 
-def elements_within(body: Element) -> Iterator[Element]:
+def iterate_body_elements(body: Element) -> Iterator[Element]:
     """Yields what is in a body and in its frames, without the bodies in it."""
     for child in body.children:
         if child.tag == "frame":
-            yield from elements_within(child)
+            yield from iterate_body_elements(child)
         elif child.tag != "body":
             yield child

@@ -29,11 +29,11 @@ from pupper_analysis.models.transmission import actuator_gear, list_joint_actuat
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import (
-    SAME,
-    written_words,
+    NUMBER_RTOL,
+    format_numbers,
 )
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
-from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
+from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -45,11 +45,11 @@ _AXES = ("axisangle", "euler", "xyaxes", "zaxis")
 """Words for the axes of an <inertial> that are not written."""
 
 
-def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
+def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     """Notes the changes that give what moves with a joint, or the base, another mass."""
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
-    wanted = side.sides.mjcf_frames[mover].actInv(side.wanted.bodies[mover].rigid)
+    wanted = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].rigid)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     poses = {body: side.sides.bodies[str(model.body(body).name)] for body in group}
@@ -58,20 +58,20 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     if is_same_body(sum(heavy.values(), pin.Inertia.Zero()), wanted):
         return
     plans = []
-    for body, part in ways_to_weigh(heavy, wanted, top):
+    for body, part in list_single_part_changes(heavy, wanted, top):
         element = side.elements.body(str(model.body(body).name))
         if element is None:
-            side.left.update(dict.fromkeys(keys, COPIED))
+            side.unwritten.update(dict.fromkeys(keys, COPIED_BODY))
             return
         inertial, cost = element.find("inertial"), 0
         if inertial is None:
             inertial = Element("inertial", {}, element.file, -1, element.line, element)
             cost = _NEW_INERTIAL_COST
         if not any(word in inertial.attributes for word in _AXES):
-            changes = inertial_changes(inertial, poses[body].actInv(part))
+            changes = make_inertial_changes(inertial, poses[body].actInv(part))
             plans.append((cost + len(changes), inertial, changes))
     if not plans:
-        side.left.update(dict.fromkeys(keys, diagnose("no-body-to-change")))
+        side.unwritten.update(dict.fromkeys(keys, diagnose("no-body-to-change")))
         return
     _, inertial, changes = min(plans, key=lambda plan: plan[0])
     if inertial.start < 0 and inertial.parent is not None:
@@ -79,7 +79,7 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     inertial.changes.update(changes)
 
 
-def inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, str]:
+def make_inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, str]:
     """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
     numbers = {"pos": wanted.lever, "mass": wanted.mass}
     if element.get("diaginertia") is None:
@@ -88,7 +88,7 @@ def inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, str]:
         numbers |= _principal(element, wanted.inertia)
     floors = {"pos": 1.0, "quat": 1.0}
     words = {
-        name: written_words((element.get(name) or "").split(), value, floors.get(name, 0.0))
+        name: format_numbers((element.get(name) or "").split(), value, floors.get(name, 0.0))
         for name, value in numbers.items()
     }
     return {name: text for name, text in words.items() if text is not None}
@@ -117,7 +117,7 @@ def _principal(element: Element, wanted: Array) -> dict[str, Array]:
     }
 
 
-COPIED = diagnose("body-is-a-copy")
+COPIED_BODY = diagnose("body-is-a-copy")
 
 
 @dataclass(eq=False, kw_only=True)
@@ -131,7 +131,7 @@ class MjcfSide(Side):
     """
 
     file: MjcfFile
-    elements: MjcfInPlace
+    elements: EditableMjcf
     gains: Mapping[Key, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -148,18 +148,18 @@ class MjcfSide(Side):
             if kind in ("lower limit", "upper limit"):
                 self._limits(key)
             elif kind == "effort":
-                write_effort(self, key)
+                plan_effort(self, key)
             elif kind == "damping":
                 self._damping(key)
             elif kind == "friction":
-                value = self.wanted.joints[name].friction
+                value = self.target.joints[name].friction
                 self._number(key, "frictionloss", [value])
             elif kind == "armature":
                 self._armature(key)
         for name in dict.fromkeys(joint for _, joint in self.gains):
-            write_gains(self, name, {key: k for key, k in self.gains.items() if key[1] == name})
+            plan_gains(self, name, {key: k for key, k in self.gains.items() if key[1] == name})
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
-            write_inertial(self, name, [key for key in taken if key[1] == name])
+            plan_inertial(self, name, [key for key in taken if key[1] == name])
 
     def _body_pose(self, body: int) -> pin.SE3:
         """Returns where a body is in the frame of the body that a joint moves."""
@@ -172,24 +172,24 @@ class MjcfSide(Side):
         index = self.model.joint(name).id
         body = int(self.model.jnt_bodyid[index])
         if index != int(self.model.body_jntadr[body]):
-            self.left[key] = diagnose("joint-shares-its-place")
+            self.unwritten[key] = diagnose("joint-shares-its-place")
             return
         if self.model.jnt_pos[index].any():
-            self.left[key] = diagnose("joint-off-its-body")
+            self.unwritten[key] = diagnose("joint-off-its-body")
             return
         parent = self.sides.own.joints[name].parent
         before = self.sides.mjcf_frames[parent].inverse()
         frame = self._body_pose(int(self.model.body_parentid[body]))
         now = make_placement(self.model.body_quat[body], self.model.body_pos[body])
-        joint = before * self.wanted.joints[name].placement * self.sides.mjcf_frames[name]
+        joint = before * self.target.joints[name].placement * self.sides.mjcf_frames[name]
         own = self.sides.own.joints[name].placement
         wanted = frame.inverse() * joint * own.inverse() * frame * now
         element = self.elements.body(str(self.model.body(body).name))
         if element is None:
-            self.left[key] = COPIED
+            self.unwritten[key] = COPIED_BODY
         elif self.elements.is_framed(element):
-            self.left[key] = diagnose("place-in-a-frame")
-        elif float(np.abs(np.array(wanted.translation) - now.translation).max()) > SAME:
+            self.unwritten[key] = diagnose("place-in-a-frame")
+        elif float(np.abs(np.array(wanted.translation) - now.translation).max()) > NUMBER_RTOL:
             self.elements.write(element, "pos", wanted.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
@@ -199,12 +199,12 @@ class MjcfSide(Side):
 
     def _limits(self, key: Key) -> None:
         name = key[1]
-        element, joint = self.joint_in_file(name), self.wanted.joints[name]
+        element, joint = self.joint_in_file(name), self.target.joints[name]
         if element is None:
-            self.left[key] = COPIED
+            self.unwritten[key] = COPIED_BODY
             return
         if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
-            self.left[key] = diagnose("mjcf-one-limit-unwritten")
+            self.unwritten[key] = diagnose("mjcf-one-limit-unwritten")
             return
         factor = 1.0 if joint.slides else self.elements.angle
         values = [joint.lower / factor, joint.upper / factor]
@@ -217,16 +217,16 @@ class MjcfSide(Side):
 
     def _damping(self, key: Key) -> None:
         name = key[1]
-        if name not in self.wanted.joints:
-            self.left[key] = diagnose("base-without-joint")
+        if name not in self.target.joints:
+            self.unwritten[key] = diagnose("base-without-joint")
             return
         index = self.model.joint(name).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_damping[dof])
         of_motors = float(joint_damping(self.model)[dof]) - of_joint
-        wanted = self.wanted.joints[name].damping - of_motors
+        wanted = self.target.joints[name].damping - of_motors
         if wanted < 0:
-            self.left[key] = diagnose("motors-have-more")
+            self.unwritten[key] = diagnose("motors-have-more")
             return
         element = self.joint_in_file(name)
         stated = ([] if element is None else (element.get("damping") or "").split())[1:]
@@ -238,16 +238,16 @@ class MjcfSide(Side):
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_armature[dof])
         of_motors = float(joint_armature(self.model)[dof]) - of_joint
-        wanted = self.wanted.joints[key[1]].armature - of_motors
+        wanted = self.target.joints[key[1]].armature - of_motors
         if wanted < 0:
-            self.left[key] = diagnose("motors-have-more")
+            self.unwritten[key] = diagnose("motors-have-more")
             return
         self._number(key, "armature", [wanted])
 
     def _number(self, key: Key, attribute: str, values: list[float]) -> None:
         element = self.joint_in_file(key[1])
         if element is None:
-            self.left[key] = COPIED
+            self.unwritten[key] = COPIED_BODY
             return
         self.elements.write(element, attribute, values)
 
@@ -255,7 +255,7 @@ class MjcfSide(Side):
 # Writes the gains of position servos into an MJCF, in the words in which it states them.
 
 
-def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
+def plan_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
     """Notes the changes that give the servo of a joint other gains.
 
     Args:
@@ -265,13 +265,13 @@ def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
     """
     model = side.model
     drives = list_joint_actuators(model, model.joint(name).id)
-    elements = side.elements.drives(name)
+    elements = side.elements.find_actuators(name)
     now = own_servos(side.robot).get(name)
     if now is None or len(drives) != 1:
-        side.left.update(dict.fromkeys(wanted, diagnose("joint-without-one-servo")))
+        side.unwritten.update(dict.fromkeys(wanted, diagnose("joint-without-one-servo")))
         return
     if len(elements) != 1:
-        side.left.update(dict.fromkeys(wanted, diagnose("actuators-are-copies")))
+        side.unwritten.update(dict.fromkeys(wanted, diagnose("actuators-are-copies")))
         return
     squared = float(actuator_gear(model, drives[0])[0]) ** 2
     stiffness = wanted.get(("kp", name), now[0]) / squared
@@ -287,7 +287,7 @@ def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
         )
     else:
         message = diagnose("servo-without-words", tag=element.tag)
-        side.left.update(dict.fromkeys(wanted, message))
+        side.unwritten.update(dict.fromkeys(wanted, message))
 
 
 def _position(
@@ -301,7 +301,7 @@ def _position(
     if ("kp", name) in wanted:
         side.elements.write(element, "kp", stiffness)
     if ("kd", name) in wanted:
-        text = written_words((element.get("kv") or "").split(), damping)
+        text = format_numbers((element.get("kv") or "").split(), damping)
         if text is not None:  # a ratio of damping gives way to a damping
             element.rename_or_set("dampratio", "kv", text)
 
@@ -315,22 +315,22 @@ def _padded(element: Element, attribute: str, values: list[float]) -> list[float
 # Writes the greatest torque of a joint into an MJCF: where it is stated, in whichever words.
 
 
-def write_effort(side: MjcfSide, key: Key) -> None:
+def plan_effort(side: MjcfSide, key: Key) -> None:
     """Notes the changes that give a joint another greatest torque.
 
     It is the least of what the joint's ``actuatorfrcrange``, the actuator's ``forcerange`` and the
     ``ctrlrange`` of a plain motor allow: whichever is stated and is not right, is changed.
     """
     name, model = key[1], side.model
-    wanted = side.wanted.joints[name].effort
+    wanted = side.target.joints[name].effort
     joint = model.joint(name).id
     element = side.joint_in_file(name)
-    drives, motors = list_joint_actuators(model, joint), side.elements.drives(name)
+    drives, motors = list_joint_actuators(model, joint), side.elements.find_actuators(name)
     if element is None or len(motors) != len(drives):
-        side.left[key] = diagnose("actuators-are-copies")
+        side.unwritten[key] = diagnose("actuators-are-copies")
         return
     if len(drives) > 1:
-        side.left[key] = diagnose("actuators-share-it")
+        side.unwritten[key] = diagnose("actuators-share-it")
         return
     stated = [(element, one) for one in stated_by_joint(model, joint)]
     for motor, drive in zip(motors, drives, strict=True):
@@ -338,11 +338,11 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     now = effort_limit(model, joint)
     for owner, one in stated:
         # What is looser than the least bound does no harm, unless it is below what is wanted.
-        off = abs(one.greatest - wanted) > SAME * max(wanted, one.greatest)
-        if off and (one.greatest < wanted or one.greatest <= now * (1 + SAME)):
+        off = abs(one.greatest - wanted) > NUMBER_RTOL * max(wanted, one.greatest)
+        if off and (one.greatest < wanted or one.greatest <= now * (1 + NUMBER_RTOL)):
             value, ends = wanted / abs(one.factor), np.array(one.stated)
             pair = ends * (value / float(np.abs(ends).max()))  # one-sided ranges keep their shape
-            symmetric = abs(ends.sum()) <= SAME
+            symmetric = abs(ends.sum()) <= NUMBER_RTOL
             side.elements.write(owner, one.attribute, [-value, value] if symmetric else pair)
     if not stated:
         side.elements.write(element, "actuatorfrcrange", [-wanted, wanted])

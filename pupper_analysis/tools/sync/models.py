@@ -30,7 +30,7 @@ from pupper_analysis.tools.sync.plan import (
     Plan,
     UnwrittenCause,
     make_plan,
-    staged,
+    write_temporary_files,
 )
 
 
@@ -135,18 +135,18 @@ def sync_models(
     }
     plan, after = _tried(files, tolerances, comparison, keys)
     withheld = not partial and any(
-        plan.cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
+        plan.find_cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
     )
     idle = dry_run or withheld
     written, backups = ((), ()) if idle else _written(plan, backup=backup, force=force)
-    labels = {(d.kind, d.element): difference_label(d) for d in comparison.differences}
+    labels = {(d.kind, d.element): format_difference_label(d) for d in comparison.differences}
     return Sync(
         differences=comparison.differences,
         taken={labels[key]: side for key, side in keys.items()},
         edits=plan.edits(),
         not_mended=tuple(_unmended(plan, comparison, after, keys, labels)),
         notes={labels[key]: note for key, note in plan.notes.items() if key not in plan.left},
-        diff="".join(unified_diff(d.path, d.data, d.rendered()) for d in plan.documents()),
+        diff="".join(make_unified_diff(d.path, d.data, d.render()) for d in plan.documents()),
         written=written,
         backups=backups,
         withheld=withheld,
@@ -200,11 +200,11 @@ def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
     """
     documents = {**plan.urdf, **plan.mjcf}
     contents = {
-        place: documents[file].rendered() if file in documents else read_input(file, MAX_FILE_BYTES)
+        place: documents[file].render() if file in documents else read_input(file, MAX_FILE_BYTES)
         for copies in plan.copies
         for file, place in copies.places.items()
     }
-    with staged(contents) as folder:
+    with write_temporary_files(contents) as folder:
         urdf, mjcf = (folder / copies.places[copies.main] for copies in plan.copies)
         try:
             return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
@@ -217,11 +217,11 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
     """Replaces all files, or none; returns them, and the copies of the old ones."""
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
-    changed = [d for d in plan.documents() if d.rendered() != d.data]
+    changed = [d for d in plan.documents() if d.render() != d.data]
     if not force:
         for document in changed:
             refuse_uncommitted(document.path)
-    writings = [Writing(d.path, d.rendered(), EDITED, before=d.data) for d in changed]
+    writings = [Writing(d.path, d.render(), EDITED, before=d.data) for d in changed]
     kept = write_all(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 
@@ -263,13 +263,13 @@ def _unmended(
     still = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
         if key in plan.left and key in still:  # others may have mended it along with them
-            yield Unmended(name, plan.left[key], plan.cause(key))
+            yield Unmended(name, plan.left[key], plan.find_cause(key))
         elif key not in keys and key in still:
             yield Unmended(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
     for key, difference in still.items():
         if key not in labels:
             reason = diagnose("there-since", difference=difference.diagnostic)
-            yield Unmended(difference_label(difference), reason, UnwrittenCause.NEW)
+            yield Unmended(format_difference_label(difference), reason, UnwrittenCause.NEW)
     for part in before.parts:
         yield Unmended("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
     for joints, there, other in (
@@ -284,7 +284,7 @@ def _unmended(
             yield Unmended("agreement", objection, UnwrittenCause.NO_WORDS)
 
 
-def unified_diff(path: Path, before: bytes, after: bytes) -> str:
+def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
     """Returns what would change in a file, as ``diff -u`` and ``patch`` have it."""
     one, two = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
@@ -293,7 +293,7 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
 
 # Which file's value is taken in which difference.
 
-SIDES: Final = ("urdf", "mjcf")
+FILE_SIDES: Final = ("urdf", "mjcf")
 
 _OF_BODY: Final = ("mass", "com", "inertia")
 
@@ -312,10 +312,10 @@ _OF_JOINT: Final = (
 )
 
 
-def owner_name(difference: Difference) -> str:
+def format_owner_name(difference: Difference) -> str:
     """Names what a difference is of: ``link FL_hip``, ``joint FL_hip_joint``, ``frame FL_foot``."""
     if difference.kind in _OF_BODY:
-        return f"link {link_of(difference)}"
+        return f"link {find_subject_link(difference)}"
     if difference.kind in _OF_JOINT:
         return f"joint {difference.element}"
     if difference.kind == "frame":
@@ -323,16 +323,16 @@ def owner_name(difference: Difference) -> str:
     return difference.element
 
 
-def link_of(difference: Difference) -> str:
+def find_subject_link(difference: Difference) -> str:
     """Returns the link that a difference is of; its element, where it is not of a link."""
     subject = difference.diagnostic.subject
     return subject.name if subject is not None and subject.kind == "link" else difference.element
 
 
-def difference_label(difference: Difference) -> str:
+def format_difference_label(difference: Difference) -> str:
     """Names a difference: ``link FL_hip: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
-    return f"{owner_name(difference)}: {kind}"
+    return f"{format_owner_name(difference)}: {kind}"
 
 
 def choose_files(
@@ -355,7 +355,7 @@ def choose_files(
     for text in [take] if isinstance(take, str) else take:
         side, colon, which = text.partition(":")
         side, which = side.strip().lower(), which.strip().strip("\"'").strip()
-        if side not in SIDES or (colon and not which):
+        if side not in FILE_SIDES or (colon and not which):
             raise ConfigurationError("take", diagnose("take-not-valid", given=text))
         for index, weight in _meant(differences, which):
             if weight >= rank[index]:
@@ -370,9 +370,9 @@ def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int,
         return
     names = [
         (
-            difference_label(difference),
-            owner_name(difference),
-            link_of(difference),
+            format_difference_label(difference),
+            format_owner_name(difference),
+            find_subject_link(difference),
             difference.element,
             difference.kind,
         )

@@ -38,16 +38,16 @@ from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, is_same_body, pair_robots
-from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
+from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import (
-    Copies,
     Edit,
-    copies_of_mjcf,
-    copies_of_urdf,
-    edits_of,
-    laid_out,
-    staged,
+    FileLayout,
+    combine_layouts,
+    list_edits,
+    list_mjcf_files,
+    list_urdf_files,
+    write_temporary_files,
 )
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 from pupper_analysis.tools.sync.xml_bytes import XmlDocument, read_document
@@ -73,7 +73,7 @@ class WrittenNumbers:
     contents: Mapping[Path, bytes]
     sources: tuple[Path, ...]
 
-    def writings(
+    def make_writings(
         self, folder: Path, made: Mapping[str, str] | None = None, *, force: bool = False
     ) -> list[Writing]:
         """Returns what is to be written to a folder; what is there already is left.
@@ -103,7 +103,7 @@ class WrittenNumbers:
             if not _holds(folder / place, content)
         ]
 
-    def hashes(self) -> dict[str, str]:
+    def hash_contents(self) -> dict[str, str]:
         """Returns {place: hash} of what is written, by which it is known again."""
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
@@ -159,41 +159,43 @@ def write_numbers(
     matched = match_models(urdf, mjcf, names=names, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     changes = NumberChanges(both, resolve_numbers(matched, numbers))
-    check_own(robot, changes)
-    documents, left, layout = dict[Path, XmlDocument](), dict[Key, Diagnostic](), list[Copies]()
+    check_robot_matches_files(robot, changes)
+    documents, left, layout = dict[Path, XmlDocument](), dict[Key, Diagnostic](), list[FileLayout]()
     if urdf_path is not None:
         documents[urdf.path] = read_document(urdf.path)
         into_urdf = UrdfSide(
-            tree=UrdfTree(documents[urdf.path].root), sides=both, wanted=changes.tree("urdf")
+            tree=UrdfTree(documents[urdf.path].root), sides=both, target=changes.tree("urdf")
         )
-        kinds = (*OF_BODIES, "damping", "friction")
+        kinds = (*BODY_KINDS, "damping", "friction")
         into_urdf.plan([key for key in changes.wanted if key[0] in kinds])
-        left |= into_urdf.left
-        layout.append(copies_of_urdf(urdf))
+        left |= into_urdf.unwritten
+        layout.append(list_urdf_files(urdf))
     if mjcf_path is not None:
-        elements = MjcfInPlace(mjcf)
+        elements = EditableMjcf(mjcf)
         documents |= elements.documents
-        gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in OF_SERVOS}
+        gains = {
+            key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS
+        }
         into_mjcf = MjcfSide(
-            file=mjcf, elements=elements, sides=both, wanted=changes.tree("mjcf"), gains=gains
+            file=mjcf, elements=elements, sides=both, target=changes.tree("mjcf"), gains=gains
         )
         into_mjcf.plan([key for key in changes.wanted if key not in gains])
-        left |= into_mjcf.left
-        layout.append(copies_of_mjcf(mjcf))
+        left |= into_mjcf.unwritten
+        layout.append(list_mjcf_files(mjcf))
     else:
-        lost = [key for key in changes.wanted if key[0] in (*OF_SERVOS, "armature")]
+        lost = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
         left |= dict.fromkeys(lost, diagnose("mjcf-alone-states-it"))
     if left:
-        raise refuse_numbers(robot, left)
+        raise make_refusal(robot, left)
     if len(layout) == 2:
-        layout = list(laid_out(*layout))
+        layout = list(combine_layouts(*layout))
     places = {copies.main: copies.places[copies.main] for copies in layout}
     written = WrittenNumbers(
         urdf=None if urdf_path is None else places[urdf_path],
         mjcf=None if mjcf_path is None else places[mjcf_path],
-        edits=edits_of(documents.values()),
+        edits=list_edits(documents.values()),
         contents={
-            place: documents[file].rendered()
+            place: documents[file].render()
             if file in documents
             else read_input(file, MAX_FILE_BYTES)
             for copies in layout
@@ -262,7 +264,7 @@ def try_files(
         ModelError: If an engine refuses a file, or reads another number than was wanted.
     """
     robot = changes.both.matched.robot
-    with staged(contents) as folder:
+    with write_temporary_files(contents) as folder:
         try:
             one = urdf[0] if urdf[1] is None else read_urdf(folder / urdf[1], urdf[0].packages)
             two = mjcf[0] if mjcf[1] is None else read_mjcf(folder / mjcf[1])
@@ -273,7 +275,7 @@ def try_files(
     written = [side for side, (_, there) in (("urdf", urdf), ("mjcf", mjcf)) if there is not None]
     wrong = dict.fromkeys(_odd(changes, after, written), diagnose("read-otherwise"))
     if wrong:
-        raise refuse_numbers(robot, wrong)
+        raise make_refusal(robot, wrong)
 
 
 def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator[Key]:
@@ -284,16 +286,16 @@ def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator
         for mover, body in trees[side].bodies.items():
             frame = frames.get(mover, pin.SE3.Identity())
             if not is_same_body(frame.actInv(wanted.bodies[mover].rigid), body.rigid, _WRITTEN):
-                kind = next((k for k in OF_BODIES if (k, mover) in changes.wanted), "mass")
+                kind = next((k for k in BODY_KINDS if (k, mover) in changes.wanted), "mass")
                 yield kind, mover
-        for kind, (name, joint) in product(OF_JOINTS, trees[side].joints.items()):
+        for kind, (name, joint) in product(JOINT_KINDS, trees[side].joints.items()):
             values = [float(getattr(one, kind)) for one in (joint, wanted.joints[name])]
             if not math.isclose(*values, rel_tol=_WRITTEN):
                 yield kind, name
     gains = own_servos(after)
     for (kind, name), value in changes.wanted.items() if "mjcf" in sides else ():
-        if kind in OF_SERVOS:
-            read = gains[name][OF_SERVOS.index(kind)] if name in gains else math.nan
+        if kind in SERVO_KINDS:
+            read = gains[name][SERVO_KINDS.index(kind)] if name in gains else math.nan
             if not math.isclose(read, float(value), rel_tol=_WRITTEN):
                 yield kind, name
 
@@ -301,16 +303,16 @@ def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator
 # Given numbers of a robot, by what moves, and what both of its models become with them.
 
 
-OF_BODIES = ("mass", "com", "inertia")
-OF_JOINTS = ("damping", "friction", "armature")
-OF_SERVOS = ("kp", "kd")
+BODY_KINDS = ("mass", "com", "inertia")
+JOINT_KINDS = ("damping", "friction", "armature")
+SERVO_KINDS = ("kp", "kd")
 
 _OWN = 1e-6
 """Relative: a robot's number is that of its file. What an engine makes of a file, converted or
 aligned, is good to some 1e-9; what was changed since differs by more than anybody writes digits."""
 
 
-def refuse_numbers(robot: Robot, left: Mapping[Key, Diagnostic]) -> ModelError:
+def make_refusal(robot: Robot, left: Mapping[Key, Diagnostic]) -> ModelError:
     """Returns the error that names the numbers that cannot be written, each with its reason."""
     problems = [diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in left.items()]
     return ModelError(robot.name, diagnose("numbers-unwritten", problems=problems))
@@ -329,21 +331,21 @@ def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Ke
     model, found = matched.robot.pin_model, {}
     for (kind, element), value in numbers.items():
         mover = movers.get(element)
-        if kind not in OF_BODIES:
+        if kind not in BODY_KINDS:
             mover = element if element in matched.robot.joint_names else None
         elif mover is None and model.existFrame(element, pin.FrameType.BODY):
             at = model.frames[model.getFrameId(element, pin.FrameType.BODY)].parentJoint
             name = str(model.names[at])
             mover = name if name in matched.robot.joint_names else matched.robot.base
         if mover is None:
-            known = movers if kind in OF_BODIES else matched.robot.joint_names
-            what = "link" if kind in OF_BODIES else "joint"
+            known = movers if kind in BODY_KINDS else matched.robot.joint_names
+            what = "link" if kind in BODY_KINDS else "joint"
             raise UnknownNameError(matched.robot.name, what, element, known)
         found[kind, mover] = np.array(value, dtype=float)
     return found
 
 
-def check_own(robot: Robot, changes: NumberChanges) -> None:
+def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
     """Checks that a robot's bodies are those that its files state, in the same frames.
 
     All of them: where one is not, the files are another robot's, whatever is written.
@@ -387,7 +389,7 @@ class NumberChanges:
         model = both.matched.robot.mj_model
         joints = both.matched.robot.joint_names
         dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in joints]
-        self.movers = tuple(dict.fromkeys(name for kind, name in wanted if kind in OF_BODIES))
+        self.movers = tuple(dict.fromkeys(name for kind, name in wanted if kind in BODY_KINDS))
         more = {
             "damping": joint_damping(model) - model.dof_damping,
             "armature": joint_armature(model) - model.dof_armature,
@@ -404,7 +406,7 @@ class NumberChanges:
         for mover in self.movers:
             bodies[mover] = self._body(bodies[mover], mover)
         for (kind, name), value in self.wanted.items():
-            if kind in OF_JOINTS:
+            if kind in JOINT_KINDS:
                 whole = float(value) + float(self._of_motors.get(kind, {}).get(name, 0.0))
                 changed: dict[str, Any] = {BY_KIND[kind].field: whole}
                 joints[name] = replace(joints[name], **changed)

@@ -25,7 +25,7 @@ from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KIND
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
-from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
+from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
@@ -111,12 +111,12 @@ class Plan:
     files: Files
     urdf: dict[Path, XmlDocument]
     mjcf: dict[Path, XmlDocument]
-    copies: tuple[Copies, Copies]
+    copies: tuple[FileLayout, FileLayout]
     left: dict[Key, Diagnostic] = field(default_factory=dict)
     causes: dict[Key, UnwrittenCause] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
-    def cause(self, key: Key) -> UnwrittenCause:
+    def find_cause(self, key: Key) -> UnwrittenCause:
         """Returns why a difference is not written."""
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
@@ -127,10 +127,10 @@ class Plan:
 
     def edits(self) -> tuple[Edit, ...]:
         """Returns what is written, file by file."""
-        return edits_of(self.documents())
+        return list_edits(self.documents())
 
 
-def edits_of(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
+def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
     """Returns what is written into documents, one by one."""
     return tuple(
         edit for document in documents for element in document.elements for edit in _edits(element)
@@ -148,20 +148,20 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
-    elements = MjcfInPlace(mjcf)
+    elements = EditableMjcf(mjcf)
     document = read_document(urdf.path)
-    copies = laid_out(copies_of_urdf(urdf), copies_of_mjcf(mjcf))
+    copies = combine_layouts(list_urdf_files(urdf), list_mjcf_files(mjcf))
     plan = Plan(files, {files.urdf: document}, elements.documents, copies)
     into_urdf = UrdfSide(
         tree=UrdfTree(document.root),
         sides=both,
-        wanted=both.urdf,
+        target=both.urdf,
     )
     into_mjcf = MjcfSide(
         file=mjcf,
         elements=elements,
         sides=both,
-        wanted=both.mjcf,
+        target=both.mjcf,
     )
     for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
         keys = [key for key, whose in taken.items() if whose == other]
@@ -171,9 +171,9 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
             elif is_absent(key, other, both, urdf, mjcf):
                 plan.left[key], plan.causes[key] = _unstated(other), UnwrittenCause.NOT_STATED
         keys = [key for key in keys if key not in plan.left]
-        side.wanted = both.wanted("urdf" if other == "mjcf" else "mjcf", keys)
+        side.target = both.merge_values("urdf" if other == "mjcf" else "mjcf", keys)
         side.plan(keys)
-        plan.left |= side.left
+        plan.left |= side.unwritten
         plan.notes |= side.notes
         stated = (both.urdf if other == "urdf" else both.mjcf).joints
         efforts = {name: stated[name].effort for name in matched.robot.joint_names}
@@ -270,7 +270,7 @@ _ASIDE = "mjcf"
 
 
 @dataclass(frozen=True)
-class Copies:
+class FileLayout:
     """The files of a model, and where each goes in a folder.
 
     No path in them is rewritten: the folder repeats as much of the folders around them as is
@@ -289,7 +289,7 @@ class Copies:
     aside: Path = Path()
 
     @staticmethod
-    def of(main: Path, others: Iterable[Path], within: Iterable[Path] = ()) -> Copies:
+    def arrange(main: Path, others: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
         """Lays out a model's files.
 
         Args:
@@ -299,7 +299,7 @@ class Copies:
         """
         files = tuple(dict.fromkeys((main, *others)))
         folders = {_plain(path).parent for path in (*files, *within)}
-        return Copies(main, Path(os.path.commonpath(folders)), files)
+        return FileLayout(main, Path(os.path.commonpath(folders)), files)
 
     @cached_property
     def places(self) -> Mapping[Path, Path]:
@@ -311,7 +311,7 @@ class Copies:
         return self.places[self.main]
 
 
-def laid_out(urdf: Copies, mjcf: Copies) -> tuple[Copies, Copies]:
+def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
     """Returns the files of both models in one folder.
 
     Where those of one stand in the folders of the other's, they stay there; else the MJCF's go to a
@@ -328,7 +328,7 @@ def _plain(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
-def copies_of_urdf(urdf: UrdfFile) -> Copies:
+def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """Lays out a URDF and the meshes and textures that are found from where it stands.
 
     A ``package://`` path that leads to a folder around the URDF does, too; one that is found by a
@@ -352,12 +352,12 @@ def copies_of_urdf(urdf: UrdfFile) -> Copies:
             manifest = existing_file(package / "package.xml")
             found += [file] if manifest is None else [file, manifest]
             packages.append(package)
-    return Copies.of(urdf.path, found, packages)
+    return FileLayout.arrange(urdf.path, found, packages)
 
 
-def copies_of_mjcf(mjcf: MjcfFile) -> Copies:
+def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
     """Lays out an MJCF, what it includes or attaches, and the files of its assets."""
-    return Copies.of(mjcf.path, [*mjcf.files, *_assets(mjcf)])
+    return FileLayout.arrange(mjcf.path, [*mjcf.files, *_assets(mjcf)])
 
 
 def _assets(mjcf: MjcfFile) -> Iterator[Path]:
@@ -378,7 +378,7 @@ def _assets(mjcf: MjcfFile) -> Iterator[Path]:
 
 
 @contextmanager
-def staged(contents: Mapping[Path, bytes]) -> Iterator[Path]:
+def write_temporary_files(contents: Mapping[Path, bytes]) -> Iterator[Path]:
     """Writes files to a folder of their own, to be tried: {place there: content}; yields it."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)

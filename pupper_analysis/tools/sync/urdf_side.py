@@ -15,8 +15,8 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.tools.sync.digits import written_words
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
+from pupper_analysis.tools.sync.digits import format_numbers
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Changes = dict[tuple[str, str], str]
 """{(path below an element, attribute): new value}."""
 
-UNKNOWN = {"effort": "0", "velocity": "1000"}
+UNKNOWN_LIMITS = {"effort": "0", "velocity": "1000"}
 """What is written where nothing is known: 0 is what exporters write, which cross-checking knows to
 be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
 
@@ -78,8 +78,8 @@ class UrdfSide(Side):
     def _place(self, name: str) -> None:
         joint = self._joint(name)
         frame = self.sides.urdf_frames[self._mover(joint.parent)] * self._pose(joint.parent)
-        placed = frame.inverse() * self.wanted.joints[name].placement
-        text = place_change(joint.element, np.array(placed.translation))
+        placed = frame.inverse() * self.target.joints[name].placement
+        text = make_xyz_text(joint.element, np.array(placed.translation))
         if text is not None:
             joint.element.ensure("origin").set("xyz", text)
 
@@ -92,15 +92,15 @@ class UrdfSide(Side):
         assert attribute.urdf is not None
         tag, word = attribute.urdf
         stated = (joint.stated(attribute) or "").split()
-        text = written_words(stated, value, floor)
+        text = format_numbers(stated, value, floor)
         if text is not None:
             joint.element.ensure(tag).set(word, text)
 
     def _limits(self, key: Key) -> None:
-        moved, joint = self._joint(key[1]), self.wanted.joints[key[1]]
+        moved, joint = self._joint(key[1]), self.target.joints[key[1]]
         element = moved.element
         if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
-            self.left[key] = diagnose("urdf-limits-unwritten")
+            self.unwritten[key] = diagnose("urdf-limits-unwritten")
             return
         if element.get("type") == "continuous":
             element.set("type", "revolute")
@@ -110,10 +110,10 @@ class UrdfSide(Side):
 
     def _number(self, key: Key) -> None:
         kind, name = key
-        if name not in self.wanted.joints:
-            self.left[key] = diagnose("base-without-joint")
+        if name not in self.target.joints:
+            self.unwritten[key] = diagnose("base-without-joint")
             return
-        joint: TreeJoint = self.wanted.joints[name]
+        joint: TreeJoint = self.target.joints[name]
         self._state(self._joint(name), kind, float(getattr(joint, kind)))
         if kind == "effort":
             self._complete(key, self._joint(name))
@@ -121,7 +121,7 @@ class UrdfSide(Side):
     def _complete(self, key: Key, joint: UrdfJoint) -> None:
         """Gives a new <limit> what the format demands of it, though no file states it."""
         limit = joint.element.find("limit")
-        for word, value in UNKNOWN.items() if limit is not None else ():
+        for word, value in UNKNOWN_LIMITS.items() if limit is not None else ():
             if limit.get(word) is None:
                 limit.set(word, value)
                 self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
@@ -140,21 +140,21 @@ class UrdfSide(Side):
     def _inertial(self, mover: str, keys: list[Key]) -> None:
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
-        wanted = frame.act(self.wanted.bodies[mover].rigid)
+        wanted = frame.act(self.target.bodies[mover].rigid)
         members = self._members(mover)
         own = {link: self._links[link].inertia for link in members}
         placed = {link: self._pose(link).act(one) for link, one in own.items() if one is not None}
         placed = {link: one for link, one in placed.items() if one.mass > 0}
         if is_same_body(sum(placed.values(), pin.Inertia.Zero()), wanted):
             return
-        ways = ways_to_weigh(placed, wanted, members[0])
+        ways = list_single_part_changes(placed, wanted, members[0])
         if not ways:
-            self.left.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
+            self.unwritten.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
             return
 
         def changed(link: str, part: pin.Inertia) -> Changes:
             inside = self._pose(link).actInv(part)
-            return inertial_changes(self._links[link].element, inside)
+            return make_inertial_changes(self._links[link].element, inside)
 
         tries = [(link, changed(link, part)) for link, part in ways]
         best, changes = min(tries, key=lambda way: len(way[1]))
@@ -162,27 +162,27 @@ class UrdfSide(Side):
             self._links[best].element.ensure("inertial").ensure(path).set(attribute, text)
 
 
-def place_change(owner: Element | None, place: Array) -> str | None:
+def make_xyz_text(owner: Element | None, place: Array) -> str | None:
     """Returns what the <origin> in an element must say for a place; None if it does."""
     origin = None if owner is None else owner.find("origin")
     stated = None if origin is None else origin.get("xyz")
-    return written_words((stated or "0 0 0").split(), place, 1.0)
+    return format_numbers((stated or "0 0 0").split(), place, 1.0)
 
 
-def inertial_changes(link: Element, wanted: pin.Inertia) -> Changes:
+def make_inertial_changes(link: Element, wanted: pin.Inertia) -> Changes:
     """Returns the changes by which a link's inertial states a mass, in the axes that it has."""
     inertial = link.find("inertial")
     weight, entry = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}
     old = weight and weight.get("value")
-    text = written_words((old or "").split(), wanted.mass)
+    text = format_numbers((old or "").split(), wanted.mass)
     if text is not None:
         changes["mass", "value"] = text
     rotation = np.array(origin_of(inertial).rotation)
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
     inside = rotation.T @ np.array(wanted.inertia) @ rotation
     changes |= dict(_tensor_changes(stated, inertia_entries(inside)))
-    text = place_change(inertial, np.array(wanted.lever))
+    text = make_xyz_text(inertial, np.array(wanted.lever))
     return changes if text is None else changes | {("origin", "xyz"): text}
 
 
@@ -191,6 +191,6 @@ def _tensor_changes(
 ) -> Iterator[tuple[tuple[str, str], str]]:
     scale = float(np.abs(values).max())
     for name, old, value in zip(INERTIA_ENTRIES, stated, values, strict=True):
-        text = written_words((old or "").split(), value, scale)
+        text = format_numbers((old or "").split(), value, scale)
         if text is not None:
             yield ("inertia", name), text

@@ -106,7 +106,7 @@ class XmlDocument:
     root: Element
     elements: list[Element]
 
-    def rendered(self) -> bytes:
+    def render(self) -> bytes:
         """Returns the bytes with all changes, and no other byte changed."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:

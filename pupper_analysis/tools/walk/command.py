@@ -17,7 +17,7 @@ from pupper_analysis.cli.robots import (
     robot_argument,
     with_robot,
 )
-from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
+from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.walk.gait import Walk
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     help="The policy: ONNX, RTNeural's JSON, or TorchScript; e.g. policy.json.",
     required=True,
 )
-@CONTRACT
-@COMMAND
+@CONTRACT_OPTION
+@COMMAND_OPTION
 @click.option(
     "--seeds", type=int, help="Runs, whose starts differ; by default 1, with --vary 3; e.g. 20."
 )
@@ -100,7 +100,7 @@ def command(
     from pupper_analysis.tools.walk.gait import simulate_walk
     from pupper_analysis.tools.walk.intervals import (
         QUANTITIES,
-        measured_intervals,
+        read_measured_intervals,
         tracked_intervals,
     )
     from pupper_analysis.tools.walk.orders import rank_orders
@@ -109,7 +109,7 @@ def command(
     wanted = shared.parse_point("command", asked, 3)
     brain = Policy.load(policy, contract)
     meant = which.one(words) or "v3"
-    robot = walked_robot(meant, style, everything=everything)
+    robot = load_walking_robot(meant, style, everything=everything)
     given: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         given["seeds"] = seeds
@@ -121,7 +121,7 @@ def command(
             known = (
                 None
                 if fitted is None
-                else measured_intervals(fitted, robot, brain.contract.latency)
+                else read_measured_intervals(fitted, robot, brain.contract.latency)
             )
             named = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
             result = tracked_intervals(

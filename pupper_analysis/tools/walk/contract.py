@@ -18,7 +18,7 @@ from pupper_analysis.tools.contract.facts import Source
 
 Array = NDArray[np.float64]
 
-TERMS = {
+TERM_SIZES = {
     "linear-velocity": 3,
     "angular-velocity": 3,
     "gravity": 3,
@@ -113,22 +113,22 @@ class Contract:
     sources: Mapping[str, str]
 
     @property
-    def actions(self) -> int:
+    def num_joints(self) -> int:
         """How many joints it commands."""
         return len(self.default)
 
-    def size_of(self, term: Term) -> int:
+    def term_size(self, term: Term) -> int:
         """Returns how many numbers a term has."""
         if term.name == "phase":
             return 2 * len(self.phase_offsets)
-        return TERMS[term.name] or self.actions
+        return TERM_SIZES[term.name] or self.num_joints
 
     @property
-    def frame(self) -> int:
+    def frame_size(self) -> int:
         """How many numbers a frame has."""
-        return sum(self.size_of(term) for term in self.terms)
+        return sum(self.term_size(term) for term in self.terms)
 
-    def reordered(self, order: Sequence[int]) -> Contract:
+    def reorder_joints(self, order: Sequence[int]) -> Contract:
         """Returns the contract of a policy whose joint i is taken for that joint ``order[i]`` is.
 
         Defaults, scales, limits and gains stay with the policy's outputs, as they do on a robot
@@ -149,7 +149,7 @@ _STATED = {
 """{quantity of a source's statements: the key}; a policy's step is ``rate``."""
 
 
-def of_source(source: Source) -> dict[str, Any]:
+def convert_source_statements(source: Source) -> dict[str, Any]:
     """Returns what a policy's file states, as a TOML would: what ``contract`` compares."""
     found: dict[str, Any] = {}
     for one in source.statements:
@@ -167,7 +167,7 @@ def of_source(source: Source) -> dict[str, Any]:
     return found
 
 
-def of_rtneural(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
+def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
     """Returns what Pupper's neural_controller makes of an RTNeural JSON's observations.
 
     Its frame of 36 (33 without a commanded orientation) is that of
@@ -232,7 +232,7 @@ class _Stated:
         return ModelError(self.homes.get(key.partition(":")[0], str(self.path)), problem)
 
 
-def contract_of(
+def make_contract(
     path: Path, stated: Sequence[tuple[str, Mapping[str, Any]]], inputs: int, outputs: int
 ) -> Contract:
     """Returns the contract that some files state together.
@@ -309,16 +309,16 @@ def contract_of(
     )
     for term in terms:
         size = np.size(term.scale)
-        if size not in (1, found.size_of(term)):
-            problem = diagnose("no-numbers", count=found.size_of(term))
+        if size not in (1, found.term_size(term)):
+            problem = diagnose("no-numbers", count=found.term_size(term))
             raise given.refuse(f"observation: {term.name}", problem)
-    if found.frame * found.history != inputs:
-        parts = ", ".join(f"{term.name} {found.size_of(term)}" for term in terms)
+    if found.frame_size * found.history != inputs:
+        parts = ", ".join(f"{term.name} {found.term_size(term)}" for term in terms)
         problem = diagnose(
             "observation-size",
             parts=parts,
             history=found.history,
-            total=found.frame * found.history,
+            total=found.frame_size * found.history,
             inputs=inputs,
         )
         raise ModelError(path, problem)
@@ -346,8 +346,8 @@ def _terms(given: _Stated) -> tuple[Term, ...]:
     for one in listed:
         name = one.get("term") if isinstance(one, dict) else one
         name = _ALIKE.get(name, name) if isinstance(name, str) else str(name)
-        if name not in TERMS:
-            problem = diagnose("contract-value", given=name, known=tuple(TERMS))
+        if name not in TERM_SIZES:
+            problem = diagnose("contract-value", given=name, known=tuple(TERM_SIZES))
             raise given.refuse("observation", problem)
         scale = one.get("scale", 1.0) if isinstance(one, dict) else 1.0
         try:

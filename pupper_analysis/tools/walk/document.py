@@ -14,7 +14,7 @@ from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
-from pupper_analysis.tools.walk.orders import CLEAR, Candidate, Orders
+from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
 
 Array = NDArray[np.float64]
 
@@ -377,6 +377,6 @@ def _candidates(found: Orders) -> doc.Table:
         count=len(found.candidates),
         commands=commands,
         seconds=f"{found.seconds:g}",
-        clear=f"{100 * (CLEAR - 1):.0f}",
+        clear=f"{100 * (MIN_COST_RATIO - 1):.0f}",
     )
     return doc.Table(text("walk-orders"), columns, tuple(rows), (how,))

@@ -23,25 +23,31 @@ from pupper_analysis.simulation.monitor import FALLEN_HEIGHT
 from pupper_analysis.simulation.rollout import STATE
 from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Run, Stage, rotations, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import (
+    Run,
+    Stage,
+    prepare_stage,
+    rotations_from_quaternions,
+    simulate_cases,
+)
 
 Array = NDArray[np.float64]
 
-SECONDS, WARM_UP = 8.0, 2.0
+DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 """Of a run, and what of it is not looked at (s): a robot that starts walking needs a second."""
 
-SPEED_SHARE, SPEED_SLACK = 0.25, 0.05
+SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
 """A speed is followed that is off by no more than this share of the command, and so many m/s: a
 choice. Pupper's public policy reaches 0.93 of its command; the slack is for one of zero."""
 
-TURN_SLACK = 0.1
+TURN_ATOL = 0.1
 """Likewise of turning (rad/s)."""
 
-AT_LEAST = 0.5
+MIN_FOLLOWED_FRACTION = 0.5
 """Of any command that is not zero, however slow, half is followed: beside 0.13 m/s the slack is
 most of the command."""
 
-AT_LIMIT = 0.99
+LIMIT_FRACTION = 0.99
 """Of its limit: a motor that gives more is at it."""
 
 _FASTEST = 100.0
@@ -148,7 +154,7 @@ class Walk(Result):
         return all(gait.tracks for gait in self.gaits)
 
 
-def command_of(command: ArrayLike) -> Array:
+def check_command(command: ArrayLike) -> Array:
     """Returns a command (3,), checked.
 
     Raises:
@@ -190,8 +196,8 @@ def simulate_walk(
     command: ArrayLike = (0.5, 0.0, 0.0),
     *,
     seeds: int = 1,
-    seconds: float = SECONDS,
-    warm_up: float = WARM_UP,
+    seconds: float = DEFAULT_SECONDS,
+    warm_up: float = WARM_UP_SECONDS,
     workers: int | None = None,
 ) -> Walk:
     """Lets a policy walk a robot in MuJoCo, as its files have it, and measures what it does.
@@ -212,12 +218,12 @@ def simulate_walk(
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted = command_of(command)
+    wanted = check_command(command)
     check_runs(seeds, seconds, warm_up)
-    stage = stage_of(robot, policy)
+    stage = prepare_stage(robot, policy)
     cases = [stage.case(wanted, seed) for seed in range(seeds)]
     runs = simulate_cases(stage, cases, seconds, warm_up, workers)
-    gaits = tuple(measure(stage, run, warm_up) for run in runs)
+    gaits = tuple(measure_gait(stage, run, warm_up) for run in runs)
     return Walk(
         name=robot.name,
         policy=policy.name,
@@ -276,14 +282,14 @@ class Tracking:
     tracks: bool
 
 
-def follow(stage: Stage, run: Run, warm_up: float) -> Tracking:
+def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
     """Returns how a run follows its command after the warm-up."""
     first = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
     seen = run.states[first:]
     if len(seen) < 2 or not np.isfinite(seen).all():
         return Tracking(np.zeros(2), 0.0, False)
-    turned = rotations(seen[:, 1 + index[3:7]])
+    turned = rotations_from_quaternions(seen[:, 1 + index[3:7]])
     heading = np.unwrap(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
     time = (len(seen) - 1) * stage.timestep
     steps = np.diff(seen[:, 1 + index[:2]], axis=0)
@@ -300,15 +306,15 @@ def follow(stage: Stage, run: Run, warm_up: float) -> Tracking:
     off = float(np.linalg.norm(velocity - command[:2]))
     tracks = not run.fallen
     for error, slack, asked in (
-        (off, SPEED_SLACK, float(np.linalg.norm(command[:2]))),
-        (abs(turning - command[2]), TURN_SLACK, abs(command[2])),
+        (off, SPEED_ATOL, float(np.linalg.norm(command[:2]))),
+        (abs(turning - command[2]), TURN_ATOL, abs(command[2])),
     ):
-        most = (1 - AT_LEAST) * asked if asked else math.inf
-        tracks &= error <= min(SPEED_SHARE * asked + slack, most)
+        most = (1 - MIN_FOLLOWED_FRACTION) * asked if asked else math.inf
+        tracks &= error <= min(SPEED_RTOL * asked + slack, most)
     return Tracking(velocity, turning, bool(tracks))
 
 
-def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
+def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
     """Returns what a run asks of the motors, and how it follows its command."""
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
@@ -319,15 +325,15 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
     rates = np.nan_to_num(rates, nan=0.0)
     limits = robot.effort_limits
-    followed = follow(stage, run, warm_up)
+    followed = evaluate_tracking(stage, run, warm_up)
     power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(followed.velocity))
     weight = robot.weight
     ticks = run.states[first :: stage.substeps]
     ticks = ticks[np.isfinite(ticks).all(axis=1)]
-    seen, touching = contacts_of(stage, run.case.model, ticks, statics=not run.case.seed)
+    seen, touching = find_ground_contacts(stage, run.case.model, ticks, statics=not run.case.seed)
     duty = {foot: sum(foot in one.feet for one in seen) / max(1, len(seen)) for foot in robot.feet}
-    turned = rotations(ticks[:, 1 + convention.qpos_index[3:7]])
+    turned = rotations_from_quaternions(ticks[:, 1 + convention.qpos_index[3:7]])
     allowed = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
     used = 1.0 if run.fallen else max(run.lean / allowed[0], run.lost / allowed[1], 0.0)
     every = max(1, round(_FRAME / step))
@@ -337,17 +343,17 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     return Gait(
         command=run.case.command,
         seed=run.case.seed,
-        fall=fall_of(stage, run, len(run.states) * step) if run.fallen else None,
+        fall=describe_fall(stage, run, len(run.states) * step) if run.fallen else None,
         duration=len(run.states) * step,
         velocity=followed.velocity,
         turning=followed.turning,
         tracks=followed.tracks,
         torque_rms=_rms(torques),
         torque_peak=np.abs(torques).max(axis=0),
-        at_limit=np.asarray(np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0)),
+        at_limit=np.asarray(np.mean(np.abs(torques) >= LIMIT_FRACTION * limits, axis=0)),
         speed_peak=np.abs(rates).max(axis=0),
         power=power,
-        transport=power / (weight * speed) if speed > SPEED_SLACK else None,
+        transport=power / (weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,
         static=_rms(np.array([one.static for one in seen])) if seen and not run.case.seed else None,
@@ -362,7 +368,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     )
 
 
-def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
+def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
     """Says how a run fell that began so long ago (s)."""
     time, end = Quantity(duration, "s"), run.states[-1]
     if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
@@ -372,7 +378,7 @@ def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
     return diagnose("fell-over", tilt=lean, height=height, time=time)
 
 
-class Moment(NamedTuple):
+class ContactSample(NamedTuple):
     """Which feet touch at a moment, and what statics ask of the motors (nu,) there (N m).
 
     Statics: the same joints, nothing moving, vertical forces at the points that touch, which carry
@@ -384,9 +390,9 @@ class Moment(NamedTuple):
     static: Array
 
 
-def contacts_of(
+def find_ground_contacts(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
-) -> tuple[list[Moment], tuple[str, ...]]:
+) -> tuple[list[ContactSample], tuple[str, ...]]:
     """Returns which feet touch the ground in some states, and what else touches it in any.
 
     Without ``statics`` what these ask is zeros, and takes no time.
@@ -414,7 +420,7 @@ def contacts_of(
         if statics:
             points, bearing = data.contact.pos[near[ground]], model.geom_bodyid[geoms[ground]]
             asked = _statics(stage, model, data, points, bearing)
-        found.append(Moment(touching, asked))
+        found.append(ContactSample(touching, asked))
         others |= bodies_on_ground(model, data, robot.foot_geoms)
     return found, tuple(sorted(others))
 

@@ -21,16 +21,16 @@ from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.gait import check_runs, command_of, follow
+from pupper_analysis.tools.walk.gait import check_command, check_runs, evaluate_tracking
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Case, Stage, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate_cases
 
 Array = NDArray[np.float64]
 
-SECONDS, WARM_UP = 5.0, 1.5
+DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 """Of each run (s): what falls, falls in the first three."""
 
-HALVINGS = 5
+NUM_HALVINGS = 5
 """Of the range between what is tracked and what is not: to 3 % of it."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
@@ -211,7 +211,7 @@ class TrackedIntervals(Result):
         )
 
 
-def changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
+def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
     """Returns a run of a robot of which one quantity has another value."""
     quantity, latency = QUANTITIES[name], stage.policy.contract.latency
     if name in _PUSHES:
@@ -243,7 +243,7 @@ def tracked_intervals(
     *,
     seeds: int = 3,
     quantities: tuple[str, ...] = tuple(QUANTITIES),
-    seconds: float = SECONDS,
+    seconds: float = DEFAULT_SECONDS,
     measured: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
 ) -> TrackedIntervals:
@@ -260,27 +260,27 @@ def tracked_intervals(
         seeds: How many starts; the first is exactly the default pose.
         quantities: Of ``QUANTITIES``.
         seconds: Of each run, 3 to 600.
-        measured: {quantity: where the real robot's value is}; see ``measured_intervals``.
+        measured: {quantity: where the real robot's value is}; see ``read_measured_intervals``.
         workers: Threads; by default one per core.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted = command_of(command)
-    check_runs(seeds, seconds, WARM_UP)
+    wanted = check_command(command)
+    check_runs(seeds, seconds, WARM_UP_SECONDS)
     for name in quantities:
         if name not in QUANTITIES:
             problem = diagnose("none-of", value=name, known=tuple(QUANTITIES))
             raise ConfigurationError("vary", problem)
-    stage, count = stage_of(robot, policy), 0
+    stage, count = prepare_stage(robot, policy), 0
 
     def track(asked: list[tuple[str, float, int]]) -> list[bool]:
         nonlocal count
         count += len(asked)
-        cases = [changed_case(stage, name, value, wanted, seed) for name, value, seed in asked]
-        runs = simulate_cases(stage, cases, seconds, WARM_UP, workers)
-        return [follow(stage, run, WARM_UP).tracks for run in runs]
+        cases = [make_changed_case(stage, name, value, wanted, seed) for name, value, seed in asked]
+        runs = simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers)
+        return [evaluate_tracking(stage, run, WARM_UP_SECONDS).tracks for run in runs]
 
     tried = [("delay", 0.0, seed) for seed in range(seeds)]
     kept = tuple(seed for (_, _, seed), good in zip(tried, track(tried), strict=True) if good)
@@ -299,7 +299,7 @@ def tracked_intervals(
     ):
         if good:
             ends[name, side, seed] = [ends[name, side, seed][1], math.nan]
-    for _ in range(HALVINGS):
+    for _ in range(NUM_HALVINGS):
         going = [key for key, (_, end) in ends.items() if not math.isnan(end)]
         middles = [QUANTITIES[key[0]].between(*ends[key]) for key in going]
         asked = [(key[0], value, key[2]) for key, value in zip(going, middles, strict=True)]
@@ -327,11 +327,17 @@ def tracked_intervals(
     )
 
 
-KINDS: Mapping[str, str] = {"mass": "mass", "com": "com", "kp": "kp", "kd": "kd", "delay": "delay"}
+QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
+    "mass": "mass",
+    "com": "com",
+    "kp": "kp",
+    "kd": "kd",
+    "delay": "delay",
+}
 """{kind of a fit's parameters: the quantity}. A fit's friction is that of joints, not of ground."""
 
 
-def measured_intervals(
+def read_measured_intervals(
     path: str | Path, robot: Robot, latency: float = 0.0
 ) -> dict[str, tuple[float, float]]:
     """Returns where a real robot's quantities are with 95 %, as ``fit`` found.
@@ -361,7 +367,7 @@ def measured_intervals(
             stated, low, high = (float(one[name]) for name in ("stated", "low", "high"))
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(path, diagnose("no-fit")) from error
-        if kind not in KINDS or not all(map(math.isfinite, (stated, low, high))):
+        if kind not in QUANTITY_OF_FIT_KIND or not all(map(math.isfinite, (stated, low, high))):
             continue
         if kind in ("mass", "com") and (subject not in bases or component not in ("", "x")):
             continue
@@ -373,8 +379,8 @@ def measured_intervals(
             low, high = low / stated, high / stated
         else:
             continue
-        before = found.get(KINDS[kind], (low, high))
-        found[KINDS[kind]] = (min(low, before[0]), max(high, before[1]))
+        before = found.get(QUANTITY_OF_FIT_KIND[kind], (low, high))
+        found[QUANTITY_OF_FIT_KIND[kind]] = (min(low, before[0]), max(high, before[1]))
     if not found:
         raise ModelError(path, diagnose("no-fit"))
     return found

@@ -15,12 +15,12 @@ from pupper_analysis.base.errors import ConfigurationError
 def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
     """Returns a metric of ``POLICY[@VX,VY,W]``, 0.5 m/s forward by default, and a hash of it."""
     from pupper_analysis.base.runs import register_input
-    from pupper_analysis.tools.walk.gait import command_of, simulate_walk
+    from pupper_analysis.tools.walk.gait import check_command, simulate_walk
     from pupper_analysis.tools.walk.policy import Policy
 
     file, at, asked = text.partition("@")
     try:
-        command = command_of([float(one) for one in asked.split(",")] if at else (0.5, 0.0, 0.0))
+        command = check_command([float(one) for one in asked.split(",")] if at else (0.5, 0.0, 0.0))
     except ValueError as error:
         raise ConfigurationError("measure", diagnose("no-numbers", count=3)) from error
     policy, digest = Policy.load(file), hashlib.sha256(repr(command.tolist()).encode())

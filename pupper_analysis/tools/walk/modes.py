@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
 
-CONTRACT = shared.file_option(
+CONTRACT_OPTION = shared.file_option(
     "--contract",
     help="TOML of what the policy observes and commands; by default the one beside the policy.",
 )
-COMMAND = click.option(
+COMMAND_OPTION = click.option(
     "--command",
     "asked",
     default="0.5,0,0",
@@ -50,7 +50,9 @@ _QUESTIONS = {
 """{command: (quantities that are varied, what it answers)}."""
 
 
-def walked_robot(meant: str | VariantSpec | RobotFiles, style: str, *, everything: bool) -> Robot:
+def load_walking_robot(
+    meant: str | VariantSpec | RobotFiles, style: str, *, everything: bool
+) -> Robot:
     """Loads a robot as its files have it, and prints what was added to them."""
     robot = robot_from(meant)
     if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
@@ -69,8 +71,8 @@ def _with_policy(name: str, command: Command) -> Command:
             help=f"{question}: ONNX, RTNeural's JSON, or TorchScript; as `walk --vary "
             f"{','.join(quantities)}`, of v3 by default.",
         ),
-        CONTRACT,
-        COMMAND,
+        CONTRACT_OPTION,
+        COMMAND_OPTION,
         click.option("--seeds", type=int, help="With --policy: starts that differ. [default: 3]"),
         click.option("--seconds", type=float, help="With --policy: of a run (s). [default: 5]"),
     )
@@ -118,7 +120,7 @@ def _vary(
     brain = Policy.load(policy, contract)
     several = name == "push"
     meant = (which.all(words) if several else [which.one(words) or "v3"]) or ["v3"]
-    robots = [walked_robot(one, style, everything=everything) for one in meant]
+    robots = [load_walking_robot(one, style, everything=everything) for one in meant]
     robots = named_apart(meant, robots) if several else robots
     given: dict[str, Any] = {"seeds": seeds, "seconds": seconds}
     given = {key: value for key, value in given.items() if value is not None}

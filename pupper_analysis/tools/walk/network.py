@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import ModelError
 Array = NDArray[np.float64]
 Operation = Callable[..., Any]
 
-MOST_WEIGHTS = 50_000_000
+MAX_WEIGHTS = 50_000_000
 """What a network may have: the largest that walks on a robot's computer has some 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
@@ -143,11 +143,11 @@ class Network:
     outputs: int
 
     @property
-    def weights(self) -> int:
+    def num_parameters(self) -> int:
         """How many numbers it has."""
         return sum(constant.size for constant in self.constants.values())
 
-    def start(self, runs: int) -> tuple[Array, ...]:
+    def initial_memory(self, runs: int) -> tuple[Array, ...]:
         """Returns the state of its recurrent layers at the beginning of some runs."""
         return tuple(np.zeros((runs, 1, size)) for _, _, size in self.memory)
 
@@ -158,7 +158,7 @@ class Network:
 
         Args:
             observations: One row for each run.
-            memory: Of its recurrent layers, by ``start`` or from the step before.
+            memory: Of its recurrent layers, by ``initial_memory`` or from the step before.
         """
         values: dict[str, Any] = dict(self.constants)
         values[self.observation] = np.ascontiguousarray(observations)[:, None, :]
@@ -196,11 +196,11 @@ def assemble_network(
         ModelError: If a weight is not finite, or a size does not fit; it names the layer.
     """
     count = sum(weights.size for weights in constants.values())
-    if count > MOST_WEIGHTS:
-        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+    if count > MAX_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
     for name, size in ((ends[0], inputs), *((name, size) for name, _, size in memory)):
-        if not 0 < size <= MOST_WEIGHTS:
+        if not 0 < size <= MAX_WEIGHTS:
             raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(size)))
     for name, weights in constants.items():
         if not np.isfinite(weights).all():

@@ -16,26 +16,26 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, Contract
 from pupper_analysis.tools.walk.gait import (
-    SPEED_SLACK,
+    SPEED_ATOL,
+    check_command,
     check_runs,
-    command_of,
-    follow,
+    evaluate_tracking,
     joint_torques,
 )
-from pupper_analysis.tools.walk.intervals import SECONDS, WARM_UP
+from pupper_analysis.tools.walk.intervals import DEFAULT_SECONDS, WARM_UP_SECONDS
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import joint_indices, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, simulate_cases
 
 Array = NDArray[np.float64]
 
-COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
+DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 """Forward, to the left, and turning: one alone is walked with wrong orders, too."""
 
-CLEAR = 1.1
+MIN_COST_RATIO = 1.1
 """The best is distinguished from the next where that costs so many times as much: a choice. On v3
 the next to Pupper's own costs 1.2 times as much."""
 
-SCALES = (0.5, 2.0)
+SCALE_FACTORS = (0.5, 2.0)
 """Times the stated scale of actions: what is off by less walks as well."""
 
 _MOST_LIMBS = 4
@@ -99,7 +99,9 @@ class Orders(Result):
     @property
     def determined(self) -> bool:
         """Whether the first is clearly the best."""
-        return bool(self.candidates[0].tracked) and (self.lead is None or self.lead > CLEAR)
+        return bool(self.candidates[0].tracked) and (
+            self.lead is None or self.lead > MIN_COST_RATIO
+        )
 
     @property
     def alike(self) -> tuple[int, ...]:
@@ -108,7 +110,9 @@ class Orders(Result):
         return tuple(
             place
             for place, one in enumerate(self.candidates)
-            if best.tracked and one.tracked == best.tracked and one.cost <= CLEAR * best.cost
+            if best.tracked
+            and one.tracked == best.tracked
+            and one.cost <= MIN_COST_RATIO * best.cost
         )
 
     @property
@@ -122,8 +126,8 @@ def rank_orders(
     robot: Robot,
     policy: Policy,
     *,
-    commands: ArrayLike = COMMANDS,
-    seconds: float = SECONDS,
+    commands: ArrayLike = DEFAULT_COMMANDS,
+    seconds: float = DEFAULT_SECONDS,
     workers: int | None = None,
 ) -> Orders:
     """Ranks readings of a policy by how it walks a robot with each.
@@ -144,10 +148,10 @@ def rank_orders(
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted = np.array([command_of(command) for command in np.atleast_2d(commands)])
-    check_runs(1, seconds, WARM_UP)
+    wanted = np.array([check_command(command) for command in np.atleast_2d(commands)])
+    check_runs(1, seconds, WARM_UP_SECONDS)
     contract = policy.contract
-    stated = tuple(robot.joint_names[index] for index in joint_indices(robot, policy))
+    stated = tuple(robot.joint_names[index] for index in find_joint_indices(robot, policy))
     contract = replace(contract, joints=stated)
     found = [
         _walked(robot, replace(policy, contract=read), wanted, seconds, change, workers)
@@ -169,7 +173,7 @@ def rank_orders(
     )
 
 
-def limbs_of(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
+def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
     """Returns the limbs, each as the places of its joints: those below one child of the base."""
     model = robot.mj_model
     base = model.body(robot.mj_base).id
@@ -188,7 +192,7 @@ Change = tuple[str, str, tuple[str, ...]]
 def _readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
     """Yields what is changed (what, to what, which joints are flipped), and the contract then."""
     stated = contract.joints
-    limbs = limbs_of(robot, stated)
+    limbs = group_limbs(robot, stated)
     yield ("stated", "", ()), contract
     for change, detail, joints in _permuted(stated, limbs):
         yield (change, detail, ()), replace(contract, joints=joints)
@@ -200,7 +204,7 @@ def _readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contra
         signs[list(places)] *= -1.0
         names = tuple(stated[place] for place in places)
         yield ("sign", "", names), replace(contract, signs=signs)
-    for scale in SCALES:
+    for scale in SCALE_FACTORS:
         changed = replace(contract, action_scale=scale * contract.action_scale)
         yield ("scale", f"x {scale:g}", ()), changed
     if contract.history > 1:
@@ -263,17 +267,17 @@ def _walked(
     change: Change,
     workers: int | None,
 ) -> Candidate:
-    stage = stage_of(robot, policy)
+    stage = prepare_stage(robot, policy)
     cases = [stage.case(command) for command in commands]
     tracked = fallen = 0
     squares, errors = [], []
-    for run in simulate_cases(stage, cases, seconds, WARM_UP, workers):
-        followed, command = follow(stage, run, WARM_UP), run.case.command
+    for run in simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers):
+        followed, command = evaluate_tracking(stage, run, WARM_UP_SECONDS), run.case.command
         tracked += followed.tracks
         fallen += run.fallen
         squares.append(np.nan_to_num(joint_torques(stage, run)) ** 2)
         off = np.array([*(followed.velocity - command[:2]), followed.turning - command[2]])
-        asked = max(float(np.linalg.norm(command)), SPEED_SLACK)  # a stand is commanded 0
+        asked = max(float(np.linalg.norm(command)), SPEED_ATOL)  # a stand is commanded 0
         errors.append(1.0 if run.fallen else float(np.linalg.norm(off)) / asked)
     torque = float(np.sqrt(np.mean([square.mean() for square in squares])))
     error = float(np.mean(errors))

@@ -32,10 +32,15 @@ from pupper_analysis.tools.contract.readers import (
     text_of,
 )
 from pupper_analysis.tools.contract.readers.onnx import Message
-from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
+from pupper_analysis.tools.walk.contract import (
+    Contract,
+    convert_source_statements,
+    make_contract,
+    make_rtneural_values,
+)
 from pupper_analysis.tools.walk.network import (
     ACTIVATIONS,
-    MOST_WEIGHTS,
+    MAX_WEIGHTS,
     Network,
     Node,
     Operation,
@@ -84,7 +89,7 @@ class Policy:
             raise ModelError(error.path, error.cause) from error
         network, own = _read_policy(path)
         stated = [(str(path), own), *([(str(beside), toml)] if there else [])]
-        agreed = contract_of(path, stated, network.inputs, network.outputs)
+        agreed = make_contract(path, stated, network.inputs, network.outputs)
         return cls(path.name, network, agreed)
 
     def with_contract(self, **changed: Any) -> Policy:
@@ -125,18 +130,18 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
     with refuse_malformed(path):
         if path.suffix == ".json":
             values = read_rtneural(path)
-            network, sources = rtneural_network(path, values), [*tables.read(Request(path))]
-            own = of_rtneural(values, network.inputs, network.outputs)
-        elif path.suffix in TORCHSCRIPT:  # states its weights only
-            network, sources, own = torchscript_network(path), [], {}
+            network, sources = build_rtneural_network(path, values), [*tables.read(Request(path))]
+            own = make_rtneural_values(values, network.inputs, network.outputs)
+        elif path.suffix in TORCHSCRIPT_SUFFIXES:  # states its weights only
+            network, sources, own = build_torchscript_network(path), [], {}
         else:
             network, sources, own = (
-                onnx_network(path, read_onnx(path)),
+                build_onnx_network(path, read_onnx(path)),
                 [*onnx.read(Request(path))],
                 {},
             )
         for source in sources:
-            own = of_source(source) | own
+            own = convert_source_statements(source) | own
     return network, own
 
 
@@ -159,8 +164,8 @@ def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     count = 1
     for dim in dims:
         count *= dim
-    if count > MOST_WEIGHTS or any(dim < 0 for dim in dims):
-        problem = diagnose("too-many-weights", layer=name, count=count, most=MOST_WEIGHTS)
+    if count > MAX_WEIGHTS or any(dim < 0 for dim in dims):
+        problem = diagnose("too-many-weights", layer=name, count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
     if kind not in _TYPES or tensor.get(14, [0])[0]:
         raise ModelError(path, diagnose("weights-elsewhere", layer=name))
@@ -179,7 +184,7 @@ def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     return name, found.reshape(dims).astype(np.float64)
 
 
-def onnx_network(path: Path, file: OnnxFile) -> Network:
+def build_onnx_network(path: Path, file: OnnxFile) -> Network:
     """Returns the network of an ONNX file.
 
     Args:
@@ -381,7 +386,7 @@ def read_rtneural(path: Path) -> dict[str, Any]:
     return values
 
 
-def rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
+def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
     """Returns the network of an RTNeural JSON.
 
     Args:
@@ -470,19 +475,19 @@ def _weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[A
     if any(one.dtype.kind not in "iufO" for one in read if one.size):
         raise problem
     fits = all(one.ndim == 2 for one in arrays[:-1])
-    if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MOST_WEIGHTS:
+    if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MAX_WEIGHTS:
         raise problem
     return arrays
 
 
-TORCHSCRIPT = (".pt", ".pth", ".jit", ".ts")
+TORCHSCRIPT_SUFFIXES = (".pt", ".pth", ".jit", ".ts")
 """How files of TorchScript are called."""
 
-_MOST_BYTES = 4 * MOST_WEIGHTS
+_MOST_BYTES = 4 * MAX_WEIGHTS
 """Of a file of TorchScript: as many weights in single precision as any network may have."""
 
 
-def torchscript_network(path: Path) -> Network:
+def build_torchscript_network(path: Path) -> Network:
     """Returns the network of a TorchScript file.
 
     Raises:
@@ -505,8 +510,8 @@ def torchscript_network(path: Path) -> Network:
         raise ModelError(path, diagnose("no-network")) from error
     weights = dict(module.named_parameters())
     count = sum(int(one.numel()) for one in weights.values())
-    if count > MOST_WEIGHTS:
-        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+    if count > MAX_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
     first = next((one for one in weights.values() if one.ndim == 2), None)
     if first is None:

@@ -40,7 +40,7 @@ _BATCH = 16
 _JOINT_SPREAD, _SPEED_SPREAD = 0.05, 0.05
 """By how much the starts of seeds differ (rad; m/s, rad/s): a robot that was put down by hand."""
 
-PUSHED = 2.0
+PUSH_TIME = 2.0
 """When a run is pushed (s): it walks by then."""
 
 _NEAR = 0.9
@@ -126,7 +126,7 @@ class Stage:
         return Case(self.model, command, self.policy.contract.latency, seed)
 
 
-def stage_of(robot: Robot, policy: Policy) -> Stage:
+def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     """Puts a policy on a robot, as its files have it, with the servos that the policy asks for.
 
     Raises:
@@ -137,7 +137,7 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
     """
     robot.check_floating()
     contract = policy.contract
-    joints = joint_indices(robot, policy)
+    joints = find_joint_indices(robot, policy)
     if not robot.feet:
         raise ConfigurationError("robot", diagnose("walks-on-no-feet", robot=robot.name))
     kp, kd = contract.kp, contract.kd
@@ -181,7 +181,7 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
     )
 
 
-def joint_indices(robot: Robot, policy: Policy) -> Integers:
+def find_joint_indices(robot: Robot, policy: Policy) -> Integers:
     """Returns which joint of a robot each of a policy's is, by its name, or its place.
 
     Raises:
@@ -190,8 +190,10 @@ def joint_indices(robot: Robot, policy: Policy) -> Integers:
     """
     names = policy.contract.joints
     if not names:
-        if policy.contract.actions != robot.nu:
-            problem = diagnose("joints-of-policy", policy=policy.contract.actions, robot=robot.nu)
+        if policy.contract.num_joints != robot.nu:
+            problem = diagnose(
+                "joints-of-policy", policy=policy.contract.num_joints, robot=robot.nu
+            )
             raise ModelError(policy.name, problem)
         return np.arange(robot.nu)
     for name in names:
@@ -250,12 +252,12 @@ class Lockstep:
     def __init__(self, stage: Stage, cases: Sequence[Case]) -> None:
         self._stage, self._models = stage, [case.model for case in cases]
         self.commands = np.array([case.command for case in cases])
-        self.going = np.arange(len(cases))
+        self.active = np.arange(len(cases))
         self.current = np.array([_start(stage, case) for case in cases])
         self.tick = 0
         self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
         self._observer = Observer(stage, self.commands)
-        self._memory = stage.policy.network.start(len(cases))
+        self._memory = stage.policy.network.initial_memory(len(cases))
         delays = np.array([[round(case.delay / stage.timestep)] for case in cases])
         # Which command before the newest one is due at each step of an action.
         self._late = -((np.arange(stage.substeps) - delays) // stage.substeps)
@@ -271,7 +273,7 @@ class Lockstep:
             Their states (n, substeps, size), what their motors are commanded (n, substeps, nu), and
             which of them broke down.
         """
-        stage, going = self._stage, self.going
+        stage, going = self._stage, self.active
         seen = self._observer.observe(self.current, going, self.tick)
         actions, self._memory = stage.policy.network.forward(seen, self._memory)
         self._observer.last[going] = actions
@@ -292,9 +294,9 @@ class Lockstep:
         broken |= self.current[:, 0] < (self.tick * stage.substeps - 0.5) * stage.timestep
         return states, control, broken
 
-    def keep(self, kept: NDArray[np.bool_]) -> None:
+    def keep_runs(self, kept: NDArray[np.bool_]) -> None:
         """Goes on with some of those that go on."""
-        self.going, self.current = self.going[kept], self.current[kept]
+        self.active, self.current = self.active[kept], self.current[kept]
         self._memory = tuple(one[kept] for one in self._memory)
 
 
@@ -308,14 +310,14 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     ends, fallen = np.full(count, ticks * steps), np.zeros(count, dtype=bool)
     worst = np.zeros((count, 2))
     lifts = np.array([case.lift for case in cases])
-    uprights = [lifted(stage.upright, case.lift) for case in cases]
-    pushes = push_forces(stage, [case.push for case in cases])
-    pushed = round(PUSHED / (steps * stage.timestep)) if pushes.any() else -1
+    uprights = [raise_upright(stage.upright, case.lift) for case in cases]
+    pushes = make_push_forces(stage, [case.push for case in cases])
+    pushed = round(PUSH_TIME / (steps * stage.timestep)) if pushes.any() else -1
     for tick in range(ticks):
-        going, first, last = runs.going, tick * steps, (tick + 1) * steps
+        going, first, last = runs.active, tick * steps, (tick + 1) * steps
         states, control, broken = runs.advance(pushes[going] if tick == pushed else None)
         kept[going, first:last], control_kept[going, first:last] = states, control
-        lean, lost = lean_and_loss(stage, runs.current)
+        lean, lost = measure_lean_and_loss(stage, runs.current)
         lost += lifts[going]
         if last * stage.timestep > warm_up:
             worst[going] = np.fmax(worst[going], np.column_stack([lean, lost]))
@@ -326,8 +328,8 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
             broken[place] = uprights[going[place]].has_fallen(runs.current[place])
         if broken.any():
             fallen[going[broken]], ends[going[broken]] = True, last
-            runs.keep(~broken)
-            if not runs.going.size:
+            runs.keep_runs(~broken)
+            if not runs.active.size:
                 break
     return [
         Run(
@@ -342,14 +344,14 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     ]
 
 
-def push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
+def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
     """Returns the forces (runs, 6 nbody) on bodies of pushes (N s) that last one action."""
     forces = np.zeros((len(impulses), stage.model.nbody, 6))
     forces[:, stage.model.body(stage.robot.mj_base).id, :2] = impulses
     return (forces / (stage.substeps * stage.timestep)).reshape(len(impulses), -1)
 
 
-def lifted(upright: Upright, lift: float) -> Upright:
+def raise_upright(upright: Upright, lift: float) -> Upright:
     """Returns what a fall is measured against of a robot that stands higher by a lift (m)."""
     place = upright.place + np.array([0.0, 0.0, lift])
     return replace(upright, place=place, size=upright.size + lift)
@@ -379,7 +381,7 @@ def _commands(stage: Stage, actions: Array) -> Array:
     return ctrl
 
 
-def rotations(quaternions: Array) -> Array:
+def rotations_from_quaternions(quaternions: Array) -> Array:
     """Returns the rotation matrices (..., 3, 3) of unit quaternions (..., 4), w first."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
     rows = (
@@ -390,7 +392,7 @@ def rotations(quaternions: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
+def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Returns how far bases lean (rad), and how much lower they are than they stood (m).
 
     Args:
@@ -398,7 +400,7 @@ def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
         states: (..., size).
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
-    up = rotations(states[..., 1 + index[3:7]])[..., 2, :]
+    up = rotations_from_quaternions(states[..., 1 + index[3:7]])[..., 2, :]
     with np.errstate(invalid="ignore"):
         lean = np.arccos(np.clip(up @ upright.rotation[2], -1.0, 1.0))
     height = states[..., 1 + index[2]] + up @ upright.lever
@@ -419,8 +421,8 @@ class Observer:
     def __init__(self, stage: Stage, commands: Array) -> None:
         self._stage, self._commands = stage, commands
         self._contract: Contract = stage.policy.contract
-        self.last = np.zeros((len(commands), self._contract.actions))
-        shape = (len(commands), self._contract.history, self._contract.frame)
+        self.last = np.zeros((len(commands), self._contract.num_joints))
+        shape = (len(commands), self._contract.history, self._contract.frame_size)
         self._frames = np.zeros(shape)
 
     def observe(self, states: Array, going: Integers, tick: int) -> Array:
@@ -446,7 +448,7 @@ class Observer:
             frames = frames[:, ::-1]
         if contract.layout == BY_FRAME or contract.history == 1:
             return frames.reshape(len(going), -1)
-        ends = np.cumsum([contract.size_of(term) for term in contract.terms])[:-1]
+        ends = np.cumsum([contract.term_size(term) for term in contract.terms])[:-1]
         parts = np.split(frames, ends, axis=2)
         return np.concatenate([part.reshape(len(going), -1) for part in parts], axis=1)
 
@@ -455,7 +457,7 @@ class Observer:
         convention, joints = stage.robot.mj_convention, stage.joints
         qpos = states[:, 1 + convention.qpos_index]
         qvel = states[:, 1 + stage.model.nq + convention.qvel_index]
-        turned = rotations(qpos[:, 3:7])
+        turned = rotations_from_quaternions(qpos[:, 3:7])
         phase = contract.phase_offsets + (
             2 * math.pi * contract.phase_rate * tick * stage.substeps * stage.timestep
         )

@@ -14,9 +14,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.tools.live.access import (
-    COOKIE,
+    TOKEN_COOKIE,
     Access,
-    without_folders,
+    strip_folders,
 )
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.server import Page
@@ -48,7 +48,7 @@ def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
     access = Access(host)
     assert not access.token
     for more in ({}, SOCKET):
-        assert (access.refusal("/", headers | more) is None) == may
+        assert (access.find_refusal("/", headers | more) is None) == may
 
 
 def code(message: Diagnostic | None) -> str:
@@ -60,19 +60,24 @@ def test_others_must_know_the_token() -> None:
     assert len(access.token) >= 16
     assert Access("0.0.0.0").token != access.token
     for more in ({}, SOCKET):
-        assert code(access.refusal("/", headers | more)) == "token-missing"
-        assert code(access.refusal("/?token=", headers | more)) == "token-missing"
+        assert code(access.find_refusal("/", headers | more)) == "token-missing"
+        assert code(access.find_refusal("/?token=", headers | more)) == "token-missing"
         assert (
-            code(access.refusal(f"/?token={access.token[:-1]}", headers | more)) == "token-missing"
+            code(access.find_refusal(f"/?token={access.token[:-1]}", headers | more))
+            == "token-missing"
         )
-        assert access.refusal(f"/?state=roll:1&token={access.token}", headers | more) is None
-        assert access.refusal("/", headers | more | {"Cookie": f"a=b; {access.cookie}"}) is None
+        assert access.find_refusal(f"/?state=roll:1&token={access.token}", headers | more) is None
         assert (
-            code(access.refusal("/", headers | more | {"Cookie": f"{COOKIE}=x"})) == "token-missing"
+            access.find_refusal("/", headers | more | {"Cookie": f"a=b; {access.cookie_header}"})
+            is None
         )
-    assert access.refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
+        assert (
+            code(access.find_refusal("/", headers | more | {"Cookie": f"{TOKEN_COOKIE}=x"}))
+            == "token-missing"
+        )
+    assert access.find_refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
-    assert code(access.refusal(f"/?token={access.token}", evil)) == "another-page-asks"
+    assert code(access.find_refusal(f"/?token={access.token}", evil)) == "another-page-asks"
 
 
 @pytest.mark.parametrize(
@@ -92,8 +97,8 @@ def test_others_must_know_the_token() -> None:
     ],
 )
 def test_a_page_tells_no_folders_of_the_server(text: str, shown: str) -> None:
-    assert without_folders(text) == shown
-    assert Language("en").sentence(problem(text)) == shown
+    assert strip_folders(text) == shown
+    assert Language("en").format_diagnostic(problem(text)) == shown
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from pupper_analysis import cli
 from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.stance.fields import Field
-from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
+from pupper_analysis.tools.live.controls import CONTROL_BY_NAME, make_slider_ranges
 from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.stance.test_fields import ON_PAGE, SLIDING, asked, near
 from tests.support.variants import load
@@ -32,12 +32,12 @@ def test_each_field_is_in_a_pages_state(field: Field) -> None:
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
 def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
-    own = {name: control for name, control in CONTROLS.items() if control.field is field}
+    own = {name: control for name, control in CONTROL_BY_NAME.items() if control.field is field}
     if field.per == "joint":
         assert not own  # they are the robot's: live.joints
         return
     assert len(own) == max(1, len(field.axes))
-    ranges = ranges_of(load("v3"))
+    ranges = make_slider_ranges(load("v3"))
     for name, control in own.items():
         span = ranges[name]
         assert span.low <= span.value <= span.high

@@ -26,22 +26,22 @@ from pupper_analysis.tools.live.documents import (
 )
 from pupper_analysis.tools.live.model import (
     Answer,
-    Model,
-    expect_verdict,
+    StanceSolver,
     explain_unreachable,
     predict_sag,
+    predict_stance_verdict,
     push_stand,
     simulate_stance,
 )
 from pupper_analysis.tools.live.render import Language, render_panel
 from pupper_analysis.tools.live.scene import (
-    BEYOND,
-    SCALE,
-    UNLIMITED,
-    colour_of,
-    force_arrows,
-    parts_of,
-    triangles_of,
+    NO_LIMIT_COLOUR,
+    OVERLOAD_COLOUR,
+    UTILISATION_COLOURS,
+    choose_utilisation_colour,
+    make_body_meshes,
+    make_force_arrows,
+    triangulate_shape,
 )
 from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.support.commands import answer as run_command
@@ -73,12 +73,12 @@ RICH = State(
 ENGLISH = Language("en")
 
 
-def model_of(name: str = "v3") -> Model:
-    return Model(load(name))
+def model_of(name: str = "v3") -> StanceSolver:
+    return StanceSolver(load(name))
 
 
 def test_an_answer_is_the_python_interfaces() -> None:
-    found = model_of().answer(RICH)
+    found = model_of().solve_state(RICH)
     robot = pa.robot.with_payload(load("v3"), 0.3, (0.01, 0.0, 0.05))
     task = pa.StandTask(
         height=0.1255,
@@ -112,7 +112,7 @@ def test_an_answer_is_the_python_interfaces() -> None:
 
 
 def test_an_offset_is_the_bases() -> None:
-    found = model_of("original").answer(State(place="offset", offset=(10.0, -5.0)))
+    found = model_of("original").solve_state(State(place="offset", offset=(10.0, -5.0)))
     assert found.stand is not None
     centre = np.mean(list(found.stand.contact_points.values()), axis=0)
     assert found.stand.qpos[:2] - centre[:2] == pytest.approx([0.01, -0.005], abs=1e-9)
@@ -120,7 +120,7 @@ def test_an_offset_is_the_bases() -> None:
 
 @pytest.mark.slow
 def test_simulations_are_the_python_interfaces() -> None:
-    found = model_of("original").answer(State(pitch=3.0, kp=40.0, kd=0.6))
+    found = model_of("original").solve_state(State(pitch=3.0, kp=40.0, kd=0.6))
     robot = load("original")
     assert found.robot is not None
     held = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(pitch=np.radians(3.0)))
@@ -141,7 +141,7 @@ def test_simulations_are_the_python_interfaces() -> None:
 @pytest.mark.slow
 def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     model = model_of()
-    found = model.answer(State(height=200.0, roll=30.0))
+    found = model.solve_state(State(height=200.0, roll=30.0))
     assert found.unreachable
     assert found.stand is None
     error = explain_unreachable(found)
@@ -150,10 +150,10 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
         pa.solve_stand(load("v3"), pa.StandTask(height=0.2, roll=np.radians(30.0)))
     assert error.limits == same.value.limits
     nearest = found.state.with_task(error.nearest.task)
-    assert model.answer(nearest).refusal is None
+    assert model.solve_state(nearest).refusal is None
     for fields in error.limits.values():
         task = replace(found.state.task(), **fields)
-        assert model.answer(found.state.with_task(task)).refusal is None
+        assert model.solve_state(found.state.with_task(task)).refusal is None
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     ],
 )
 def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> None:
-    found = model_of().answer(state)
+    found = model_of().solve_state(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
     assert render_panel(stance_document(found, None, None), ENGLISH)
@@ -181,7 +181,7 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
 
 @pytest.mark.slow
 def test_the_file_that_is_saved_makes_the_same_stand(tmp_path: Path) -> None:
-    qpos, _ = outcome(model_of().answer(RICH))
+    qpos, _ = outcome(model_of().solve_state(RICH))
     (tmp_path / "stance.toml").write_text(write_stance_file(RICH))
     words = ("stand", "v3", "--stance", "stance.toml", "--json", "stance.json")
     done = run_command(*words, folder=tmp_path)
@@ -206,7 +206,7 @@ def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
 
 
 def test_nothing_in_a_name_acts() -> None:
-    found = model_of().answer(State())
+    found = model_of().solve_state(State())
     assert found.robot is not None
     assert found.statics is not None
     evil = "<img src=x onerror=alert(1)>\u202e"
@@ -218,7 +218,9 @@ def test_nothing_in_a_name_acts() -> None:
         refusal=pa.ConfigurationError(evil, evil),
     )
     for html in (
-        render_panel(stance_document(worse, None, expect_verdict(worse, closely=False)), ENGLISH),
+        render_panel(
+            stance_document(worse, None, predict_stance_verdict(worse, closely=False)), ENGLISH
+        ),
         render_panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
     ):
         assert "<img" not in html
@@ -228,12 +230,12 @@ def test_nothing_in_a_name_acts() -> None:
 
 def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     """Knees beyond their limits: not green, whatever balances; as `stand` has it."""
-    found = model_of().answer(State(payload=30.0))
+    found = model_of().solve_state(State(payload=30.0))
     assert found.statics is not None
     over = [n for n, share in zip(found.statics.joint_names, found.statics.motor_utilisation,
                                   strict=True) if share > 1]  # fmt: skip
     assert over
-    judged = expect_verdict(found, closely=False)
+    judged = predict_stance_verdict(found, closely=False)
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
     assert judged.overloaded == tuple(over)
@@ -241,14 +243,14 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     assert 'class="good"' not in said
     assert "OVERLOADED" in said
     assert all(name in said for name in over)
-    usual = model_of().answer(State())
-    sound = expect_verdict(usual, closely=True)
+    usual = model_of().solve_state(State())
+    sound = predict_stance_verdict(usual, closely=True)
     assert sound is not None
     assert sound.code is VerdictCode.IN_BALANCE
     assert 'class="good"' in render_panel(stance_document(usual, None, sound), ENGLISH)
     # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
-    soft = model_of().answer(State(kp=0.3, kd=0.05))
-    shaky = expect_verdict(soft, closely=True)
+    soft = model_of().solve_state(State(kp=0.3, kd=0.05))
+    shaky = predict_stance_verdict(soft, closely=True)
     assert shaky is not None
     assert shaky.code is VerdictCode.UNSTABLE
     assert 'class="good"' not in render_panel(stance_document(soft, None, shaky), ENGLISH)
@@ -265,19 +267,20 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     ],
 )
 def test_errors_are_in_the_units_of_the_page(state: State, said: str) -> None:
-    found = model_of().answer(state)
+    found = model_of().solve_state(state)
     assert said in str(found.refusal)
-    assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(found.refusal.diagnostic))
+    assert re.search("[\u4e00-\u9fff]", Language("zh").format_diagnostic(found.refusal.diagnostic))
 
 
 def test_colours_tell_how_hard_a_motor_works() -> None:
-    assert colour_of(0.0) == SCALE[0][1]
-    assert colour_of(1.0) == SCALE[-1][1]
-    assert colour_of(1.01) == BEYOND
-    assert colour_of(None) == UNLIMITED
-    assert colour_of(float("nan")) == UNLIMITED
-    assert colour_of(0.125) == tuple(
-        round((a + b) / 2) for a, b in zip(SCALE[0][1], SCALE[1][1], strict=True)
+    assert choose_utilisation_colour(0.0) == UTILISATION_COLOURS[0][1]
+    assert choose_utilisation_colour(1.0) == UTILISATION_COLOURS[-1][1]
+    assert choose_utilisation_colour(1.01) == OVERLOAD_COLOUR
+    assert choose_utilisation_colour(None) == NO_LIMIT_COLOUR
+    assert choose_utilisation_colour(float("nan")) == NO_LIMIT_COLOUR
+    assert choose_utilisation_colour(0.125) == tuple(
+        round((a + b) / 2)
+        for a, b in zip(UTILISATION_COLOURS[0][1], UTILISATION_COLOURS[1][1], strict=True)
     )
 
 
@@ -298,7 +301,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
 )
 def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected: float) -> None:
     pytest.importorskip("trimesh")
-    mesh = triangles_of(Shape("", name, Pose(), size, collides=True))
+    mesh = triangulate_shape(Shape("", name, Pose(), size, collides=True))
     assert volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=0.06)
     assert mesh.vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
 
@@ -306,7 +309,7 @@ def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected:
 def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
     pytest.importorskip("trimesh")
     model = load("v3").mj_model
-    parts = parts_of(model)
+    parts = make_body_meshes(model)
     assert {body for body, _ in parts} == {
         int(body) for body, group in zip(model.geom_bodyid, model.geom_group, strict=True)
         if body and group < 3
@@ -337,12 +340,12 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         with pytest.raises(pa.ConfigurationError, match=f"cannot serve on 127.0.0.1:{port}"):
-            render.free_port("127.0.0.1", port)
-    assert render.free_port("127.0.0.1", port) == port
-    assert 1024 <= render.free_port("127.0.0.1", None) <= 65535
+            render.find_free_port("127.0.0.1", port)
+    assert render.find_free_port("127.0.0.1", port) == port
+    assert 1024 <= render.find_free_port("127.0.0.1", None) <= 65535
     for host, wrong in (("203.0.113.7", None), ("no such host", None), ("127.0.0.1", 70000)):
         with pytest.raises(pa.ConfigurationError, match=r"--port|cannot serve"):
-            render.free_port(host, wrong)
+            render.find_free_port(host, wrong)
 
 
 @pytest.mark.parametrize(
@@ -370,7 +373,7 @@ def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) ->
 
 def test_arrows_begin_on_the_ground_and_point_as_forces_do() -> None:
     point, force = np.array([0.1, 0.2, 0.0]), np.array([1.0, -2.0, 8.0])
-    ((begin, end),) = force_arrows(load("v3"), [Contact("FL", point, force)])
+    ((begin, end),) = make_force_arrows(load("v3"), [Contact("FL", point, force)])
     np.testing.assert_array_equal(begin, point)
     along = end - begin
     np.testing.assert_allclose(np.cross(along, force), 0.0, atol=1e-15)

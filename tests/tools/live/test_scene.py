@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.model import StanceSolver
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State
 from tests.support.engines import mujoco_at
@@ -29,7 +29,7 @@ class Drawn:
 
 
 def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
-    found = Model(pa.load_variant("v3")).answer(
+    found = StanceSolver(pa.load_variant("v3")).solve_state(
         State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
     )
     assert found.stand is not None

@@ -15,7 +15,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.model import StanceSolver
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -49,12 +49,12 @@ class Open:
 
     def __init__(self, server: Any) -> None:
         self.browser = Browser(server)
-        model = Model(load("v3"))
+        model = StanceSolver(load("v3"))
         self.session = Session(self.browser, model, State(), Language())
         self.controls = self.session._panels.controls
 
     def ask(self, state: State) -> None:
-        self.controls.put(state, notify=True)
+        self.controls.set_state(state, notify=True)
 
     @property
     def numbers(self) -> str:
@@ -84,7 +84,7 @@ def end(session: Any) -> None:
 @pytest.fixture
 def server() -> Iterator[Any]:
     host = "127.0.0.1"
-    one = render.start_server(host, render.free_port(host, None), "test")
+    one = render.start_server(host, render.find_free_port(host, None), "test")
     yield one
     render.stop_server(one)
 

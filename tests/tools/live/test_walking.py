@@ -14,7 +14,12 @@ import pytest
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.walking import WalkSession
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Lockstep, push_forces, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import (
+    Lockstep,
+    make_push_forces,
+    prepare_stage,
+    simulate_cases,
+)
 from tests.support.variants import load
 from tests.tools.live.test_session import Browser, end, server, wait_for  # noqa: F401
 from tests.tools.walk import made
@@ -24,7 +29,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 @pytest.fixture
 def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
-    stage = stage_of(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
     one = WalkSession(Browser(server), stage, np.zeros(3), Language("en"))
     yield one
     end(one)
@@ -51,7 +56,7 @@ def test_what_is_commanded_is_what_the_sliders_say(session: WalkSession) -> None
 
 def test_it_plays_what_walk_simulates(tmp_path: Path) -> None:
     """The same start, command and push: equal to the last bit."""
-    stage = stage_of(load("v3"), Policy.load(made.trot(tmp_path / "trot.json")))
+    stage = prepare_stage(load("v3"), Policy.load(made.trot(tmp_path / "trot.json")))
     case = stage.case(np.array(made.TROT[0]), 3)
     played = Lockstep(stage, [case])
     states = np.concatenate([played.advance()[0][0] for _ in range(60)])
@@ -61,9 +66,9 @@ def test_it_plays_what_walk_simulates(tmp_path: Path) -> None:
 
 def test_a_push_gives_the_whole_robot_its_impulse(tmp_path: Path) -> None:
     """In the air, where nothing else acts along the ground."""
-    stage = stage_of(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
     run = Lockstep(stage, [replace(stage.case(np.zeros(3)), lift=1.0)])
-    run.advance(push_forces(stage, [(0.6, -0.2)]))
+    run.advance(make_push_forces(stage, [(0.6, -0.2)]))
     data = mujoco.MjData(stage.model)
     mujoco.mj_setState(stage.model, data, run.current[0], mujoco.mjtState.mjSTATE_FULLPHYSICS)
     mujoco.mj_forward(stage.model, data)

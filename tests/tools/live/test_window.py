@@ -18,7 +18,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(scope="module")
 def dropped() -> viewer.Drop:
-    return viewer.drop(load("v3"))
+    return viewer.simulate_drop(load("v3"))
 
 
 # ------------------------------------------------------------------------------------- the drop
@@ -26,7 +26,7 @@ def dropped() -> viewer.Drop:
 
 def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
     assert dropped.height[0] == 0.28
-    assert dropped.time[-1] == pytest.approx(viewer.SECONDS)
+    assert dropped.time[-1] == pytest.approx(viewer.DROP_SECONDS)
     assert len(dropped.time) == len(dropped.height)
     assert dropped.height[-1] == pytest.approx(0.120, abs=5e-4)
     assert dropped.height_deviation < 5e-6
@@ -54,13 +54,13 @@ def test_only_a_robot_upright_on_its_feet_is_stable_after_a_drop(
 ) -> None:
     """All three are at rest after 6 s; tilt and contacts are those of bare MuJoCo's last state."""
     robot = load(variant)
-    model, data = robot.mj_model, viewer.at_home(robot)
-    mujoco.mj_step(model, data, round(viewer.SECONDS / model.opt.timestep))
+    model, data = robot.mj_model, viewer.make_home_data(robot)
+    mujoco.mj_step(model, data, round(viewer.DROP_SECONDS / model.opt.timestep))
     base = model.body(robot.mj_base).id
     bodies = model.geom_bodyid[data.contact.geom]
     found = {model.body(int(body)).name for body in bodies[(bodies == 0).any(axis=1)].ravel()}
     assert math.acos(data.xmat[base][8]) == pytest.approx(tilt, abs=0.01)
-    result = viewer.drop(robot)
+    result = viewer.simulate_drop(robot)
     assert result.height_deviation < 1e-4
     assert result.end.tilt == pytest.approx(math.acos(data.xmat[base][8]), abs=1e-6)
     assert result.end.touching == touching

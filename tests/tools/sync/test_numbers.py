@@ -37,7 +37,7 @@ def robot_of(files: Files) -> pa.Robot:
 
 
 def in_folder(written: WrittenNumbers, folder: Path) -> Files:
-    write_all(written.writings(folder))
+    write_all(written.make_writings(folder))
     assert written.urdf is not None
     assert written.mjcf is not None
     return Files(folder / written.urdf, folder / written.mjcf)
@@ -182,7 +182,7 @@ def test_a_robot_of_one_file_gets_that_file(plain: Files, tmp_path: Path) -> Non
         robot = robot_of(plain)
         alone = replace(robot, description=replace(robot.description, converted=converted))
         written = write_numbers(alone, {("mass", "thigh1"): 1.75})
-        write_all(written.writings(tmp_path / converted))
+        write_all(written.make_writings(tmp_path / converted))
         assert list(written.contents) == [Path(path.name)]
     assert in_urdf(tmp_path / "mjcf" / "robot.urdf", "thigh1").mass == 1.75
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "urdf" / "robot.xml"))

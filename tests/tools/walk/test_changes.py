@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.walk.gait import follow
+from pupper_analysis.tools.walk.gait import evaluate_tracking
 from pupper_analysis.tools.walk.intervals import (
     QUANTITIES,
-    WARM_UP,
-    changed_case,
-    measured_intervals,
+    WARM_UP_SECONDS,
+    make_changed_case,
+    read_measured_intervals,
     tracked_intervals,
 )
 from pupper_analysis.tools.walk.orders import Orders, rank_orders
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import prepare_stage, simulate_cases
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -49,28 +49,28 @@ def test_a_stand_falls_from_weak_motors_whatever_the_workers(still: Policy) -> N
 
 
 def test_what_is_changed(still: Policy) -> None:
-    stage = stage_of(load("v3"), still)
+    stage = prepare_stage(load("v3"), still)
     base = stage.model.body("base_link").id
-    heavy = changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
+    heavy = make_changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
     assert heavy.body_mass[base] == 2 * stage.model.body_mass[base]
     assert heavy.body_subtreemass[0] > stage.model.body_subtreemass[0]  # constants follow
-    long = changed_case(stage, "legs", 1.2, np.zeros(3), 0)
+    long = make_changed_case(stage, "legs", 1.2, np.zeros(3), 0)
     data = mujoco.MjData(long.model)
     stage.robot.mj_convention.set_state(data, stage.default)
     mujoco.mj_kinematics(long.model, data)
     low = data.geom_xpos[list(stage.robot.foot_geoms), 2].min()
     assert long.lift > 0.01
     assert low + long.lift == pytest.approx(0.01995, abs=1e-9)
-    loaded = changed_case(stage, "payload", 0.5, np.zeros(3), 0).model
+    loaded = make_changed_case(stage, "payload", 0.5, np.zeros(3), 0).model
     assert loaded.body_mass.sum() == pytest.approx(1.5 * stage.model.body_mass.sum())
-    assert changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
+    assert make_changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
 
 
 def test_the_mass_of_the_base_is_scaled_with_its_inertia(still: Policy) -> None:
     """Reference: of a body of the same shape and twice the density all moments double."""
-    stage = stage_of(load("v3"), still)
+    stage = prepare_stage(load("v3"), still)
     base = stage.model.body("base_link").id
-    heavy = changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
+    heavy = make_changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
     np.testing.assert_allclose(heavy.body_inertia[base], 2 * stage.model.body_inertia[base])
     np.testing.assert_allclose(heavy.body_ipos[base], stage.model.body_ipos[base])
 
@@ -100,7 +100,7 @@ def test_sliding_friction_of_geoms_and_of_pairs_is_scaled(pair: str) -> None:
 
 def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Policy) -> None:
     """Reference: forces of position servos, kp (ctrl - q) - kd v, and MuJoCo's subtree CoM."""
-    stage = stage_of(load("v3"), still)
+    stage = prepare_stage(load("v3"), still)
     robot, motors = stage.robot, stage.robot.mj_convention.actuator_index
 
     def forces(model: mujoco.MjModel, lead: float, speed: float) -> np.ndarray:
@@ -113,7 +113,7 @@ def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Pol
         return found
 
     def changed(quantity: str, value: float) -> mujoco.MjModel:
-        return changed_case(stage, quantity, value, np.zeros(3), 0).model
+        return make_changed_case(stage, quantity, value, np.zeros(3), 0).model
 
     stated = stage.model
     for lead in (0.1, -0.1):
@@ -136,9 +136,11 @@ def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Pol
 
 def test_a_push_is_its_impulse(still: Policy) -> None:
     """Over the mass it is the step of the velocity of the com, less what the feet hold."""
-    stage = stage_of(load("v3"), still)
+    stage = prepare_stage(load("v3"), still)
     model, data = stage.model, mujoco.MjData(stage.model)
-    cases = [changed_case(stage, "push-left", value, np.zeros(3), 0) for value in (0.0, 0.3, -0.3)]
+    cases = [
+        make_changed_case(stage, "push-left", value, np.zeros(3), 0) for value in (0.0, 0.3, -0.3)
+    ]
     speeds = []
     for run in simulate_cases(stage, cases, 2.1, 1.0):
         found = []
@@ -174,7 +176,7 @@ def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Polic
     )
     assert one.seeds == (0, 1)
     assert one.to_json() == two.to_json()
-    stage = stage_of(robot, trot)
+    stage = prepare_stage(robot, trot)
     ends = 0
     for interval in one.intervals:
         sides = ((interval.least, interval.below), (interval.most, interval.above))
@@ -182,11 +184,14 @@ def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Polic
             for seed in one.seeds:
                 for value, tracks in ((good[seed], True), (bad[seed], False)):
                     if not math.isnan(value):
-                        case = changed_case(
+                        case = make_changed_case(
                             stage, interval.quantity, float(value), np.array(command), seed
                         )
-                        run = next(iter(simulate_cases(stage, [case], 3, WARM_UP)))
-                        assert follow(stage, run, WARM_UP).tracks is tracks, (interval, side)
+                        run = next(iter(simulate_cases(stage, [case], 3, WARM_UP_SECONDS)))
+                        assert evaluate_tracking(stage, run, WARM_UP_SECONDS).tracks is tracks, (
+                            interval,
+                            side,
+                        )
                         ends += not tracks
     assert ends >= 4
 
@@ -218,7 +223,7 @@ def test_where_a_fit_says_that_the_robot_is(still: Policy, tmp_path: Path) -> No
         row("friction", "leg_front_r_1", 0.1, 0.0, 9.0),
         row("delay", "servos", 0.0, 0.01, 0.03),
     )
-    found = measured_intervals(path, robot, latency=0.02)
+    found = read_measured_intervals(path, robot, latency=0.02)
     assert found["mass"] == pytest.approx((0.9, 1.2))
     assert found["com"] == pytest.approx((-0.01, 0.02))
     assert found["kp"] == pytest.approx((0.8, 1.1))
@@ -237,7 +242,7 @@ def test_what_is_no_fit_is_said_in_a_line(text: str, tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ModelError) as caught:
-        measured_intervals(path, load("v3"))
+        read_measured_intervals(path, load("v3"))
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
 
@@ -268,7 +273,8 @@ def test_the_own_order_is_the_best(own: Orders, trot: Policy) -> None:
 def test_a_planted_order_is_found(trot: Policy) -> None:
     """Front legs exchanged: what walks best exchanges them back."""
     names = load("v3").joint_names
-    wrong = trot.with_contract(joints=names).contract.reordered([3, 4, 5, 0, 1, 2, *range(6, 12)])
+    order = [3, 4, 5, 0, 1, 2, *range(6, 12)]
+    wrong = trot.with_contract(joints=names).contract.reorder_joints(order)
     found = ranked(replace(trot, contract=wrong))
     assert not found.passed
     assert found.candidates[0].change == "limbs"

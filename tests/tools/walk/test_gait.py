@@ -16,9 +16,9 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
-from pupper_analysis.tools.walk.gait import contacts_of, measure, simulate_walk
+from pupper_analysis.tools.walk.gait import find_ground_contacts, measure_gait, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import Observer, prepare_stage, simulate_cases
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -55,7 +55,7 @@ def bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np
 
 def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     robot = load("v3")
-    stage = stage_of(robot, still)
+    stage = prepare_stage(robot, still)
     walk = simulate_walk(robot, still, (0, 0, 0), seconds=3.0, warm_up=1.0)
     torques, states = bare(robot, float(stage.default[2]), 3.0)
     gait = walk.gaits[0]
@@ -73,8 +73,8 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
 
 
 def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
-    stage = stage_of(load("v3"), still.with_contract(latency=0.03))
-    moving = stage_of(load("v3"), still)
+    stage = prepare_stage(load("v3"), still.with_contract(latency=0.03))
+    moving = prepare_stage(load("v3"), still)
     case = stage.case(np.zeros(3), 1)
     late = next(iter(simulate_cases(stage, [case], 0.4, 0.1)))
     now = next(iter(simulate_cases(moving, [moving.case(np.zeros(3), 1)], 0.4, 0.1)))
@@ -90,7 +90,7 @@ def test_what_is_observed_is_what_mujocos_sensors_at_the_base_do(still: Policy) 
         sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}")
         spec.add_sensor(name=kind, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="eye")
     model = spec.compile()
-    data, stage = mujoco.MjData(model), stage_of(load("v3"), still)
+    data, stage = mujoco.MjData(model), prepare_stage(load("v3"), still)
     draw = np.random.default_rng(0)
     qpos = stage.default + 0.1 * draw.normal(size=19)
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
@@ -124,16 +124,16 @@ def test_one_gain_alone_is_not_passed_over(
     still: Policy, gain: dict[str, object], text: str
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=f"states {text}"):
-        stage_of(load("v3"), still.with_contract(**gain))
+        prepare_stage(load("v3"), still.with_contract(**gain))
 
 
 def test_joints_that_do_not_fit(still: Policy) -> None:
     named = still.with_contract(joints=(*load("v3").joint_names[:11], "knee"))
     with pytest.raises(PupperAnalysisError, match="knee"):
-        stage_of(load("v3"), named)
+        prepare_stage(load("v3"), named)
     fewer = still.with_contract(default=np.zeros(11))
     with pytest.raises(PupperAnalysisError, match="commands 11"):
-        stage_of(load("v3"), fewer)
+        prepare_stage(load("v3"), fewer)
 
 
 def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
@@ -142,12 +142,12 @@ def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
     tau = d(m g z - sum n_i z_i)/dq, with the weight n shared as a lever on the line of the feet.
     """
     robot = load("v3")
-    stage = stage_of(robot, Policy.load(made.trot(tmp_path / "trot.json")))
+    stage = prepare_stage(robot, Policy.load(made.trot(tmp_path / "trot.json")))
     [run] = simulate_cases(stage, [stage.case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
     states = run.states[round(1.0 / stage.timestep) :: stage.substeps]
-    seen, _ = contacts_of(stage, run.case.model, states, statics=True)
+    seen, _ = find_ground_contacts(stage, run.case.model, states, statics=True)
     whole = np.sqrt(np.mean([one.static**2 for one in seen], axis=0))
-    assert measure(stage, run, 1.0).static == pytest.approx(whole, abs=1e-12)
+    assert measure_gait(stage, run, 1.0).static == pytest.approx(whole, abs=1e-12)
     weight, pairs, data = robot.total_mass * 9.81, 0, mujoco.MjData(stage.model)
     for state, moment in zip(states, seen, strict=True):
         mujoco.mj_setState(stage.model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)

@@ -41,7 +41,7 @@ def rows(count: int, size: int, seed: int = 0) -> Any:
 
 
 def read(layers: list[dict[str, Any]]) -> Network:
-    return policy.rtneural_network(Path("made.json"), {"layers": layers})
+    return policy.build_rtneural_network(Path("made.json"), {"layers": layers})
 
 
 @pytest.mark.parametrize("activation", BY_LOOPS)
@@ -71,7 +71,7 @@ def test_gru_as_by_loops(after: bool) -> None:
     bias = draw.normal(size=(2, 3 * u))
     weights = [given.tolist(), own.tolist(), bias.tolist()]
     network = read([{"type": "gru", "activation": "", "weights": weights}])  # Keras': after
-    hidden, memory = [0.0] * u, network.start(1)
+    hidden, memory = [0.0] * u, network.initial_memory(1)
     for row in rows(6, n):
         if after:
             found, memory = network.forward(row[None], memory)
@@ -95,7 +95,7 @@ def test_lstm_as_by_loops() -> None:
     bias = draw.normal(size=4 * u)
     weights = [given.tolist(), own.tolist(), bias.tolist()]
     network = read([{"type": "lstm", "activation": "", "weights": weights}])
-    hidden, cell, memory = [0.0] * u, [0.0] * u, network.start(1)
+    hidden, cell, memory = [0.0] * u, [0.0] * u, network.initial_memory(1)
     sig = BY_LOOPS["sigmoid"]
     for row in rows(6, n):
         found, memory = network.forward(row[None], memory)
@@ -111,7 +111,7 @@ def test_lstm_as_by_loops() -> None:
 def read_graph(data: bytes, folder: Path) -> Network:
     path = folder / "made.onnx"
     path.write_bytes(data)
-    return policy.onnx_network(path, read_onnx(path))
+    return policy.build_onnx_network(path, read_onnx(path))
 
 
 def made_graphs() -> dict[str, bytes]:
@@ -154,7 +154,7 @@ def test_onnx_as_by_onnxruntime(kind: str, tmp_path: Path) -> None:
     session = runtime.InferenceSession(data)
     names = [one.name for one in session.get_inputs()]
     theirs = [np.zeros(one.shape, np.float32) for one in session.get_inputs()[1:]]
-    memory = network.start(1)
+    memory = network.initial_memory(1)
     for row in rows(5, 6).astype(np.float32):
         found, memory = network.forward(row[None].astype(float), memory)
         given = dict(zip(names, (row[None], *theirs), strict=True))
@@ -210,7 +210,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
 def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
-    network, given = policy.torchscript_network(path), rows(5, 7)
+    network, given = policy.build_torchscript_network(path), rows(5, 7)
     found, _ = network.forward(given)
     assert (network.inputs, network.outputs) == (7, 4)
     for row, out in zip(given, found, strict=True):
