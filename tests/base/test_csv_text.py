@@ -6,12 +6,10 @@ import csv
 import io
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pupper_analysis.base.csv_text import cell_text, csv_text
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
 from tests.support.commands import answer
 from tests.support.rooms import PACKAGE, trees
 
@@ -32,20 +30,6 @@ def test_texts_that_spreadsheets_execute_are_written_as_text(formula: str) -> No
 def test_numbers_and_other_texts_are_written_as_they_are(cell: object) -> None:
     assert csv_text([[cell, 0]]) == f"{cell},0\n"
     assert cell_text(str(cell)) == str(cell)
-
-
-def test_names_of_stands_and_feet_are_read_as_they_were_written(tmp_path: Path) -> None:
-    names, swing = ("=1+1", "-s", "s3", "-3"), (("@foot",), (), ("+FL", "FR"), ())
-    stands = MeasuredStands(
-        "plan.csv", names, ("=hip",), np.zeros((4, 1)), np.full((4, 1), -0.1), swing
-    )
-    path = tmp_path / "stands.csv"
-    path.write_text(format_stands(stands))
-    rows = list(csv.reader(io.StringIO(path.read_text())))
-    assert [row[0] for row in rows[1:]] == ["'=1+1", "'-s", "s3", "-3"]
-    found = read_stands(path)
-    assert (found.names, found.swing, found.joints) == (names, swing, ("=hip",))
-    assert found.position.tolist() == [[-0.1]] * 4
 
 
 @pytest.mark.slow
