@@ -123,12 +123,22 @@ class Drive(StrEnum):
     NO_STIFFNESS = "a servo without stiffness"
     VELOCITY = "velocity servo"
     TENDON = "an actuator at a tendon"
-    OTHER = "an actuator that holds no position"
+    FORCE = "an actuator that holds no position"
+    OTHER = "an actuator with another control law"
 
     @property
     def bad(self) -> bool:
         """Whether the actuator is a servo that cannot hold the joint because of its parameters."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
+
+    @property
+    def has_other_law(self) -> bool:
+        """Whether the actuator is none of servo, torque motor and velocity servo.
+
+        ``FORCE`` is an actuator whose force does not depend on the joint position, such as a DC
+        motor without a position gain; ``OTHER`` is any other control law, such as ``pid``.
+        """
+        return self in (Drive.FORCE, Drive.OTHER)
 
 
 @dataclass(frozen=True)
@@ -170,11 +180,15 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
 
-_TYPE_PRIORITY = (Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.NO_STIFFNESS)
+_TYPE_PRIORITY = (
+    Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
+)  # fmt: skip
 """Types of actuators that share a joint, by descending priority."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
+    if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
+        return Drive.OTHER if _depends_on_position(model, motor) else Drive.FORCE
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:
         return Drive.OTHER
     if model.actuator_biastype[motor] not in (
@@ -196,3 +210,20 @@ def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
     # An affine bias is a servo's, even if its numbers are all zero.
     affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value
     return Drive.OTHER if affine or model.actuator_biasprm[motor, :3].any() else Drive.MOTOR
+
+
+_POSITION_STEP = 0.1
+"""Change of the joint position [rad, m] by which ``_depends_on_position`` compares forces. Chosen,
+not tuned: a position gain of any use gives a force at this step that rounding does not hide."""
+
+
+def _depends_on_position(model: mujoco.MjModel, motor: int) -> bool:
+    """Return True if the force of an actuator without commands changes with the joint position."""
+    data = mujoco.MjData(model)
+    address = int(model.jnt_qposadr[model.actuator_trnid[motor, 0]])
+    start, forces = float(data.qpos[address]), []
+    for position in (start, start + _POSITION_STEP):
+        data.qpos[address] = position
+        mujoco.mj_forward(model, data)
+        forces.append(float(data.actuator_force[model.actuator_outadr[motor]]))
+    return forces[0] != forces[1]

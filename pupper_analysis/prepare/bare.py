@@ -95,7 +95,7 @@ _STEPPING = ("timestep", "integrator")
 """Attributes of an MJCF's ``<option>`` that servos of our choice need."""
 
 
-_NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY)
+_NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
 """Drives that are not meant to hold a position. A position servo whose stiffness is zero or
 negative is meant to, and its file fails because of it (``Drive.bad``)."""
 
@@ -391,7 +391,7 @@ _COMMANDED = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
 def _is_unequal(model: mujoco.MjModel, motors: list[int], drive: Drive) -> bool:
     """Tells whether a joint's one actuator is a servo but for a gain that is not its stiffness."""
-    if drive is not Drive.OTHER or len(motors) != 1:
+    if not drive.has_other_law or len(motors) != 1:
         return False
     fixed = model.actuator_gaintype[motors[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
     law = read_actuator_law(model, motors[0])
@@ -494,7 +494,7 @@ def self_controlled(bare: Bare, robot: Robot) -> tuple[str, ...]:
     """
     model, found = bare.model, []
     for name, drive in zip(robot.joint_names, bare.drives, strict=True):
-        motors = list_joint_actuators(model, model.joint(name).id) if drive is Drive.OTHER else []
+        motors = list_joint_actuators(model, model.joint(name).id) if drive.has_other_law else []
         if any(model.actuator_ctrlnum[m] > 1 or model.actuator_actnum[m] for m in motors):
             found.append(name)
     return tuple(found)

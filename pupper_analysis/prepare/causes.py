@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import Drive, actuator_gear, list_joint_actuators
+from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.prepare.bare import (
     SETTLES,
     Bare,
@@ -194,19 +194,18 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
     model, motors = bare.model, _motors_of(bare, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    controls = model.actuator_ctrladr[motors]
     served = motors[model.actuator_biastype[motors] == affine]
     gain, stiffness = model.actuator_gainprm[served, 0], -model.actuator_biasprm[served, 1]
     biased = served[model.actuator_biasprm[served, 0] != 0]
     uneven = served[(stiffness > 0) & (stiffness != gain) & (gain > 0)]
-    late = model.actuator_delay[controls] > 0
+    late = model.actuator_delay[motors] > 0
     named = {code: _motor_names(model, which) for code, which in (
         ("bias", biased), ("gain", uneven), ("delay", motors[late])
     )}  # fmt: skip
     even = -model.actuator_biasprm[uneven, 1]
     yield from _if_any("bias", named["bias"], "actuator_biasprm", (biased, 0))
     yield from _if_any("gain", named["gain"], "actuator_gainprm", (uneven, 0), even)
-    yield from _if_any("delay", named["delay"], "actuator_delay", controls[late])
+    yield from _if_any("delay", named["delay"], "actuator_delay", motors[late])
 
 
 def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
@@ -437,7 +436,7 @@ def altered_on_loading(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
     """
     bodies = _on_balls(robot)
     named = zip(robot.joint_names, bare.drives, strict=True)
-    joints = tuple(name for name, drive in named if drive is Drive.OTHER)
+    joints = tuple(name for name, drive in named if drive.has_other_law)
     return (
         *((Cause("balls", bodies),) if bodies else ()),
         *((Cause("other-drive", joints),) if joints else ()),

@@ -448,13 +448,16 @@ def _command_offset(bare: Bare, joint: str, ctrl: Array, position: float) -> flo
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
     """Return True if the ctrl of a keyframe are the joint angles times the gear, and not all zero.
 
-    Such a keyframe contains position commands, even if the model has torque motors. Zeros are no
-    evidence: a torque of zero and an angle of zero are written alike, and command nothing.
+    The first control of each actuator at a joint is compared. Such a keyframe contains position
+    commands, even if the model has torque motors. Zeros are no evidence: a torque of zero and an
+    angle of zero are written alike, and command nothing.
     """
-    at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    if not model.key_ctrl[key, at_joint].any():
+    at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
+    ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]
+    if not ctrl.any():
         return False
     addresses = model.jnt_qposadr[model.actuator_trnid[at_joint, 0]]
-    angles = model.key_qpos[key, addresses] * model.actuator_gear[at_joint, 0]
-    deviation = float(np.linalg.norm(model.key_ctrl[key, at_joint] - angles))
+    gear = model.actuator_gear[model.actuator_outadr[at_joint], 0]
+    angles = model.key_qpos[key, addresses] * gear
+    deviation = float(np.linalg.norm(ctrl - angles))
     return bool(deviation <= _CTRL_ANGLE_RTOL * float(np.linalg.norm(angles)))

@@ -412,7 +412,7 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
         return (Cause("diverges", ()),)
     if run.unheld is not None:
         return (Cause("joint-unheld", (joint.joint,)),)
-    if joint.drive is Drive.OTHER:
+    if joint.drive.has_other_law:
         return (Cause("other-drive", (joint.joint,)),)
     return (Cause("ctrl-elsewhere" if joint.commanded_away else "gives-way", (joint.joint,)),)
 

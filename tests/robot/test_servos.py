@@ -55,14 +55,45 @@ def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_pa
     assert pa.diff_models(pair.mjcf, pair.mjcf).same
 
 
+def stand_printed(pair: Pair) -> tuple[int, str]:
+    """Return the exit status and the printed lines of ``stand -v``."""
+    done = CliRunner().invoke(
+        cli.group, ["stand", "--urdf", str(pair.urdf), "--mjcf", str(pair.mjcf), "-v"]
+    )
+    return done.exit_code, done.output
+
+
+POSITIONS = " ".join(["0 0 0.6 0 -1.2 0"] * 4)
+"""Commands of ``pid`` actuators: position [rad] and velocity [rad/s] of the joints of each leg."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
-def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("element", "ctrl"), [(PID, f' ctrl="{POSITIONS}"'), (DC, ""), (IN_PARENT, "")]
+)
+def test_robots_stand_on_actuators_of_other_kinds(element: str, ctrl: str, tmp_path: Path) -> None:
+    """Torque motors without commands say nothing of the robot; ``pid`` holds its keyframe."""
     pair = with_motors(quadruped(tmp_path), element)
-    command = ["stand", "--urdf", str(pair.urdf), "--mjcf", str(pair.mjcf), "-v"]
-    done = CliRunner().invoke(cli.group, command)
-    assert "HOLDS in MuJoCo for" in done.output, done.output
-    assert done.exit_code == 0
+    rewritten(pair.mjcf, ('"/></keyframe>', f'"{ctrl}/></keyframe>'))
+    status, printed = stand_printed(pair)
+    assert "HOLDS in MuJoCo for" in printed, printed
+    assert status == 0, printed
+
+
+@pytest.mark.slow
+def test_a_robot_fails_whose_pid_actuators_are_commanded_to_zero(tmp_path: Path) -> None:
+    """Reference: the unmodified file in bare MuJoCo. ``pid`` holds a position; ctrl states 0."""
+    pair = with_motors(quadruped(tmp_path), PID)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    height = data.qpos[2]
+    mujoco.mj_step(model, data, nstep=round(3 / model.opt.timestep))
+    assert data.qpos[2] < height / 2
+    status, printed = stand_printed(pair)
+    assert printed.splitlines()[0].startswith("FAILS"), printed
+    assert "an actuator with another control law" in printed
+    assert status == 1
 
 
 BOTH = '<position name="p_{0}" joint="{0}" kp="150"/><velocity name="v_{0}" joint="{0}" kv="5"/>'
