@@ -23,7 +23,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, word_files
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.tools.audit.registry import FORMATS, RULES
+from pupper_analysis.tools.audit.registry import MODEL_FORMATS, RULES
 
 PACKAGE = Path(pa.__file__).parent
 DATA = Path(__file__).resolve().parent / "data"
@@ -95,7 +95,7 @@ def audit_rules(words: Mapping[str, Any], language: str) -> str:
     rows = []
     for rule in RULES.values():
         said = rule.chinese if language == "zh" else vars(rule)
-        where = "all" if rule.formats == FORMATS else ", ".join(rule.formats).upper()
+        where = "all" if rule.formats == MODEL_FORMATS else ", ".join(rule.formats).upper()
         words_of = (_plain(said[key]) for key in ("title", "why", "todo"))
         rows.append((f"`{rule.id}`", str(rule.severity), where, *words_of))
     return f"# {words['rules']}\n\n{words['rules-about']}\n\n" + _table(words["rule-columns"], rows)

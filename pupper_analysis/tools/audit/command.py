@@ -82,7 +82,9 @@ def command(
             shown = [("", result) for result in results]
             shared.show_results(shown, style, everything=everything)
         else:
-            found = [one for result in results for one in audit_report.audit_remarks(result)]
+            found = [
+                one for result in results for one in audit_report.make_audit_annotations(result)
+            ]
             click.echo(formats.for_machines(style, found))
         least = Severity(fail_on).rank
         passed = all(one.severity.rank > least for result in results for one in result.findings)
@@ -97,6 +99,6 @@ def command(
 
 def _list_rules() -> None:
     from pupper_analysis.present.terminal import make_console, print_table
-    from pupper_analysis.tools.audit.document import rules_table
+    from pupper_analysis.tools.audit.document import make_rules_table
 
-    print_table(make_console(), rules_table())
+    print_table(make_console(), make_rules_table())

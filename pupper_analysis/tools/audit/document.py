@@ -20,12 +20,12 @@ from pupper_analysis.tools.audit.audit import (
     Rule,
     Severity,
 )
-from pupper_analysis.tools.audit.registry import FORMATS
+from pupper_analysis.tools.audit.registry import MODEL_FORMATS
 
-MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
+SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """The emphasis of each severity."""
 
-SHOWN = 40
+MAX_SHOWN_GROUPS = 40
 """Groups of findings in a short view."""
 
 
@@ -66,11 +66,11 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
         rules.setdefault(key, {}).setdefault(finding.message, []).append(finding)
     shown = 0
     for (rule, _), alike in rules.items():
-        why, todo = rule_words(rule, "why"), rule_words(rule, "todo")
+        why, todo = get_rule_text(rule, "why"), get_rule_text(rule, "todo")
         advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).marked("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
             sides = _alike(audit, group, advice if place == len(alike) else ())
-            yield replace(sides, detail=shown >= SHOWN)
+            yield replace(sides, detail=shown >= MAX_SHOWN_GROUPS)
             shown += 1
 
 
@@ -78,9 +78,9 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     """Returns findings of which only the element is another."""
     first, *others = group
     message = doc.tell(first.diagnostic)
-    said = text("element-message", element=element_text(first.diagnostic), message=message)
+    said = text("element-message", element=format_element(first.diagnostic), message=message)
     if others:
-        names = join_words(element_text(other.diagnostic) for other in others)
+        names = join_words(format_element(other.diagnostic) for other in others)
         said = text("finding-likewise-names", finding=said, names=names)
     path = first.place.path
     quote = doc.Name(quote_line(path, audit.file))
@@ -88,16 +88,16 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
         "severity-rule",
         severity=word(str(first.severity)),
         rule=first.rule,
-    ).marked(MARKS[first.severity])
+    ).marked(SEVERITY_MARKS[first.severity])
     return doc.Sides(said, (doc.FilePlace(doc.Name(str(first.place)), quote, path),), advice, tag)
 
 
-def rule_words(rule: str, what: str) -> doc.Text:
+def get_rule_text(rule: str, what: str) -> doc.Text:
     """Returns a rule's title, reason or remedy."""
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 
-def element_text(finding: Diagnostic) -> doc.Text:
+def format_element(finding: Diagnostic) -> doc.Text:
     """Returns the element at fault: its kind, and its name if it has one."""
     subject = finding.subject
     assert subject is not None
@@ -106,10 +106,12 @@ def element_text(finding: Diagnostic) -> doc.Text:
 
 
 def _formats(rule: Rule) -> doc.Cell:
-    return text("all-formats") if rule.formats == FORMATS else doc.Name(", ".join(rule.formats))
+    return (
+        text("all-formats") if rule.formats == MODEL_FORMATS else doc.Name(", ".join(rule.formats))
+    )
 
 
-def rules_table() -> doc.Table:
+def make_rules_table() -> doc.Table:
     """Returns all rules."""
     return doc.Table(
         text("count-rules-disable-rule-leaves", count=len(RULES)),
@@ -124,7 +126,7 @@ def rules_table() -> doc.Table:
                 doc.Name(rule.id),
                 word(str(rule.severity)),
                 _formats(rule),
-                rule_words(rule.id, "title"),
+                get_rule_text(rule.id, "title"),
             )
             for rule in RULES.values()
         ),
@@ -133,15 +135,15 @@ def rules_table() -> doc.Table:
 
 # The audit of a model file, for machines.
 
-LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
+ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 """Of annotations."""
 
 
-def audit_remarks(audit: Audit) -> list[Annotation]:
+def make_audit_annotations(audit: Audit) -> list[Annotation]:
     """Returns the findings as annotations."""
     return [
         Annotation(
-            LEVELS[finding.severity],
+            ANNOTATION_LEVELS[finding.severity],
             f"{finding.rule}: {finding.element}",
             f"{finding.element}: {finding.message} {finding.todo}",
             finding.place.path,

@@ -17,7 +17,7 @@ from pupper_analysis.models.loading import Check
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
 
-FORMATS = ("urdf", "mjcf", *formats())
+MODEL_FORMATS = ("urdf", "mjcf", *formats())
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Rule:
         why: Why it matters.
         todo: What to do.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: the same in Simplified Chinese}.
-        formats: Which of ``FORMATS`` it is for.
+        formats: Which of ``MODEL_FORMATS`` it is for.
     """
 
     id: str
@@ -40,7 +40,7 @@ class Rule:
     why: str
     todo: str
     chinese: Mapping[str, str]
-    formats: tuple[str, ...] = FORMATS
+    formats: tuple[str, ...] = MODEL_FORMATS
 
 
 def _catalogue() -> dict[str, Rule]:
@@ -58,7 +58,7 @@ def _catalogue() -> dict[str, Rule]:
     for name, entry in entries.items():
         words = _words(entry, entries[entry.get("like", name)], " ")
         chinese = _words(entry.get("zh", {}), entries[entry.get("like", name)]["zh"], "")
-        stated = tuple(entry.get("formats", FORMATS))
+        stated = tuple(entry.get("formats", MODEL_FORMATS))
         severity = Severity(entry["severity"])
         rules[name] = Rule(name, severity, **words, chinese=chinese, formats=stated)
     return rules
@@ -136,7 +136,7 @@ class Audit(Tabular):
 
     Attributes:
         file: The file.
-        format: One of ``FORMATS``.
+        format: One of ``MODEL_FORMATS``.
         passed: Whether nothing of severity ERROR was found.
         counts: How many findings of each severity.
         findings: The worst first, then by line.
@@ -162,22 +162,22 @@ class Audit(Tabular):
 # How far shapes reach.
 
 
-def extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
+def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
     """Returns points (n, 3) that span all shapes of some bodies, in the frame of one of them (m).
 
     Returns:
         None if they have no shapes, or the extent of one is not known.
     """
-    points, whole = known_points(bodies, frame)
+    points, whole = list_known_points(bodies, frame)
     return points if whole else None
 
 
-def known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
+def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
     """Returns points of those shapes whose extent is known, and whether that is all of them.
 
     Returns:
-        Points (n, 3) as ``extent_points`` has them, None if no shape is known; and whether none is
-        left out, such as a mesh that is not read.
+        Points, shape (n, 3) [m], in the frame of ``frame``; None if no extent is known. True if the
+        extents of all shapes are known; False for example if a mesh was not read.
     """
     to_frame, parts, whole = frame.pose.inverse(), [], True
     for body in bodies:
@@ -190,7 +190,7 @@ def known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, boo
     return (np.concatenate(parts) if parts else None), whole
 
 
-def link_points(robot: RobotModel, body: Link) -> Array:
+def list_link_points(robot: RobotModel, body: Link) -> Array:
     """Returns a body's origin, frames and children's origins (n, 3), in its frame (m)."""
     to_frame = body.pose.inverse()
     points = [np.zeros(3), *(frame.position for frame in body.frames)]
@@ -198,7 +198,7 @@ def link_points(robot: RobotModel, body: Link) -> Array:
     return np.array(points)
 
 
-def outside_hull(points: Array, point: Array) -> float:
+def compute_hull_distance(points: Array, point: Array) -> float:
     """Returns how far a point is outside the convex hull of others, at least; <= 0 if inside (m).
 
     Of points that lie in a plane the bounding box is taken.

@@ -28,28 +28,28 @@ from pupper_analysis.tools.check.config import (
 )
 from pupper_analysis.tools.check.remarks import (
     BASELINE_FILE,
-    REFUSED,
+    REFUSED_KIND,
     BaselineEntry,
     Remark,
     count_findings,
-    judge_remarks,
-    of_audit,
-    of_comparison,
-    of_error,
-    of_guard,
+    list_audit_remarks,
+    list_comparison_remarks,
+    list_guard_remarks,
+    make_error_remark,
+    make_remark,
+    mark_known_remarks,
     read_baseline,
     relative_path,
-    remark_of,
     write_baseline,
 )
 from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
 
-SIMULATION = "simulation"
+SIMULATION_KIND = "simulation"
 """The kind of a remark on what all changes of a file do together."""
 
 
-def of_history(
+def list_history_remarks(
     file: Path, before: Callable[[Path], Path], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
     """Yields a remark per change of a file, and one on what they do together.
@@ -73,13 +73,20 @@ def of_history(
     for change in diff.changes:
         felt = _of_effects(bool(change.effects))
         bad = min(_severity(change.consequences), felt, key=lambda one: one.rank)
-        yield remark_of(
-            "diff", pair.name, change.kind, change.element, named, change.diagnostic, bad,
-            change.new_place or str(file), consequences=change.consequences,
-        )  # fmt: skip
+        yield make_remark(
+            "diff",
+            pair.name,
+            change.kind,
+            change.element,
+            named,
+            change.diagnostic,
+            bad,
+            change.new_place or str(file),
+            consequences=change.consequences,
+        )
     for message in diff.combined:
-        yield remark_of(
-            "diff", pair.name, SIMULATION, "", named, message, _severity((message,)), str(file)
+        yield make_remark(
+            "diff", pair.name, SIMULATION_KIND, "", named, message, _severity((message,)), str(file)
         )
 
 
@@ -180,7 +187,7 @@ def check_repository(
         found += remarks
     if since is not None:
         found += _changed(settings, since, found)
-    known, left = judge_remarks(_distinct(found), before.entries)
+    known, left = mark_known_remarks(_distinct(found), before.entries)
     # Of what cannot be read nobody knows what occurs in it: then nothing is stale, nor written.
     whole = not _refused(known)
     if update_baseline and whole:
@@ -206,8 +213,9 @@ def check_repository(
 
 def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
     """Returns what was checked of a pair, with its results."""
-    own = [one for one in remarks if one.pair == pair.name
-           or (not one.pair and one.file in pair.files)]  # fmt: skip
+    own = [
+        one for one in remarks if one.pair == pair.name or (not one.pair and one.file in pair.files)
+    ]
     known = count_findings(one for one in own if one.known)
     return replace(pair, failures=count_findings(one for one in own if one.fails), known=known)
 
@@ -215,7 +223,7 @@ def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
 def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
     """Yields what has changed since a revision, but for what the comparison says itself."""
     messages, folder, done = list(found), config.path.parent, set()
-    refused = {remark.pair for remark in messages if remark.kind == REFUSED}
+    refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
     differences = {
         (one.pair, one.kind, one.element) for one in messages if one.check == "crosscheck"
     }
@@ -225,7 +233,7 @@ def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterat
                 if file is None or pair.name in refused or file in done:
                     continue
                 done.add(file)
-                for remark in of_history(file, before, pair, folder):
+                for remark in list_history_remarks(file, before, pair, folder):
                     if (pair.name, remark.kind, remark.element) not in differences:
                         yield remark
 
@@ -246,9 +254,9 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         except OutputError:  # it is to be written, too: nothing of a model
             raise
         except PupperAnalysisError as error:
-            remarks.append(of_error(error, "audit", pair, file, folder))
+            remarks.append(make_error_remark(error, "audit", pair, file, folder))
         else:
-            remarks += of_audit(audit, folder)
+            remarks += list_audit_remarks(audit, folder)
     # What cannot be read by itself is not refused once more.
     if pair.urdf is not None and pair.mjcf is not None and not _refused(remarks):
         try:
@@ -262,24 +270,24 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
                 strict_names=pair.strict,
             ).result
         except PupperAnalysisError as error:
-            remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))
+            remarks.append(make_error_remark(error, "crosscheck", pair, pair.urdf, folder))
         else:
             agree, notes = comparison.agree, comparison.notes
-            remarks = [*of_comparison(comparison, pair, folder), *remarks]
+            remarks = [*list_comparison_remarks(comparison, pair, folder), *remarks]
     packages = find_tool_modules("guard")
     for tool, sources in pair.guards.items() if not _refused(remarks) else ():
         try:
             found = import_module(f"{packages[tool]}.guard").guard(files, sources, pair.names)
         except PupperAnalysisError as error:
-            remarks.append(of_error(error, tool, pair, files[0], folder))
+            remarks.append(make_error_remark(error, tool, pair, files[0], folder))
         else:
-            remarks += of_guard(tool, found, pair, folder)
+            remarks += list_guard_remarks(tool, found, pair, folder)
     names = tuple(relative_path(file, folder) for file in files)
     return PairCheck(pair.name, names, agree, 0, 0, notes), remarks
 
 
 def _refused(remarks: Iterable[Remark]) -> bool:
-    return any(remark.kind == REFUSED for remark in remarks)
+    return any(remark.kind == REFUSED_KIND for remark in remarks)
 
 
 def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:

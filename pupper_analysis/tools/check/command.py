@@ -88,7 +88,7 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:
-        found = report.check_remarks(result, in_a_change=style == "github")
+        found = report.make_check_annotations(result, in_a_change=style == "github")
         if style == "github":
             found = [one for one in found if not one.known]  # nobody is reminded of it
         text = formats.for_machines(style, found)

@@ -25,10 +25,10 @@ from pupper_analysis.models.xml import blank_late_declaration
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
 
-CONFIG: Final = "pupper-analysis.toml"
+CONFIG_NAME: Final = "pupper-analysis.toml"
 """The name under which it is looked for."""
 
-BASELINE: Final = "pupper-analysis-baseline.txt"
+BASELINE_NAME: Final = "pupper-analysis-baseline.txt"
 """Where the baseline is, beside it, unless it says otherwise."""
 
 
@@ -90,12 +90,12 @@ def find_config(start: Path | None = None) -> Path:
     """
     folder = (start or Path.cwd()).absolute()
     for each in (folder, *folder.parents):
-        if (each / CONFIG).is_file():
-            return each / CONFIG
-    raise ConfigurationError("config", diagnose("no-config", file=CONFIG, folder=folder))
+        if (each / CONFIG_NAME).is_file():
+            return each / CONFIG_NAME
+    raise ConfigurationError("config", diagnose("no-config", file=CONFIG_NAME, folder=folder))
 
 
-def is_part(path: Path) -> bool:
+def is_include_part(path: Path) -> bool:
     """Whether a file is a part that other MJCFs include, and no model."""
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
@@ -169,7 +169,7 @@ Key = tuple[str | int, ...]
 """Path of a value in a TOML file: names of keys, and indices (from 0) in arrays of tables."""
 
 
-def line_of_key(text: str, key: Key) -> int | None:
+def find_key_line(text: str, key: Key) -> int | None:
     """Return the line, from 1, of the TOML statement that defines a key; None if none does.
 
     The file is parsed from its beginning to the end of each line that ends a statement. The first
@@ -211,7 +211,7 @@ class _Reader:
 
     def error(self, key: Key, message: Diagnostic) -> ModelError:
         """Return an error that names the line of a key."""
-        return ModelError(source_name(self.path, line_of_key(self._text, key)), message)
+        return ModelError(source_name(self.path, find_key_line(self._text, key)), message)
 
     def own(self, *key: str) -> Key:
         """Return the path of a key of the current [[pair]], or of the file's top if only there."""
@@ -235,7 +235,7 @@ class _Reader:
         except ValueError:
             severities = diagnose("one-of", names=[str(each) for each in Severity])
             raise self.invalid(("fail-on",), stated, severities) from None
-        baseline = self.folder / self.top.get("baseline", BASELINE)
+        baseline = self.folder / self.top.get("baseline", BASELINE_NAME)
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
@@ -249,8 +249,9 @@ class _Reader:
         if not any(char in text for text in patterns.values() for char in _WILD):
             yield self.pair(entry)
             return
-        if len(patterns) == 2 and any(text.count("*") != 1 or "?" in text or "[" in text
-                                      for text in patterns.values()):  # fmt: skip
+        if len(patterns) == 2 and any(
+            text.count("*") != 1 or "?" in text or "[" in text for text in patterns.values()
+        ):
             valid = Term("one * in each, which stands for the same in both")
             raise self.invalid(self.own("urdf"), patterns["urdf"], valid)
         found: dict[str, dict[str, str]] = {}
@@ -270,7 +271,7 @@ class _Reader:
         """Returns the files that a pattern matches, relative to the configuration."""
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
-            paths = sorted(path for path in files if not is_part(path))
+            paths = sorted(path for path in files if not is_include_part(path))
         except (NotImplementedError, ValueError) as error:
             valid = Term("a pattern relative to this file")
             raise self.invalid(self.own(key), pattern, valid) from error
@@ -285,8 +286,9 @@ class _Reader:
         if not {"urdf", "mjcf"} & entry.keys():
             message = diagnose("pair-without-file", pair=entry["name"])
             raise self.error(("pair", self._entry), message)
-        urdf, mjcf = (self.file(kind, entry[kind]) if kind in entry else None
-                      for kind in ("urdf", "mjcf"))  # fmt: skip
+        urdf, mjcf = (
+            self.file(kind, entry[kind]) if kind in entry else None for kind in ("urdf", "mjcf")
+        )
         both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _IN_TABLES}
         strict = entry.get("strict", self.top.get("strict", False))
         tolerances = Tolerances.strict() if strict else Tolerances()
@@ -302,9 +304,12 @@ class _Reader:
             ),
             strict=strict,
             disabled=both["disable"],
-            guards={tool: tuple(self.file(tool, text) for text in entry[tool])
-                    for tool in find_tool_modules("guard") if tool in entry},
-        )  # fmt: skip
+            guards={
+                tool: tuple(self.file(tool, text) for text in entry[tool])
+                for tool in find_tool_modules("guard")
+                if tool in entry
+            },
+        )
 
     def file(self, key: str, text: str) -> Path:
         """Returns a file; of a tool that guards also a folder, or FILE:NAME."""
@@ -368,10 +373,10 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
         ConfigurationError: If there is a configuration already, or no model.
         OutputError: If it cannot be written.
     """
-    path = folder / CONFIG
+    path = folder / CONFIG_NAME
     if path.exists():
         raise ConfigurationError("--init", diagnose("config-there-already", file=path))
-    entries = entries_of(folder)
+    entries = list_pair_entries(folder)
     if not entries:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
     with write_atomically(path, MODEL) as file:
@@ -386,7 +391,7 @@ def _table(entry: dict[str, str]) -> str:
     return "".join(["[[pair]]\n", *keys])
 
 
-def entries_of(folder: Path) -> list[dict[str, str]]:
+def list_pair_entries(folder: Path) -> list[dict[str, str]]:
     """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem.
 
     Those of one folder are one robot's, and the only two of a stem in different ones.
@@ -405,9 +410,13 @@ def entries_of(folder: Path) -> list[dict[str, str]]:
         if len(keys) == 2 and found[keys[0]].keys() != found[keys[1]].keys():
             found[keys[0]] |= found.pop(keys[1])
     count = Counter(key.name for key in found)
-    return [{"name": key.name if count[key.name] == 1 else key.as_posix(),
-             **dict(sorted(files.items(), reverse=True))}
-            for key, files in found.items()]  # fmt: skip
+    return [
+        {
+            "name": key.name if count[key.name] == 1 else key.as_posix(),
+            **dict(sorted(files.items(), reverse=True)),
+        }
+        for key, files in found.items()
+    ]
 
 
 def _files(folder: Path) -> Iterator[Path]:

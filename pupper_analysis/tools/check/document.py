@@ -15,7 +15,12 @@ from pupper_analysis.present.formats import Annotation, from_root
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
-from pupper_analysis.tools.audit.document import LEVELS, MARKS, element_text, rule_words
+from pupper_analysis.tools.audit.document import (
+    ANNOTATION_LEVELS,
+    SEVERITY_MARKS,
+    format_element,
+    get_rule_text,
+)
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
 from pupper_analysis.tools.check.remarks import Remark, count_findings
 
@@ -29,7 +34,9 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         title = text("count-known", count=len(known))
         blocks.append(doc.Lines(known, title=title, detail=True))
     if check.stale:
-        blocks.append(doc.Lines(tuple(map(doc.tell, stale_entries(check))), "warn", text("stale")))
+        blocks.append(
+            doc.Lines(tuple(map(doc.tell, describe_stale_entries(check))), "warn", text("stale"))
+        )
     blocks.append(_pairs(check.pairs))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
@@ -58,14 +65,14 @@ def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
 
 def _known(group: list[Remark]) -> Text:
     place = group[0].place or group[0].file
-    return text("name-note", name=doc.Name(from_the_root(place)), note=_message(group[0]))
+    return text("name-note", name=doc.Name(relative_to_root(place)), note=_message(group[0]))
 
 
 def _message(first: Remark) -> doc.Words:
     message = doc.tell(first.diagnostic if first.cause is None else first.cause)
     if not _by_rule(first):
         return message
-    return text("element-message", element=element_text(first.diagnostic), message=message)
+    return text("element-message", element=format_element(first.diagnostic), message=message)
 
 
 def _by_rule(remark: Remark) -> bool:
@@ -87,15 +94,15 @@ def _group(group: list[Remark]) -> doc.Sides:
         severity=word(str(first.severity)),
         check=first.check,
         kind=first.kind if first.cause is None else "cause",
-    ).marked(MARKS[first.severity])
+    ).marked(SEVERITY_MARKS[first.severity])
     places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
-    named = [(from_the_root(place), place) for place in places]
+    named = [(relative_to_root(place), place) for place in places]
     columns = tuple(
         doc.FilePlace(doc.Name(shown), doc.Name(quote_line(place, first.file)), shown)
         for shown, place in named
     )
     if _by_rule(first):
-        notes.append(rule_words(first.kind, "todo"))
+        notes.append(get_rule_text(first.kind, "todo"))
     sides = doc.Sides(_message(first), columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
@@ -141,13 +148,15 @@ def summarise_check(check: RepositoryCheck) -> Text:
     return found
 
 
-def from_the_root(place: str) -> str:
+def relative_to_root(place: str) -> str:
     """Returns ``file:line`` with the file as CI services find it."""
     file, line = Annotation("", "", "", place).file_and_line
     return from_root(file) if line is None else f"{from_root(file)}:{line}"
 
 
-def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annotation]:
+def make_check_annotations(
+    check: RepositoryCheck, *, in_a_change: bool = False
+) -> list[Annotation]:
     """Returns the remarks as annotations; what fails is an error, whatever its severity.
 
     Args:
@@ -164,14 +173,22 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
             found += [_annotation(group, remark, one) for one in places[: 1 + both] or [None]]
     about = about_kind("stale")
     found += [
-        Annotation("notice", "stale baseline", str(one), check.baseline, "check/stale", about,
-                   known=False, diagnostic=one)
-        for one in stale_entries(check)
-    ]  # fmt: skip
+        Annotation(
+            "notice",
+            "stale baseline",
+            str(one),
+            check.baseline,
+            "check/stale",
+            about,
+            known=False,
+            diagnostic=one,
+        )
+        for one in describe_stale_entries(check)
+    ]
     return found
 
 
-def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
+def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
     """Returns the entries of the baseline that do not occur any more."""
     return [
         diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
@@ -181,7 +198,7 @@ def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
 
 def _annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
     both = (remark.place, remark.other_place)
-    others = [from_the_root(one) for one in both if one and one != place]
+    others = [relative_to_root(one) for one in both if one and one != place]
     message = " ".join([remark.message, *(f"[{other}]" for other in others)])
     kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
     title = f"{kind}{joint}{remark.element}" if remark.element else kind
@@ -191,7 +208,7 @@ def _annotation(group: list[Remark], remark: Remark, place: str | None) -> Annot
         message = f"{remark.cause}. {made} {message}"
         kind, title, about = "cause", f"cause of {len(group)} differences", about_kind("cause")
     return Annotation(
-        "error" if remark.fails else LEVELS[remark.severity],
+        "error" if remark.fails else ANNOTATION_LEVELS[remark.severity],
         title,
         message,
         place,

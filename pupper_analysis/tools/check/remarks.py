@@ -27,11 +27,11 @@ from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.tools.audit.audit import RULES, Audit
 from pupper_analysis.tools.check.config import GuardedPair
 
-DIGITS = 9
+NUM_DIGITS = 9
 """Significant digits of the values that are kept: more are rounding errors of some machine."""
 
 
-REFUSED = "refused"
+REFUSED_KIND = "refused"
 """The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
 
 
@@ -99,7 +99,9 @@ class Remark(Result):
         return self.check, self.pair, self.file, self.known, *what
 
 
-def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
+def list_comparison_remarks(
+    comparison: FilesCompared, pair: GuardedPair, folder: Path
+) -> Iterator[Remark]:
     """Yields a remark per difference, per joint in one file only, and per objection."""
     file = relative_path(comparison.urdf, folder)
     causes = {
@@ -132,21 +134,27 @@ def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) ->
             messages.append(("joint", name, lacks, path))
     messages += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
     for kind, element, diagnostic, place in messages:
-        yield remark_of(
+        yield make_remark(
             "crosscheck", pair.name, kind, element, file, diagnostic, Severity.ERROR, place
         )
 
 
-def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
+def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
     """Yields a remark per finding."""
     for finding in audit.findings:
-        yield remark_of(
-            "audit", "", finding.rule, finding.element, relative_path(finding.file, folder),
-            finding.diagnostic, finding.severity, finding.place.path,
-        )  # fmt: skip
+        yield make_remark(
+            "audit",
+            "",
+            finding.rule,
+            finding.element,
+            relative_path(finding.file, folder),
+            finding.diagnostic,
+            finding.severity,
+            finding.place.path,
+        )
 
 
-def of_guard(
+def list_guard_remarks(
     tool: str, findings: Iterable[Any], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
     """Yields a remark per finding of a tool that guards.
@@ -162,34 +170,65 @@ def of_guard(
         file, _, line = one.places[0].rpartition(":")
         plain = line.isdecimal() or line.startswith("<")
         named = relative_path(file if plain else one.places[0], folder)
-        yield remark_of(
-            tool, pair.name, one.kind, ", ".join(one.joints), named, one.diagnostic, one.severity,
-            one.places[0], next(iter(one.places[1:]), None), one.effects,
-        )  # fmt: skip
+        yield make_remark(
+            tool,
+            pair.name,
+            one.kind,
+            ", ".join(one.joints),
+            named,
+            one.diagnostic,
+            one.severity,
+            one.places[0],
+            next(iter(one.places[1:]), None),
+            one.effects,
+        )
 
 
-def of_error(
+def make_error_remark(
     error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
     """Returns the remark that a file cannot be read, or two cannot be compared."""
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
     known = Path(file if line.isdecimal() else place).is_file()
-    return remark_of(
-        check, pair.name, REFUSED, pair.name, relative_path(path, folder), error.diagnostic,
-        Severity.ERROR, place if known else str(path),
-    )  # fmt: skip
+    return make_remark(
+        check,
+        pair.name,
+        REFUSED_KIND,
+        pair.name,
+        relative_path(path, folder),
+        error.diagnostic,
+        Severity.ERROR,
+        place if known else str(path),
+    )
 
 
-def remark_of(
-    check: str, pair: str, kind: str, element: str, file: str, message: Diagnostic, bad: Severity,
-    place: str | None, other_place: str | None = None, consequences: tuple[Diagnostic, ...] = (),
-) -> Remark:  # fmt: skip
+def make_remark(
+    check: str,
+    pair: str,
+    kind: str,
+    element: str,
+    file: str,
+    message: Diagnostic,
+    bad: Severity,
+    place: str | None,
+    other_place: str | None = None,
+    consequences: tuple[Diagnostic, ...] = (),
+) -> Remark:
     """Returns a remark whose values are its diagnostic's."""
     return Remark(
-        check, pair, kind, element, file, to_plain(message), bad, message, place, other_place,
+        check,
+        pair,
+        kind,
+        element,
+        file,
+        to_plain(message),
+        bad,
+        message,
+        place,
+        other_place,
         consequences=consequences,
-    )  # fmt: skip
+    )
 
 
 def relative_path(file: str | Path, folder: Path) -> str:
@@ -220,7 +259,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [to_plain(each) for each in value]
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") + 0.0
+        return float(f"{value:.{NUM_DIGITS}g}") + 0.0
     return value if isinstance(value, bool | int | str) or value is None else str(value)
 
 
@@ -287,7 +326,7 @@ class Baseline:
         end: list[str] = []
         for old, comment in self.comments:
             alike = [row for row, (_, new) in enumerate(written) if new.identity == old.identity]
-            same = [row for row in alike if is_same(written[row][1].values, old.values)]
+            same = [row for row in alike if values_agree(written[row][1].values, old.values)]
             row = next(iter((*same, *alike)), None)
             (end if row is None else above[row]).extend(comment)
         body = [
@@ -392,7 +431,7 @@ def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry
     write_all([Writing(path, content, BASELINE_FILE, before=before.content)])
 
 
-def judge_remarks(
+def mark_known_remarks(
     remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
     """Tells which remarks are known; each entry is for one of them.
@@ -406,11 +445,11 @@ def judge_remarks(
     result = []
     for remark in remarks:
         here = waiting.get(remark.identity, [])
-        found = next((entry for entry in here if is_same(entry.values, remark.values)), None)
+        found = next((entry for entry in here if values_agree(entry.values, remark.values)), None)
         if found is not None:
             here.remove(found)
         # Nobody can know what is in a file that cannot be read.
-        result.append(replace(remark, known=found is not None and remark.kind != REFUSED))
+        result.append(replace(remark, known=found is not None and remark.kind != REFUSED_KIND))
     return tuple(result), tuple(entry for here in waiting.values() for entry in here)
 
 
@@ -419,10 +458,10 @@ def count_findings(remarks: Iterable[Remark]) -> int:
     return len({remark.finding for remark in remarks})
 
 
-def is_same(one: Any, two: Any) -> bool:
+def values_agree(one: Any, two: Any) -> bool:
     """Whether two values are the same but for rounding."""
     if isinstance(one, Mapping) and isinstance(two, Mapping):
-        return one.keys() == two.keys() and all(is_same(one[key], two[key]) for key in one)
+        return one.keys() == two.keys() and all(values_agree(one[key], two[key]) for key in one)
     here, there = _leaves(one), _leaves(two)
     sizes = [abs(each) for each in (*here, *there) if _is_finite(each)]
     if any(isinstance(each, str) for each in here):

@@ -65,7 +65,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.contract.contract import read_contract
-    from pupper_analysis.tools.contract.document import contract_remarks
+    from pupper_analysis.tools.contract.document import make_contract_annotations
 
     names = dict(shared.parse_assignment("map", pair) for pair in pairs)
     with shared.show_progress("reading the sources, and standing the robot in them"):
@@ -73,6 +73,6 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:
-        click.echo(formats.for_machines(style, contract_remarks(result)))
+        click.echo(formats.for_machines(style, make_contract_annotations(result)))
     shared.write_page(report_path, result)
     shared.finish_command(json_path, result, passed=result.passed)

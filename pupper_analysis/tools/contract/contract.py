@@ -17,21 +17,29 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import make_input_error
-from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, readers
+from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, load_readers
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
     Pose,
-    find_all,
-    pose_effects,
+    add_height_effects,
+    find_disagreements,
 )
-from pupper_analysis.tools.contract.orders import Joints, Placed, place_source
-from pupper_analysis.tools.contract.readers.models import match_names, read_stated
+from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
+from pupper_analysis.tools.contract.readers.models import match_joint_names, read_model_file
 
-MOST_FILES = 500
+MAX_FOLDER_FILES = 500
 """Files of a folder that are read."""
 
-_PASSED_OVER = ("node_modules", "site-packages", "build", "install", "log", "logs", "thirdparty",
-                "__pycache__")  # fmt: skip
+_PASSED_OVER = (
+    "node_modules",
+    "site-packages",
+    "build",
+    "install",
+    "log",
+    "logs",
+    "thirdparty",
+    "__pycache__",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +123,14 @@ def read_contract(
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
     models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
-    names, notes = match_names(models, names or {})
-    joints = Joints(read_stated(models[0].path), models[0].order, names)
+    names, notes = match_joint_names(models, names or {})
+    joints = RobotJoints(read_model_file(models[0].path), models[0].order, names)
     for folder in folders:
         found, said = _in_folder(folder, read, joints)
         read += found
         notes += said
     first, *rest = _named_apart([models[0], *(one for one in read if one is not models[0])])
-    placed = [place_source(one, joints, rest) for one in (first, *rest)]
+    placed = [assign_joints(one, joints, rest) for one in (first, *rest)]
     for one in placed:
         notes += _check(one, first)
     placed.sort(key=lambda one: list(Role).index(one.source.role))
@@ -133,15 +141,23 @@ def read_contract(
         paths = list(dict.fromkeys(one.path for one in models))
         poses, unstood = stand_poses(paths, placed, first.order)
         notes += unstood
-    findings = pose_effects(find_all(placed, joints), poses)
+    findings = add_height_effects(find_disagreements(placed, joints), poses)
     worst = Severity(fail_on).rank
     facts = tuple(fact for one in placed for fact in one.facts.values())
     passed = all(one.severity.rank > worst for one in findings)
-    return Contract(str(first.path), first.order, tuple(map(_source_read, placed)), facts, findings,
-                    poses, tuple(notes), passed)  # fmt: skip
+    return Contract(
+        str(first.path),
+        first.order,
+        tuple(map(_source_read, placed)),
+        facts,
+        findings,
+        poses,
+        tuple(notes),
+        passed,
+    )
 
 
-def _check(one: Placed, model: Source) -> list[Diagnostic]:
+def _check(one: PlacedSource, model: Source) -> list[Diagnostic]:
     """Returns what is noted of a source; one without a joint of the robot is refused."""
     said = [fact for fact in one.facts.values() if fact.joint and not fact.implied]
     theirs = [*one.unknown, *(each.joint for each in one.source.statements if each.joint)]
@@ -149,11 +165,15 @@ def _check(one: Placed, model: Source) -> list[Diagnostic]:
     alone = any(not fact.joint for fact in one.facts.values()) and not (theirs or one.notes)
     if not (said or any(one.order) or alone):
         names = tuple(dict.fromkeys(theirs))[:4]
-        message = diagnose("contract-no-joint", model=model.name, names=names,
-                        joints=model.order[:4])  # fmt: skip
+        message = diagnose(
+            "contract-no-joint", model=model.name, names=names, joints=model.order[:4]
+        )
         raise ModelError(one.source.path, next(iter(one.notes), message))
-    unknown = [diagnose("contract-names-unknown", file=one.source.name,
-                        names=one.unknown)] if one.unknown else []  # fmt: skip
+    unknown = (
+        [diagnose("contract-names-unknown", file=one.source.name, names=one.unknown)]
+        if one.unknown
+        else []
+    )
     return [*one.source.notes, *one.notes, *unknown]
 
 
@@ -164,8 +184,11 @@ def _named_apart(read: Sequence[Source]) -> list[Source]:
         mine = one.path.absolute().parts
         same = [each.path.absolute().parts for each in read if each.name == one.name]
         others = [parts for parts in same if parts != mine]
-        least = next(least for least in range(1, len(mine) + 1)
-                     if mine[-least:] not in [parts[-least:] for parts in others])  # fmt: skip
+        least = next(
+            least
+            for least in range(1, len(mine) + 1)
+            if mine[-least:] not in [parts[-least:] for parts in others]
+        )
         done.append(replace(one, name="/".join((*mine[-least:-1], one.name))))
     return done
 
@@ -186,9 +209,9 @@ def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
 
 def _read(request: Request) -> list[Source]:
     ending = request.path.suffix.lower()
-    able = [one for one in readers() if ending in one.SUFFIXES]
+    able = [one for one in load_readers() if ending in one.SUFFIXES]
     if not able:
-        known = sorted({suffix for one in readers() for suffix in one.SUFFIXES})
+        known = sorted({suffix for one in load_readers() for suffix in one.SUFFIXES})
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
     try:
         return [source for one in able for source in one.read(request)]
@@ -206,9 +229,14 @@ def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
     kept = list({one.content: one for one in reversed(found)}.values())[::-1]
     if kept and kept[0].role is Role.TRAINER:
         said = [frozenset(one.content[0]) for one in kept]
-        kept = [one for number, one in enumerate(kept)
-                if not any(said[number] < each or (said[number] == each and other < number)
-                           for other, each in enumerate(said))]  # fmt: skip
+        kept = [
+            one
+            for number, one in enumerate(kept)
+            if not any(
+                said[number] < each or (said[number] == each and other < number)
+                for other, each in enumerate(said)
+            )
+        ]
         if len(kept) > 1:
             names = [one.name.rpartition(":")[2] for one in kept]
             message = diagnose("contract-several", names=names, file=request.path.name)
@@ -221,7 +249,7 @@ def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
 
 
 def _in_folder(
-    folder: Path, read: Sequence[Source], joints: Joints
+    folder: Path, read: Sequence[Source], joints: RobotJoints
 ) -> tuple[list[Source], list[Diagnostic]]:
     """Returns the deployments of a folder that name joints of the robot; not its modules.
 
@@ -236,7 +264,7 @@ def _in_folder(
             refused.append(path.name)
             continue
         for one in sources:
-            by_name = place_source(one, joints, ())
+            by_name = assign_joints(one, joints, ())
             every = set(by_name.names.values()) == set(joints.order)
             fits = every or (by_name.how == "named" and all(by_name.order))
             left += not fits
@@ -249,14 +277,19 @@ def _in_folder(
 
 def _files(folder: Path) -> Iterator[Path]:
     """Returns the files of a folder that may be a deployment's, in the order of their names."""
-    found = (path for path in sorted(folder.rglob("*"))
-             if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
-             and not any(part[0] == "." or part in _PASSED_OVER
-                         for part in path.relative_to(folder).parts))  # fmt: skip
-    return islice(found, MOST_FILES)
+    found = (
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
+        and not any(
+            part[0] == "." or part in _PASSED_OVER for part in path.relative_to(folder).parts
+        )
+    )
+    return islice(found, MAX_FOLDER_FILES)
 
 
-def _source_read(one: Placed) -> SourceRead:
+def _source_read(one: PlacedSource) -> SourceRead:
     source, seen = one.source, tuple(name for name, _, _ in one.source.observations)
-    return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,
-                      one.unknown, seen)  # fmt: skip
+    return SourceRead(
+        source.name, str(source.path), str(source.role), one.order, one.how, one.unknown, seen
+    )

@@ -15,21 +15,25 @@ from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
-from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, kind_of
+from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, find_quantity_kind
 from pupper_analysis.tools.contract.findings import Disagreement
 
-MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
+SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
+ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 
-SHOWN = 25
+MAX_SHOWN_FINDINGS = 25
 """Findings whose lines are shown side by side; the table has them all."""
 
 
 @build_document.register(Contract)
 def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
     """Returns what differs between sources, and what they state; see ``build_document``."""
-    message = text("contract-count", findings=len(contract.findings), facts=len(contract.facts),
-                sources=len(contract.sources))  # fmt: skip
+    message = text(
+        "contract-count",
+        findings=len(contract.findings),
+        facts=len(contract.facts),
+        sources=len(contract.sources),
+    )
     found = bool(contract.findings)
     agree = text("contract-agree-but" if found else "contract-agree")
     return doc.Document(
@@ -46,14 +50,14 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
 def _blocks(contract: Contract) -> Iterable[doc.Block]:
     for number, finding in enumerate(contract.findings):
-        yield _sides(finding, detail=number >= SHOWN)
+        yield _sides(finding, detail=number >= MAX_SHOWN_FINDINGS)
     if contract.poses:
         yield _poses(contract)
     yield _sources(contract)
     for quantity in QUANTITIES:
         stating = [one for one in contract.facts if one.quantity == quantity and one.joint]
         if stating:
-            yield _table(contract, stating, word(quantity), kind_of(quantity).unit)
+            yield _table(contract, stating, word(quantity), find_quantity_kind(quantity).unit)
     settings = [one for one in contract.facts if not one.joint]
     if settings:
         yield _table(contract, settings, text("contract-settings"))
@@ -63,15 +67,21 @@ def _blocks(contract: Contract) -> Iterable[doc.Block]:
 
 def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
     numbers = {place: number for number, place in enumerate(finding.places)}
-    columns = tuple(doc.FilePlace(doc.Name(Path(place).name),
-                                  doc.Name(quote_line(place) or _value(finding, number)), place)
-                    for place, number in numbers.items())  # fmt: skip
+    columns = tuple(
+        doc.FilePlace(
+            doc.Name(Path(place).name),
+            doc.Name(quote_line(place) or _value(finding, number)),
+            place,
+        )
+        for place, number in numbers.items()
+    )
     tag: doc.Words = word(str(finding.severity))
     if finding.slip:
         tag = text("severity-rule", severity=tag, rule=word(finding.slip))
-    tag = tag.marked(MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
-    return doc.Sides(doc.tell(finding.diagnostic), columns,
-                     tuple(map(doc.tell, finding.effects)), tag, detail)  # fmt: skip
+    tag = tag.marked(SEVERITY_MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
+    return doc.Sides(
+        doc.tell(finding.diagnostic), columns, tuple(map(doc.tell, finding.effects)), tag, detail
+    )
 
 
 def _value(finding: Disagreement, number: int) -> str:
@@ -84,30 +94,54 @@ def _column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
 
 
 def _poses(contract: Contract) -> doc.Table:
-    columns = (_column("contract-source"), _column("contract-height", "mm"),
-               _column("contract-sag", "mm"), _column("contract-utilisation", "%"),
-               _column("contract-stays"))  # fmt: skip
-    ends: dict[bool | None, doc.Cell] = {None: doc.Name("-"), True: text("contract-stays-up"),
-                                         False: text("contract-falls").marked("bad")}  # fmt: skip
+    columns = (
+        _column("contract-source"),
+        _column("contract-height", "mm"),
+        _column("contract-sag", "mm"),
+        _column("contract-utilisation", "%"),
+        _column("contract-stays"),
+    )
+    ends: dict[bool | None, doc.Cell] = {
+        None: doc.Name("-"),
+        True: text("contract-stays-up"),
+        False: text("contract-falls").marked("bad"),
+    }
     rows = tuple(
-        (doc.Name(pose.source), doc.number_cell(pose.height, ".1f", scale=1e3),
-         doc.number_cell(pose.sag, ".1f", scale=1e3),
-         doc.number_cell(pose.utilisation, ".1f", scale=100.0), ends[pose.stays])
+        (
+            doc.Name(pose.source),
+            doc.number_cell(pose.height, ".1f", scale=1e3),
+            doc.number_cell(pose.sag, ".1f", scale=1e3),
+            doc.number_cell(pose.utilisation, ".1f", scale=100.0),
+            ends[pose.stays],
+        )
         for pose in contract.poses
-    )  # fmt: skip
-    notes = tuple(text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
-                  for pose in contract.poses if pose.problem is not None)  # fmt: skip
+    )
+    notes = tuple(
+        text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
+        for pose in contract.poses
+        if pose.problem is not None
+    )
     source = (page_of("how-to/contract.md", "The default poses"),)
     return doc.Table(text("contract-poses"), columns, rows, notes, source)
 
 
 def _sources(contract: Contract) -> doc.Table:
-    columns = (_column("contract-source"), _column("contract-role"),
-               _column("contract-numbers", "1"), _column("contract-order-how"))  # fmt: skip
+    columns = (
+        _column("contract-source"),
+        _column("contract-role"),
+        _column("contract-numbers", "1"),
+        _column("contract-order-how"),
+    )
     count = Counter(fact.source for fact in contract.facts)
-    rows = tuple((doc.Name(one.name), word(one.role), doc.number_cell(count[one.name], ".0f"),
-                  text(f"contract-order-{one.how or 'none'}"))
-                 for one in contract.sources)  # fmt: skip
+    rows = tuple(
+        (
+            doc.Name(one.name),
+            word(one.role),
+            doc.number_cell(count[one.name], ".0f"),
+            text(f"contract-order-{one.how or 'none'}"),
+        )
+        for one in contract.sources
+    )
     return doc.Table(text("contract-sources"), columns, rows, detail=False)
 
 
@@ -131,8 +165,12 @@ def _table(
     columns = [_column("joint" if facts[0].joint else "contract-setting")]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
     places = {name: next(one.place for one in facts if one.source == name) for name in names}
-    notes = (join_words(text("contract-first-place", source=name, place=Path(place).name)
-                        for name, place in places.items()),)  # fmt: skip
+    notes = (
+        join_words(
+            text("contract-first-place", source=name, place=Path(place).name)
+            for name, place in places.items()
+        ),
+    )
     return doc.Table(title, tuple(columns), tuple(rows), notes, detail=True)
 
 
@@ -157,13 +195,18 @@ def _observations(contract: Contract) -> doc.Table:
 # For machines.
 
 
-def contract_remarks(contract: Contract) -> list[Annotation]:
+def make_contract_annotations(contract: Contract) -> list[Annotation]:
     """Returns each finding as an annotation at the line of each source."""
     return [
-        Annotation(LEVELS[one.severity],
-                   f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
-                   f"{one.message} [{one.places[1 - number]}]", place, about=one.kind,
-                   rule=f"contract/{one.kind.replace(' ', '-')}", diagnostic=one.diagnostic)
+        Annotation(
+            ANNOTATION_LEVELS[one.severity],
+            f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
+            f"{one.message} [{one.places[1 - number]}]",
+            place,
+            about=one.kind,
+            rule=f"contract/{one.kind.replace(' ', '-')}",
+            diagnostic=one.diagnostic,
+        )
         for one in contract.findings
         for place, number in {place: n for n, place in enumerate(one.places)}.items()
-    ]  # fmt: skip
+    ]

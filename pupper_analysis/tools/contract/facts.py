@@ -20,10 +20,10 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
-GROUP: Final = "pupper_analysis.contract"
+ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
 """The group of entry points by which a distribution offers readers: ``name = "its.module"``."""
 
-MOST: Final = 200_000
+MAX_VALUES: Final = 200_000
 """Values that are read of one source: the largest configurations that were seen have 4,000, and a
 module of a training library takes some 10,000 expressions to be worked out."""
 
@@ -38,21 +38,21 @@ class Role(StrEnum):
     MODEL = "model"
 
 
-FIELDS: Final[Mapping[str, Any]] = tomllib.loads(
+FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
     Path(__file__).with_name("fields.toml").read_text("utf-8")
 )
 """What formats call what they state; the file explains its keys."""
 
-NAMES: Final[Mapping[str, list[str]]] = FIELDS["names"]
+KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
 """{what is named: by which keys}."""
 
-CALLED: Final[Mapping[str, str]] = {
-    alias: name for name, aliases in FIELDS["observed"].items() for alias in aliases
+OBSERVATION_ALIASES: Final[Mapping[str, str]] = {
+    alias: name for name, aliases in FIELD_TABLE["observed"].items() for alias in aliases
 }
 """{what a library calls a part of what a policy observes: what the others do}."""
 
 
-class Kind(NamedTuple):
+class QuantityKind(NamedTuple):
     """A quantity.
 
     Attributes:
@@ -60,29 +60,35 @@ class Kind(NamedTuple):
         severity: Of a difference; None of what is listed alone.
         mirrored: How it is of the other side's joint: 1 the same, -1 by the joint's axis, 0 not
             held against it.
-        whole: Whether it is of a source as a whole, and not of a joint.
+        is_setting: Whether it is of a source as a whole, and not of a joint.
     """
 
     unit: str
     severity: Severity | None
     mirrored: int
-    whole: bool
+    is_setting: bool
 
 
-QUANTITIES: Final[Mapping[str, Kind]] = {
-    name: Kind(row["unit"], Severity(row["differs"]) if "differs" in row else None,
-               row.get("mirrored", 0), row.get("whole", False))
-    for name, row in FIELDS["quantities"].items()
-}  # fmt: skip
+QUANTITIES: Final[Mapping[str, QuantityKind]] = {
+    name: QuantityKind(
+        row["unit"],
+        Severity(row["differs"]) if "differs" in row else None,
+        row.get("mirrored", 0),
+        row.get("whole", False),
+    )
+    for name, row in FIELD_TABLE["quantities"].items()
+}
 
 
-def kind_of(quantity: str) -> Kind:
+def find_quantity_kind(quantity: str) -> QuantityKind:
     """Returns what a quantity is; what is none of ``QUANTITIES`` is a scale of what is observed."""
-    return QUANTITIES.get(quantity, Kind("1", Severity.ERROR, 0, whole=True))
+    return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
 
-KEYS: Final[Mapping[str, Mapping[str, str]]] = {
-    form: {key: name for name, row in FIELDS["quantities"].items() for key in row.get(form, ())}
+FORMAT_KEYS: Final[Mapping[str, Mapping[str, str]]] = {
+    form: {
+        key: name for name, row in FIELD_TABLE["quantities"].items() for key in row.get(form, ())
+    }
     for form in ("table", "settings", "actuator")
 }
 """{format: {what it calls it: quantity}}."""
@@ -179,8 +185,17 @@ class Source:
 
     def fact(self, said: Statement, joint: str = "") -> Fact:
         """Returns a statement as one of a joint of the robot; of itself as a whole, if of none."""
-        return Fact(self.name, joint, said.quantity, said.value, kind_of(said.quantity).unit,
-                    said.place.path, said.expression, said.implied, said.decimals)  # fmt: skip
+        return Fact(
+            self.name,
+            joint,
+            said.quantity,
+            said.value,
+            find_quantity_kind(said.quantity).unit,
+            said.place.path,
+            said.expression,
+            said.implied,
+            said.decimals,
+        )
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
@@ -218,13 +233,13 @@ class Reader(Protocol):
 
 
 @cache
-def readers() -> tuple[Reader, ...]:
+def load_readers() -> tuple[Reader, ...]:
     """Returns all readers, our own first."""
     from importlib.metadata import entry_points
 
     own = Path(__file__).parent / "readers"
     names = {f"{__package__}.readers.{path.stem}" for path in own.glob("[a-z]*.py")}
-    others = [point.module for point in entry_points(group=GROUP)]
+    others = [point.module for point in entry_points(group=ENTRY_POINT_GROUP)]
     modules: Any = [import_module(name) for name in (*sorted(names), *sorted(others))]
     return tuple(modules)
 
@@ -247,7 +262,7 @@ class Node:
         return replace(self, value=deepcopy(self.value, memo))
 
     @property
-    def there(self) -> bool:
+    def is_present(self) -> bool:
         """Whether it is anything."""
         return self.value is not None
 
@@ -264,10 +279,10 @@ class Node:
             node = node.table.get(key, Node(None, node.place))
         return node
 
-    def first(self, names: str) -> Node:
-        """Returns the first of several that is below it: of ``NAMES``."""
-        found = (self.get(*one.split(".")) for one in NAMES[names])
-        return next((one for one in found if one.there), Node(None, self.place))
+    def find_first(self, names: str) -> Node:
+        """Returns the first of several that is below it: of ``KEY_ALIASES``."""
+        found = (self.get(*one.split(".")) for one in KEY_ALIASES[names])
+        return next((one for one in found if one.is_present), Node(None, self.place))
 
     @property
     def number(self) -> float | None:
@@ -283,7 +298,7 @@ class Node:
     @property
     def items(self) -> list[Node]:
         """It as a list; itself alone if it is none."""
-        return self.value if isinstance(self.value, list) else [self] * self.there
+        return self.value if isinstance(self.value, list) else [self] * self.is_present
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -291,33 +306,40 @@ class Node:
         found = tuple(one.value for one in self.items)
         return found if all(isinstance(one, str) and one for one in found) else ()
 
-    def state(self, quantity: str, joint: str = "", **where: Any) -> Statement:
+    def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
         """Returns its statement: a number, or an expression that is none."""
         number = self.number
         shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
-        return Statement(quantity, number, self.place, joint, decimals=self.decimals,
-                         expression="" if number is not None else shown, **where)  # fmt: skip
+        return Statement(
+            quantity,
+            number,
+            self.place,
+            joint,
+            decimals=self.decimals,
+            expression="" if number is not None else shown,
+            **where,
+        )
 
-    def per_joint(self, quantity: str, joints: Iterable[str] = ()) -> Iterator[Statement]:
+    def make_statements(self, quantity: str, joints: Iterable[str] = ()) -> Iterator[Statement]:
         """Yields statements of a number for all, a list by index, or a table by name or pattern.
 
         Args:
             quantity: Which; of a source as a whole there is one statement, if it is a number.
             joints: Patterns of those that a number alone is of; all, if empty.
         """
-        if kind_of(quantity).whole:
+        if find_quantity_kind(quantity).is_setting:
             if self.number is not None:
-                yield self.state(quantity)
+                yield self.make_statement(quantity)
         elif isinstance(self.value, dict):
             for name, node in self.value.items():
-                if node.there:
-                    yield node.state(quantity, str(name))
+                if node.is_present:
+                    yield node.make_statement(quantity, str(name))
         elif isinstance(self.value, list):
             for index, node in enumerate(self.value):
-                yield node.state(quantity, index=index, count=len(self.value))
-        elif self.there:
+                yield node.make_statement(quantity, index=index, count=len(self.value))
+        elif self.is_present:
             for pattern in list(joints) or [".*"]:
-                yield self.state(quantity, pattern)
+                yield self.make_statement(quantity, pattern)
 
 
 # Files of YAML and JSON, each value with its line.
@@ -329,7 +351,7 @@ _FLOAT = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 _WRITTEN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 
 
-def read_marked(path: Path, text: str) -> list[Node]:
+def read_yaml_nodes(path: Path, text: str) -> list[Node]:
     """Returns the documents of a YAML, of which JSON is a part.
 
     Tags are no types: a list of whatever tag is a list. An alias is what it stands for. Weights of
@@ -341,7 +363,7 @@ def read_marked(path: Path, text: str) -> list[Node]:
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         documents = list(yaml.compose_all(text, Loader=loader))
-        left = [MOST]
+        left = [MAX_VALUES]
         return [_node(path, one, left) for one in documents if one is not None]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -356,7 +378,7 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:
-        raise make_file_error(place, diagnose("contract-too-much", most=MOST))
+        raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
     if isinstance(node, yaml.MappingNode):
         found, merged = dict[str, Node](), dict[str, Node]()
         for key, value in node.value:
@@ -375,10 +397,10 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
     if isinstance(node, yaml.SequenceNode):
         return Node([_node(path, one, left) for one in node.value], place)
     quoted = node.style in ("'", '"', "|", ">")
-    return Node(str(node.value), place) if quoted else scalar(str(node.value), place)
+    return Node(str(node.value), place) if quoted else parse_scalar(str(node.value), place)
 
 
-def scalar(said: str, place: Place) -> Node:
+def parse_scalar(said: str, place: Place) -> Node:
     """Returns what a text without quotes is: nothing, a truth, a number, or a text."""
     if said.lower() in ("", "~", "null"):
         return Node(None, place)
@@ -386,13 +408,13 @@ def scalar(said: str, place: Place) -> Node:
         return Node(said.lower() == "true", place)
     if len(said) <= 64 and _FLOAT.match(said):
         plain = said.replace("_", "")
-        return Node(float(plain), place, decimals_of(plain))
+        return Node(float(plain), place, count_decimals(plain))
     if said.lower() in (".inf", "-.inf", "inf", "-inf"):
         return Node(float(said.replace(".", "")), place, 0)
     return Node(said, place)
 
 
-def decimals_of(text: str) -> int:
+def count_decimals(text: str) -> int:
     """Returns the digits after the point of a number as it is written; with its exponent."""
     found = _WRITTEN.fullmatch(text.replace("_", ""))
     return 0 if found is None else max(0, len(found[1]) - int(found[2] or 0))

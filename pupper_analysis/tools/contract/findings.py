@@ -13,19 +13,27 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Kind, Role, Statement, kind_of
+from pupper_analysis.tools.contract.facts import (
+    QUANTITIES,
+    Fact,
+    QuantityKind,
+    Role,
+    Statement,
+    find_quantity_kind,
+)
 from pupper_analysis.tools.contract.orders import (
-    Joints,
-    Placed,
-    like_mirror,
-    observed,
+    PlacedSource,
+    RobotJoints,
+    is_mirror_image,
+    list_observations,
 )
 
 _SAME = 2e-6
 """Relative: what single precision and seven printed digits leave of a number."""
 
-_TOLERANCES = {kind: getattr(Tolerances(), kind)
-               for kind in ("effort", "velocity", "damping", "friction")}  # fmt: skip
+_TOLERANCES = {
+    kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
+}
 
 _LIMITS = ("lower limit", "upper limit")
 
@@ -100,7 +108,9 @@ class Pose(Result):
     problem: Diagnostic | None
 
 
-def find_all(placed: Sequence[Placed], model: Joints) -> tuple[Disagreement, ...]:
+def find_disagreements(
+    placed: Sequence[PlacedSource], model: RobotJoints
+) -> tuple[Disagreement, ...]:
     """Returns what differs, the worst first.
 
     Args:
@@ -110,7 +120,7 @@ def find_all(placed: Sequence[Placed], model: Joints) -> tuple[Disagreement, ...
     found = [*_orders(placed), *_observations(placed)]
     every = [*QUANTITIES, *(what for one in placed for what, _ in one.facts)]
     for quantity in dict.fromkeys(every):
-        kind = kind_of(quantity)
+        kind = find_quantity_kind(quantity)
         if kind.severity is not None:
             found += _of_quantity(quantity, kind, placed, ("", *model.order))
             if kind.mirrored:
@@ -120,7 +130,7 @@ def find_all(placed: Sequence[Placed], model: Joints) -> tuple[Disagreement, ...
     return tuple(sorted(kept, key=lambda one: one.severity.rank))
 
 
-def agree(one: Fact, two: Fact) -> bool:
+def facts_agree(one: Fact, two: Fact) -> bool:
     """Whether two numbers are one: the same, or the one rounded from the other, worked out.
 
     What models state is held as near as ``crosscheck`` holds them.
@@ -140,22 +150,22 @@ def agree(one: Fact, two: Fact) -> bool:
     return False
 
 
-Sides = tuple[Fact, Fact]
+FactPair = tuple[Fact, Fact]
 """What two sources state; the first is held to be meant."""
 
 
 def _of_quantity(
-    quantity: str, kind: Kind, placed: Sequence[Placed], joints: tuple[str, ...]
+    quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
     """Yields in what each source differs from the first that states a joint's number."""
-    pairs: dict[tuple[Role, Role, str, str], dict[str, Sides]] = {}
+    pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
         stated = ((one.source.role, one.facts.get((quantity, joint))) for one in placed)
         stating = [(role, said) for role, said in stated if said and said.value is not None]
         for role, two in stating[1:]:
             first, one = stating[0]
             bounded = quantity != "effort" or math.isfinite(max(one.number, two.number))
-            if bounded and not agree(one, two):
+            if bounded and not facts_agree(one, two):
                 key = (first, role, one.source, two.source)
                 pairs.setdefault(key, {})[joint] = (one, two)
     for (first, other, *_), differing in pairs.items():
@@ -165,7 +175,7 @@ def _of_quantity(
 
 
 def _grouped(
-    quantity: str, kind: Kind, differing: dict[str, Sides], asks: bool
+    quantity: str, kind: QuantityKind, differing: dict[str, FactPair], asks: bool
 ) -> Iterator[Disagreement]:
     """Yields findings of two sources: one of an order, or one for each pair of values."""
     joints = list(differing)
@@ -173,9 +183,14 @@ def _grouped(
     swapped = _exchange(differing)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
-        message = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
-                        pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
-                        file=two.source, other=one.source)  # fmt: skip
+        message = diagnose(
+            "contract-exchanged",
+            what=Term(quantity),
+            joints=tuple(joints),
+            pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
+            file=two.source,
+            other=one.source,
+        )
         yield _finding(quantity, message, (one, two), kind, joints=joints, slip="order")
         return
     groups: dict[tuple[float, float], list[str]] = {}
@@ -191,14 +206,27 @@ def _grouped(
         meant = asks and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
         what = Term(quantity) if quantity in QUANTITIES else quantity
-        message = diagnose("contract-differs", subject=("joint", head) if head else None,
-                        what=what, others=tuple(members[1:]),
-                        one=Quantity(one.number, kind.unit), two=Quantity(two.number, kind.unit),
-                        first=one.source, second=two.source,
-                        sign=slip == "sign" or None, unit=unit or None)  # fmt: skip
-        yield _finding(quantity, message, (one, two),
-                       kind._replace(severity=None) if meant or near else kind, joints=members,
-                       slip=slip, effects=_effects(quantity, a, b))  # fmt: skip
+        message = diagnose(
+            "contract-differs",
+            subject=("joint", head) if head else None,
+            what=what,
+            others=tuple(members[1:]),
+            one=Quantity(one.number, kind.unit),
+            two=Quantity(two.number, kind.unit),
+            first=one.source,
+            second=two.source,
+            sign=slip == "sign" or None,
+            unit=unit or None,
+        )
+        yield _finding(
+            quantity,
+            message,
+            (one, two),
+            kind._replace(severity=None) if meant or near else kind,
+            joints=members,
+            slip=slip,
+            effects=_effects(quantity, a, b),
+        )
 
 
 _NEAR = 0.02
@@ -207,7 +235,7 @@ _NEAR = 0.02
 _ANGLES = ("default angle", "action offset")
 
 
-def _exchange(differing: dict[str, Sides]) -> dict[str, str]:
+def _exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     """Returns {joint: whose number it has}, if all that differs is whose each number is."""
     a, b = (Counter(round(both[side].number, 6) for both in differing.values()) for side in (0, 1))
     # If each number is the other's, with the other sign, signs are exchanged, and not sides.
@@ -217,9 +245,9 @@ def _exchange(differing: dict[str, Sides]) -> dict[str, str]:
         return {}
     left, found = list(differing), {}
     for joint, (one, two) in differing.items():
-        fits = [each for each in left if each != joint and agree(differing[each][0], two)]
+        fits = [each for each in left if each != joint and facts_agree(differing[each][0], two)]
         # Those that changed places with each other before all others.
-        both = [each for each in fits if agree(differing[each][1], one)]
+        both = [each for each in fits if facts_agree(differing[each][1], one)]
         if not fits:
             return {}
         found[joint] = (both or fits)[0]
@@ -259,21 +287,30 @@ def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
 def _finding(
     what: str,
     message: Diagnostic,
-    sides: Sides,
-    kind: Kind,
+    sides: FactPair,
+    kind: QuantityKind,
     *,
     joints: Iterable[str] = (),
     slip: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
-    names, values, places = zip(*((one.source, one.value, one.place) for one in sides),
-                                strict=True)  # fmt: skip
-    return Disagreement(what, slip, tuple(filter(None, joints)), names, values, kind.unit,
-                        kind.severity or Severity.NOTE, message, places, effects)  # fmt: skip
+    names, values, places = zip(*((one.source, one.value, one.place) for one in sides), strict=True)
+    return Disagreement(
+        what,
+        slip,
+        tuple(filter(None, joints)),
+        names,
+        values,
+        kind.unit,
+        kind.severity or Severity.NOTE,
+        message,
+        places,
+        effects,
+    )
 
 
 def _mirrored(
-    quantity: str, kind: Kind, placed: Sequence[Placed], model: Joints
+    quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], model: RobotJoints
 ) -> Iterator[Disagreement]:
     """Yields where a source has another number left than right: it contradicts itself."""
     for source, pair in product(placed, find_mirror_pairs(model.order)):
@@ -282,54 +319,85 @@ def _mirrored(
         if one is None or two is None or (one.implied and two.implied):
             continue
         sign = model.mirrored_sign(*pair) if kind.mirrored < 0 else 1
-        if not like_mirror(one.value, two.value, sign):
-            message = diagnose("contract-mirror", subject=("joint", pair[0]), what=Term(quantity),
-                            mirror=pair[1], one=Quantity(one.number, kind.unit),
-                            two=Quantity(two.number, kind.unit), file=one.source,
-                            wanted=Quantity(sign * one.number, kind.unit))  # fmt: skip
-            yield _finding(quantity, message, (one, two), kind._replace(severity=Severity.WARNING),
-                           joints=pair, slip="mirror")  # fmt: skip
+        if not is_mirror_image(one.value, two.value, sign):
+            message = diagnose(
+                "contract-mirror",
+                subject=("joint", pair[0]),
+                what=Term(quantity),
+                mirror=pair[1],
+                one=Quantity(one.number, kind.unit),
+                two=Quantity(two.number, kind.unit),
+                file=one.source,
+                wanted=Quantity(sign * one.number, kind.unit),
+            )
+            yield _finding(
+                quantity,
+                message,
+                (one, two),
+                kind._replace(severity=Severity.WARNING),
+                joints=pair,
+                slip="mirror",
+            )
 
 
-def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
+def _orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yields where what feeds a policy has its joints in another order than another that does."""
     # What was assumed is nobody's; what says which motor each joint is may have any order.
-    feeding = [one for one in placed if one.source.role is not Role.MODEL and one.order
-               and one.how != "assumed" and (one.facts or one.source.motors)]  # fmt: skip
+    feeding = [
+        one
+        for one in placed
+        if one.source.role is not Role.MODEL
+        and one.order
+        and one.how != "assumed"
+        and (one.facts or one.source.motors)
+    ]
     for first, other in ((feeding[0], one) for one in feeding[1:]):
-        moved = {one: f"{first.order.index(one)} → {other.order.index(one)} ({one})"
-                 for one, two in zip(first.order, other.order, strict=False)
-                 if one != two and one in other.order}  # fmt: skip
+        moved = {
+            one: f"{first.order.index(one)} → {other.order.index(one)} ({one})"
+            for one, two in zip(first.order, other.order, strict=False)
+            if one != two and one in other.order
+        }
         mapped = first.source.motors and other.source.motors
         if moved and not mapped and set(first.order) == set(other.order):
-            message = diagnose("contract-order", first=first.source.name, second=other.source.name,
-                            count=len(moved), moved=tuple(moved.values())[:6],
-                            more=max(0, len(moved) - 6) or None)  # fmt: skip
-            sides = [one.fact(Statement("order", None, one.order_place or Place(one.path)))
-                     for one in (first.source, other.source)]  # fmt: skip
-            yield _finding("order", message, (sides[0], sides[1]), _ORDER, joints=moved,
-                           slip="order")  # fmt: skip
+            message = diagnose(
+                "contract-order",
+                first=first.source.name,
+                second=other.source.name,
+                count=len(moved),
+                moved=tuple(moved.values())[:6],
+                more=max(0, len(moved) - 6) or None,
+            )
+            sides = [
+                one.fact(Statement("order", None, one.order_place or Place(one.path)))
+                for one in (first.source, other.source)
+            ]
+            yield _finding(
+                "order", message, (sides[0], sides[1]), _ORDER, joints=moved, slip="order"
+            )
 
 
-def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
+def _observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yields where two sources observe the same things in another order."""
     stating = [one.source for one in placed if one.source.observations]
     for first, other in ((stating[0], one) for one in stating[1:]):
-        mine, theirs = observed(first), observed(other)
+        mine, theirs = list_observations(first), list_observations(other)
         here = tuple(name for name in mine if name in theirs)
         there = tuple(name for name in theirs if name in mine)
         if here != there:
-            message = diagnose("contract-observed-order", one=here, two=there, first=first.name,
-                            second=other.name)  # fmt: skip
-            sides = [one.fact(Statement("observations", None, one.observations[0][2]))
-                     for one in (first, other)]  # fmt: skip
+            message = diagnose(
+                "contract-observed-order", one=here, two=there, first=first.name, second=other.name
+            )
+            sides = [
+                one.fact(Statement("observations", None, one.observations[0][2]))
+                for one in (first, other)
+            ]
             yield _finding("observations", message, (sides[0], sides[1]), _ORDER, slip="order")
 
 
-_ORDER = Kind("", Severity.ERROR, 0, whole=True)
+_ORDER = QuantityKind("", Severity.ERROR, 0, is_setting=True)
 
 
-def pose_effects(
+def add_height_effects(
     findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
 ) -> tuple[Disagreement, ...]:
     """Adds to findings of default angles how far apart the robot stands in both."""

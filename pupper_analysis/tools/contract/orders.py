@@ -13,11 +13,18 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.pairs import match_without_affixes
-from pupper_analysis.tools.contract.facts import CALLED, QUANTITIES, Fact, Role, Source, Statement
+from pupper_analysis.tools.contract.facts import (
+    OBSERVATION_ALIASES,
+    QUANTITIES,
+    Fact,
+    Role,
+    Source,
+    Statement,
+)
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedSource:
     """A source whose statements are each of a joint of the robot.
 
     Attributes:
@@ -40,29 +47,32 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Joints:
+class RobotJoints:
     """The joints by which all is ordered.
 
     Attributes:
         model: The robot.
         order: Its joints, in the order of its file.
-        given: {a source's name: joint}, as the user says.
+        user_names: {a source's name: joint}, as the user says.
     """
 
     model: RobotModel
     order: tuple[str, ...]
-    given: Mapping[str, str]
+    user_names: Mapping[str, str]
 
     @property
     def by_depth(self) -> tuple[str, ...]:
         """The joints by their depth in the tree, as Isaac Lab has them."""
-        above = {name: list(self.model.ancestors(one.child))
-                 for name, one in self.model.joints.items()}  # fmt: skip
-        return tuple(sorted(depth_first(self.model), key=lambda name: len(above[name])))
+        above = {
+            name: list(self.model.ancestors(one.child)) for name, one in self.model.joints.items()
+        }
+        return tuple(sorted(list_depth_first(self.model), key=lambda name: len(above[name])))
 
-    def named(self, names: Sequence[str]) -> dict[str, str]:
+    def match_names(self, names: Sequence[str]) -> dict[str, str]:
         """Returns {a source's name: the joint it means}: as given, the same, or but for affixes."""
-        pairs = {name: self.given[name] for name in names if self.given.get(name) in self.order}
+        pairs = {
+            name: self.user_names[name] for name in names if self.user_names.get(name) in self.order
+        }
         pairs |= {name: name for name in names if name in self.order and name not in pairs}
         return {**pairs, **match_without_affixes(names, self.order, pairs)}
 
@@ -84,14 +94,14 @@ _PARALLEL = 0.95
 """Least |cosine| between an axis and the mirrored one of the other side."""
 
 
-def depth_first(model: RobotModel) -> tuple[str, ...]:
+def list_depth_first(model: RobotModel) -> tuple[str, ...]:
     """Returns a model's joints limb by limb, as MuJoCo and Isaac Gym have them."""
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
     return tuple(joint.name for link in links for joint in link.joints if joint.moves)
 
 
-def place_source(source: Source, model: Joints, others: Sequence[Source]) -> Placed:
+def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
     """Returns of which joint each statement is.
 
     Args:
@@ -102,11 +112,14 @@ def place_source(source: Source, model: Joints, others: Sequence[Source]) -> Pla
     asked = dict.fromkeys(one.joint for one in source.statements if one.joint)
     plain = [one for one in asked if _PLAIN.fullmatch(one) or not is_pattern(one)]
     names = list(dict.fromkeys((*source.order, *plain)))
-    known = model.named(names)
+    known = model.match_names(names)
     order, how, assumed = _order(source, model, others, known)
     reverse = {joint: name for name, joint in known.items()}
-    seen = {f"observation {CALLED.get(name, name)}": (scale, place)
-            for name, scale, place in source.observations if scale is not None}  # fmt: skip
+    seen = {
+        f"observation {OBSERVATION_ALIASES.get(name, name)}": (scale, place)
+        for name, scale, place in source.observations
+        if scale is not None
+    }
     facts = {(what, ""): source.fact(Statement(what, *said)) for what, said in seen.items()}
     unread: dict[str, int] = {}
     for one in source.statements:
@@ -118,24 +131,40 @@ def place_source(source: Source, model: Joints, others: Sequence[Source]) -> Pla
         elif one.joint in known or not one.joint:
             theirs = [known.get(one.joint, "")]
         else:
-            theirs = [joint for joint in model.order if matches(one.joint, joint)
-                      or matches(one.joint, reverse.get(joint, joint))]  # fmt: skip
+            theirs = [
+                joint
+                for joint in model.order
+                if matches_name(one.joint, joint)
+                or matches_name(one.joint, reverse.get(joint, joint))
+            ]
         facts |= {(one.quantity, joint): source.fact(one, joint) for joint in theirs}
     step, many = (facts.get((what, "")) for what in ("time step", "decimation"))
     if step and many and step.number * many.number:
-        many = replace(many, quantity="policy step", unit=step.unit, decimals=None,
-                       value=step.number * many.number)  # fmt: skip
+        many = replace(
+            many,
+            quantity="policy step",
+            unit=step.unit,
+            decimals=None,
+            value=step.number * many.number,
+        )
         facts.setdefault(("policy step", ""), many)
-    notes = [diagnose("contract-list-unread", file=source.name, what=Term(quantity), count=count,
-                      joints=len(order) or len(model.order))
-             for quantity, count in unread.items()]  # fmt: skip
+    notes = [
+        diagnose(
+            "contract-list-unread",
+            file=source.name,
+            what=Term(quantity),
+            count=count,
+            joints=len(order) or len(model.order),
+        )
+        for quantity, count in unread.items()
+    ]
     unknown = tuple(name for name in names if name not in known)
-    return Placed(source, facts, order, how, known, unknown, (*assumed, *notes))
+    return PlacedSource(source, facts, order, how, known, unknown, (*assumed, *notes))
 
 
-def observed(source: Source) -> list[str]:
+def list_observations(source: Source) -> list[str]:
     """Returns what a policy observes, in order, by one library's names."""
-    return [CALLED.get(name, name) for name, _, _ in source.observations]
+    return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 
 _PLAIN = re.compile(r"[\w/\- ]+")
@@ -143,7 +172,7 @@ _PLAIN = re.compile(r"[\w/\- ]+")
 
 
 def _order(
-    source: Source, model: Joints, others: Sequence[Source], known: Mapping[str, str]
+    source: Source, model: RobotJoints, others: Sequence[Source], known: Mapping[str, str]
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
     """Returns the joints in the order of a source's lists, how that is known, and notes."""
     if source.order:
@@ -152,11 +181,11 @@ def _order(
     sizes = {len(source.motors)} if source.motors else lists
     motors = next(filter(None, map(_motor_names, others)), {})
     if source.motors and set(source.motors) <= set(motors):
-        names = model.named(list(motors.values()))
+        names = model.match_names(list(motors.values()))
         return tuple(names.get(motors[one], "") for one in source.motors), "motors", []
     policies = [one for one in others if one.role is Role.POLICY and len(one.order) in sizes]
     if policies and source.role is Role.DEPLOYMENT:  # it runs that policy
-        names = model.named(policies[0].order)
+        names = model.match_names(policies[0].order)
         return tuple(names.get(name, "") for name in policies[0].order), "policy", []
     if len(model.order) not in sizes:
         return (), "", []
@@ -167,29 +196,36 @@ def _order(
     # That in which left and right are least unlike: a list in another order is like no mirror.
     wrong = {one: _unlike(one, source, model) for one in dict.fromkeys(kept[::-1])}
     order = min(wrong, key=wrong.__getitem__)
-    if wrong[order] > MOST_UNLIKE:
+    if wrong[order] > MAX_UNLIKE_FRACTION:
         return (), "", []
     of_file = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     by_depth = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
     return order, "assumed", [of_file if order == model.order else by_depth]
 
 
-MOST_UNLIKE = 1 / 3
+MAX_UNLIKE_FRACTION = 1 / 3
 """Share of the pairs of left and right whose numbers may be unlike in an order that is assumed."""
 
 
-def _unlike(order: tuple[str, ...], source: Source, model: Joints) -> float:
+def _unlike(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:
     """Returns the share of pairs of left and right that a source's lists contradict in an order."""
-    said = {(one.quantity, order[one.index]): one.value for one in source.statements
-            if one.index is not None and one.count == len(order)}  # fmt: skip
+    said = {
+        (one.quantity, order[one.index]): one.value
+        for one in source.statements
+        if one.index is not None and one.count == len(order)
+    }
     signs = {pair: (1, model.mirrored_sign(*pair)) for pair in find_mirror_pairs(order)}
-    alike = [like_mirror(said[what, one], said[what, two], sign[kind.mirrored < 0])
-             for what, kind in QUANTITIES.items() if kind.mirrored
-             for (one, two), sign in signs.items() if (what, one) in said]  # fmt: skip
+    alike = [
+        is_mirror_image(said[what, one], said[what, two], sign[kind.mirrored < 0])
+        for what, kind in QUANTITIES.items()
+        if kind.mirrored
+        for (one, two), sign in signs.items()
+        if (what, one) in said
+    ]
     return alike.count(False) / max(1, len(alike))
 
 
-def like_mirror(one: float | None, two: float | None, sign: int) -> bool:
+def is_mirror_image(one: float | None, two: float | None, sign: int) -> bool:
     """Whether two numbers are each other's mirror image, or nobody knows."""
     if one is None or two is None or not sign:
         return True
@@ -203,7 +239,7 @@ def _motor_names(source: Source) -> dict[int, str]:
     return dict(enumerate(source.motor_names))
 
 
-def matches(pattern: str, name: str) -> bool:
+def matches_name(pattern: str, name: str) -> bool:
     """Whether a joint's name is a name, or matches all of a regular expression."""
     if pattern in (name, ".*"):
         return True

@@ -20,7 +20,7 @@ from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.tools.contract.findings import Pose
-from pupper_analysis.tools.contract.orders import Placed
+from pupper_analysis.tools.contract.orders import PlacedSource
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _PART = 0.5
 
 
 def stand_poses(
-    models: Sequence[Path], placed: Sequence[Placed], joints: tuple[str, ...]
+    models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
     """Returns how the robot stands in each source's default pose, each once; and notes.
 
@@ -39,10 +39,13 @@ def stand_poses(
         joints: The joints by which they are ordered.
     """
     stating = {
-        one: {joint: said.number for (what, joint), said in one.facts.items()
-              if what == "default angle" and said.value is not None}
+        one: {
+            joint: said.number
+            for (what, joint), said in one.facts.items()
+            if what == "default angle" and said.value is not None
+        }
         for one in placed
-    }  # fmt: skip
+    }
     whole = {one: angles for one, angles in stating.items() if len(angles) >= _PART * len(joints)}
     if not whole:
         return (), []
@@ -67,7 +70,7 @@ def stand_poses(
     return tuple(poses), []
 
 
-def _stated(one: Placed, quantity: str, robot: Robot) -> list[float] | None:
+def _stated(one: PlacedSource, quantity: str, robot: Robot) -> list[float] | None:
     """Returns a source's gains or limits (nu,), if it states them of all joints."""
     stated = [one.facts.get((quantity, joint)) for joint in robot.joint_names]
     values = [None if said is None else said.value for said in stated]
@@ -87,10 +90,12 @@ def _stood(
     pose = np.array([angles.get(joint, mine[joint]) for joint in robot.joint_names])
     there = Configuration(robot, robot.posed(pose))
     lowest = [
-        min(float(there.foot_positions()[point][2]) - robot.contact_radius[point]
-            for point in points)
+        min(
+            float(there.foot_positions()[point][2]) - robot.contact_radius[point]
+            for point in points
+        )
         for points in robot.feet.values()
-    ]  # fmt: skip
+    ]
     height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)

@@ -2,8 +2,8 @@
 
 Constants, names, lists, tables, dataclasses, classes of settings with their bases, arithmetic,
 loops over what is known, and functions that take nothing that is not known; modules within the
-folders that were given. All else is an ``Unknown``, with the expression as it stands; and what a
-statement would change that depends on such is one, too.
+folders that were given. All else is an ``UnknownValue`` with the text of the
+expression, as is each variable that an unsupported statement would change.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from typing import Any, Final, cast
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import is_input, read_text
 from pupper_analysis.models.places import Place, make_file_error
-from pupper_analysis.tools.contract.facts import MOST, Node, decimals_of
+from pupper_analysis.tools.contract.facts import MAX_VALUES, Node, count_decimals
 
-MOST_BITS: Final = 1_000
+MAX_INTEGER_BITS: Final = 1_000
 """Of a whole number: others grow without bound where they are multiplied in a loop."""
 
-DEEPEST: Final = 40
+MAX_CALL_DEPTH: Final = 40
 """Calls within calls; Python's own limit is some 200 of ours."""
 
 
 @dataclass(eq=False)
-class Named:
+class NamedValue:
     """What is no plain value, and has a name: an instance's copy has the same ones."""
 
     name: str
@@ -42,16 +42,16 @@ class Named:
     def __str__(self) -> str:
         return self.name
 
-    def __deepcopy__(self, _: object) -> Named:
+    def __deepcopy__(self, _: object) -> NamedValue:
         return self
 
 
-class Unknown(Named):
+class UnknownValue(NamedValue):
     """What is no constant: an expression, or a name that is imported from elsewhere."""
 
 
 @dataclass(eq=False)
-class Function(Named):
+class FunctionValue(NamedValue):
     """A function, with the names that it knows besides its own; a method with whose it is."""
 
     node: ast.FunctionDef | ast.Lambda
@@ -60,16 +60,16 @@ class Function(Named):
 
 
 @dataclass(eq=False)
-class Class(Named):
+class ClassValue(NamedValue):
     """A class; ``fields`` are its own and its bases', ``ordered`` the names of its annotations."""
 
-    bases: list[Class]
+    bases: list[ClassValue]
     fields: dict[str, Node]
     ordered: list[str]
 
 
 @dataclass(eq=False)
-class Instance:
+class InstanceValue:
     """What a call of a class makes.
 
     Attributes:
@@ -80,13 +80,13 @@ class Instance:
 
     kind: str
     fields: dict[str, Node] = field(default_factory=dict)
-    of: Class | None = None
+    of: ClassValue | None = None
 
     def __str__(self) -> str:
         return f"{self.kind}(...)"
 
 
-class Module(UserDict[str, Node]):
+class ModuleNames(UserDict[str, Node]):
     """The names of a module, which fill as it is read."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
@@ -99,12 +99,12 @@ Scope = ChainMap[str, Node]
 """The names that are known at a place, innermost first; the last are its module's."""
 
 
-def module_of(scope: Scope) -> Module:
+def get_module(scope: Scope) -> ModuleNames:
     """Returns the module that a place is in."""
-    return cast(Module, scope.maps[-1])
+    return cast(ModuleNames, scope.maps[-1])
 
 
-class Lost(Exception):  # noqa: N818 - none of these is an error
+class NotConstantError(Exception):
     """What an expression comes to is not known."""
 
 
@@ -122,21 +122,55 @@ class _Next(Exception):  # noqa: N818
 
 
 _OPERATORS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
-    ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
     # As floats where whole numbers could grow without bound.
     ast.Pow: lambda a, b: float(a) ** b,
-    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
-    ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not,
-    ast.In: lambda a, b: a in b, ast.NotIn: lambda a, b: a not in b,
-}  # fmt: skip
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+    ast.In: lambda a, b: a in b,
+    ast.NotIn: lambda a, b: a not in b,
+}
 _PURE: Final[Mapping[str, Callable[..., Any]]] = {
-    **{name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "radians", "degrees",
-                                              "exp", "log", "atan2", "floor", "ceil")},
-    "deg2rad": math.radians, "rad2deg": math.degrees, "float": float, "int": int, "abs": abs,
-    "round": round, "min": min, "max": max, "square": lambda x: x * x, "len": len, "range": range,
+    **{
+        name: getattr(math, name)
+        for name in (
+            "sqrt",
+            "sin",
+            "cos",
+            "tan",
+            "radians",
+            "degrees",
+            "exp",
+            "log",
+            "atan2",
+            "floor",
+            "ceil",
+        )
+    },
+    "deg2rad": math.radians,
+    "rad2deg": math.degrees,
+    "float": float,
+    "int": int,
+    "abs": abs,
+    "round": round,
+    "min": min,
+    "max": max,
+    "square": lambda x: x * x,
+    "len": len,
+    "range": range,
     "sorted": sorted,
-}  # fmt: skip
+}
 """Functions of plain values."""
 _ROWS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
 """Functions of lists, whatever these hold."""
@@ -164,11 +198,11 @@ class Evaluator:
 
     def __init__(self, folders: tuple[Path, ...] = ()) -> None:
         self.folders = folders
-        self.modules: dict[Path, Module] = {}
+        self.modules: dict[Path, ModuleNames] = {}
         self.shown = Path()
         self.steps, self.depth = 0, 0
 
-    def module(self, path: Path) -> Module:
+    def module(self, path: Path) -> ModuleNames:
         """Returns a module; one that is being read is as far as it is: imports may go in circles.
 
         Raises:
@@ -188,7 +222,7 @@ class Evaluator:
             raise make_file_error(Place(path, error.lineno), message) from error
         except (MemoryError, ValueError) as error:
             raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
-        made = self.modules[path] = Module(path, re.split("\r\n?|\n", text))
+        made = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
         with suppress(_Leave, _Next, _Return):
             self.run(tree.body, Scope(made))
         return made
@@ -201,17 +235,17 @@ class Evaluator:
             self._count(one, scope)
             try:
                 getattr(self, f"_do_{type(one).__name__.lower()}", self._lose)(one, scope)
-            except Lost:
+            except NotConstantError:
                 self._forget(one, scope)
 
     def _count(self, node: ast.AST, scope: Scope) -> None:
         self.steps += 1
-        if self.steps > MOST:
+        if self.steps > MAX_VALUES:
             place = self._place(node, scope)
-            raise make_file_error(place, diagnose("contract-too-much", most=MOST))
+            raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
 
     def _lose(self, *_: object) -> None:
-        raise Lost
+        raise NotConstantError
 
     def _do_assign(self, one: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
         if one.value is not None:
@@ -259,13 +293,15 @@ class Evaluator:
         of = scope.get("__class__")
         method = of is not None and scope.maps[0] is of.value.fields
         around = scope.parents if method else scope
-        scope[one.name] = self._node(Function(one.name, one, around), one, scope)
+        scope[one.name] = self._node(FunctionValue(one.name, one, around), one, scope)
 
     def _do_classdef(self, one: ast.ClassDef, scope: Scope) -> None:
         bases = [self.value(base, scope).value for base in one.bases]
-        known = [base for base in bases if isinstance(base, Class)]
+        known = [base for base in bases if isinstance(base, ClassValue)]
         theirs = dict(ChainMap(*(base.fields for base in known)))
-        made = Class(one.name, known, theirs, [name for base in known for name in base.ordered])
+        made = ClassValue(
+            one.name, known, theirs, [name for base in known for name in base.ordered]
+        )
         node = self._node(made, one, scope)
         self.run(one.body, scope.new_child({"__class__": node}).new_child(made.fields))
         for each in one.body:
@@ -277,7 +313,7 @@ class Evaluator:
         for name in one.names:
             shown = name.asname or name.name.split(".")[0]
             found = self._find(scope, name.name if name.asname else shown, 0)
-            self._import({shown: self._node(found or Unknown(shown), one, scope)}, scope)
+            self._import({shown: self._node(found or UnknownValue(shown), one, scope)}, scope)
 
     def _do_importfrom(self, one: ast.ImportFrom, scope: Scope) -> None:
         home: Mapping[str, Node] = self._find(scope, one.module or "", one.level) or {}
@@ -285,18 +321,21 @@ class Evaluator:
             if name.name == "*":
                 self._import(home, scope)
                 continue
-            below = None if name.name in home else self._find(
-                scope, f"{one.module or ''}.{name.name}", one.level)  # fmt: skip
-            lost = self._node(below or Unknown(name.name), one, scope)
+            below = (
+                None
+                if name.name in home
+                else self._find(scope, f"{one.module or ''}.{name.name}", one.level)
+            )
+            lost = self._node(below or UnknownValue(name.name), one, scope)
             self._import({name.asname or name.name: home.get(name.name, lost)}, scope)
 
     def _import(self, names: Mapping[str, Node], scope: Scope) -> None:
         scope.update(names)
-        module_of(scope).imported.update(names)
+        get_module(scope).imported.update(names)
 
-    def _find(self, scope: Scope, dotted: str, level: int) -> Module | None:
+    def _find(self, scope: Scope, dotted: str, level: int) -> ModuleNames | None:
         """Returns an imported module, if it lies in a folder that may be read."""
-        path = module_of(scope).path
+        path = get_module(scope).path
         parts = [part for part in dotted.split(".") if part]
         tops = path.parents[level - 1 : level] if level else (*_tops(path), *self.folders)
         for top in tops:
@@ -313,8 +352,8 @@ class Evaluator:
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
             if stored and isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
                 shown = ast.unparse(said).partition("\n")[0][:80]
-                lost = self._node(Unknown(shown), node, scope)
-                with suppress(Lost):
+                lost = self._node(UnknownValue(shown), node, scope)
+                with suppress(NotConstantError):
                     self._put(cast(ast.expr, node), lost, scope)
 
     def _put(self, to: ast.expr, value: Node, scope: Scope) -> None:
@@ -331,13 +370,13 @@ class Evaluator:
                 if isinstance(held, list | dict):
                     self._apply(operator.setitem, held, self._key(to.slice, scope), value)
             case _:
-                raise Lost
+                raise NotConstantError
 
     def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
         """Returns the fields that an assignment to an attribute goes to."""
         held = self.value(node, scope).value
-        made = held if isinstance(held, Instance | Class) else Instance("")
-        if isinstance(node, ast.Attribute) and isinstance(held, Unknown):
+        made = held if isinstance(held, InstanceValue | ClassValue) else InstanceValue("")
+        if isinstance(node, ast.Attribute) and isinstance(held, UnknownValue):
             # A field of a base that was not read.
             self._owner(node.value, scope)[node.attr] = self._node(made, node, scope)
         return made.fields
@@ -349,20 +388,21 @@ class Evaluator:
         self._count(one, scope)
         try:
             found = getattr(self, f"_of_{type(one).__name__.lower()}", self._lose)(one, scope)
-        except Lost:
-            found = Unknown(ast.unparse(one)[:80])
+        except NotConstantError:
+            found = UnknownValue(ast.unparse(one)[:80])
         return self._node(found, one, scope)
 
     def _node(self, value: Any, one: ast.AST, scope: Scope) -> Node:
         """Returns a value at a place; what it holds is there too, if it has none of its own."""
         if isinstance(value, list | tuple):
-            value = [part if isinstance(part, Node) else self._node(part, one, scope)
-                     for part in value]  # fmt: skip
+            value = [
+                part if isinstance(part, Node) else self._node(part, one, scope) for part in value
+            ]
         known = value if isinstance(value, Node) else Node(value, Place(Path()))
         return replace(known, place=self._place(one, scope))
 
     def _place(self, one: ast.AST, scope: Scope) -> Place:
-        path = module_of(scope).path
+        path = get_module(scope).path
         near = self.shown != Path() and path.is_relative_to(self.shown)
         return Place(path.relative_to(self.shown) if near else path, getattr(one, "lineno", None))
 
@@ -371,58 +411,66 @@ class Evaluator:
         try:
             made = work(*given, **named)
             if isinstance(made, Iterable) and not isinstance(made, str | dict):
-                made = list(islice(made, MOST + 1))
+                made = list(islice(made, MAX_VALUES + 1))
         except (ArithmeticError, ValueError, TypeError, LookupError) as error:
-            raise Lost from error
+            raise NotConstantError from error
         sizes = [len(one) for one in (made, *given) if isinstance(one, str | list | dict)]
         self.steps += sum(sizes)
-        large = isinstance(made, int) and made.bit_length() > MOST_BITS
-        if large or isinstance(made, complex) or max(sizes, default=0) > MOST:
-            raise Lost
+        large = isinstance(made, int) and made.bit_length() > MAX_INTEGER_BITS
+        if large or isinstance(made, complex) or max(sizes, default=0) > MAX_VALUES:
+            raise NotConstantError
         return made
 
     def _truth(self, node: Node) -> bool:
-        if isinstance(node.value, Named | Module):
-            raise Lost
+        if isinstance(node.value, NamedValue | ModuleNames):
+            raise NotConstantError
         return bool(node.value)
 
     def _listed(self, node: Node) -> list[Node]:
         if isinstance(node.value, dict):
             return [Node(key, value.place) for key, value in node.value.items()]
         if not isinstance(node.value, list):
-            raise Lost
+            raise NotConstantError
         return node.value
 
     def _plain(self, node: Node) -> Any:
         """Returns a value with none of its places."""
         self.steps += 1
-        if isinstance(node.value, Unknown) or self.steps > MOST:
-            raise Lost
+        if isinstance(node.value, UnknownValue) or self.steps > MAX_VALUES:
+            raise NotConstantError
         many = isinstance(node.value, list)
         return [self._plain(one) for one in node.value] if many else node.value
 
     def _several(self, every: list[ast.expr], scope: Scope) -> list[Node]:
         """Returns what some expressions are, of which a starred one is as many as it holds."""
-        return [part for one in every for part in (
-                self._listed(self.value(one.value, scope)) if isinstance(one, ast.Starred)
-                else [self.value(one, scope)])]  # fmt: skip
+        return [
+            part
+            for one in every
+            for part in (
+                self._listed(self.value(one.value, scope))
+                if isinstance(one, ast.Starred)
+                else [self.value(one, scope)]
+            )
+        ]
 
     def _key(self, one: ast.expr, scope: Scope) -> Any:
         """Returns a key of a table; of what is not known, what stands there."""
         value = self.value(one, scope).value
-        if not isinstance(value, str | int | float | bool | Unknown):
-            raise Lost
-        return str(value) if isinstance(value, Unknown) else value
+        if not isinstance(value, str | int | float | bool | UnknownValue):
+            raise NotConstantError
+        return str(value) if isinstance(value, UnknownValue) else value
 
     def _of_constant(self, one: ast.Constant, scope: Scope) -> Node:
         digits = None
         if isinstance(one.value, int | float) and not isinstance(one.value, bool):
-            row = module_of(scope).lines[one.lineno - 1].encode()
-            digits = decimals_of(row[one.col_offset : one.end_col_offset].decode(errors="replace"))
+            row = get_module(scope).lines[one.lineno - 1].encode()
+            digits = count_decimals(
+                row[one.col_offset : one.end_col_offset].decode(errors="replace")
+            )
         return Node(one.value, self._place(one, scope), digits)
 
     def _of_name(self, one: ast.Name, scope: Scope) -> Any:
-        return scope.get(one.id) or Unknown(one.id)
+        return scope.get(one.id) or UnknownValue(one.id)
 
     def _of_attribute(self, one: ast.Attribute, scope: Scope) -> Any:
         if isinstance(one.value, ast.Call) and ast.unparse(one.value.func) == "super":
@@ -432,8 +480,8 @@ class Evaluator:
             node = self.value(one.value, scope)
             names = node.table or (_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
         found = self._apply(operator.getitem, names, one.attr)
-        method = isinstance(found, Node) and isinstance(found.value, Function)
-        if method and isinstance(node.value, Instance | Class):
+        method = isinstance(found, Node) and isinstance(found.value, FunctionValue)
+        if method and isinstance(node.value, InstanceValue | ClassValue):
             return replace(found.value, own=node)
         return found
 
@@ -452,7 +500,7 @@ class Evaluator:
     def _of_subscript(self, one: ast.Subscript, scope: Scope) -> Any:
         held = self.value(one.value, scope).value
         if not isinstance(held, list | dict):
-            raise Lost
+            raise NotConstantError
         if not isinstance(one.slice, ast.Slice):
             return self._apply(operator.getitem, held, self._key(one.slice, scope))
         ends = (one.slice.lower, one.slice.upper, one.slice.step)
@@ -465,8 +513,8 @@ class Evaluator:
         joined = added and isinstance(left, list | str)
         repeated = isinstance(one.op, ast.Mult) and isinstance(left, list) and _number(right)
         numbers = _number(left) and _number(right)
-        if not (numbers or joined or (repeated and len(left) * right <= MOST)):
-            raise Lost
+        if not (numbers or joined or (repeated and len(left) * right <= MAX_VALUES)):
+            raise NotConstantError
         return self._apply(_OPERATORS.get(type(one.op), self._lose), left, right)
 
     def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
@@ -474,7 +522,7 @@ class Evaluator:
             return not self._truth(self.value(one.operand, scope))
         held = self.value(one.operand, scope)
         if not _number(held.value) or isinstance(one.op, ast.Invert):
-            raise Lost
+            raise NotConstantError
         sign = -1 if isinstance(one.op, ast.USub) else 1
         return Node(sign * held.value, held.place, held.decimals)
 
@@ -487,7 +535,7 @@ class Evaluator:
 
     def _of_compare(self, one: ast.Compare, scope: Scope) -> Any:
         if len(one.ops) > 1:
-            raise Lost
+            raise NotConstantError
         both = (self._plain(self.value(each, scope)) for each in (one.left, *one.comparators))
         return self._apply(_OPERATORS[type(one.ops[0])], *both)
 
@@ -496,8 +544,8 @@ class Evaluator:
             one.body if self._truth(self.value(one.test, scope)) else one.orelse, scope
         )
 
-    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> Function:
-        return Function("lambda", one, scope)
+    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> FunctionValue:
+        return FunctionValue("lambda", one, scope)
 
     def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> list[Node]:
         return [self.value(one.elt, each) for each in self._rounds(one.generators, scope)]
@@ -505,8 +553,10 @@ class Evaluator:
     _of_generatorexp = _of_listcomp
 
     def _of_dictcomp(self, one: ast.DictComp, scope: Scope) -> dict[Any, Node]:
-        return {self._key(one.key, each): self.value(one.value, each)
-                for each in self._rounds(one.generators, scope)}  # fmt: skip
+        return {
+            self._key(one.key, each): self.value(one.value, each)
+            for each in self._rounds(one.generators, scope)
+        }
 
     def _rounds(self, loops: list[ast.comprehension], scope: Scope) -> Iterator[Scope]:
         """Yields the names of each round of loops within loops."""
@@ -531,13 +581,13 @@ class Evaluator:
             else:
                 named.update({str(key): value for key, value in held.table.items()})
         called = self.value(one.func, scope).value
-        if isinstance(called, Function | Class):
+        if isinstance(called, FunctionValue | ClassValue):
             return self.call(called, given, named)
         if isinstance(one.func, ast.Attribute):
             held, name = self.value(one.func.value, scope), one.func.attr
             if name in _METHODS.get(type(held.value), ()):
                 return self._method(held.value, name, given, named)
-            if isinstance(held.value, list | Instance) and name.islower():
+            if isinstance(held.value, list | InstanceValue) and name.islower():
                 given.insert(0, held)
         return self._elsewhere(ast.unparse(one.func), given, named)
 
@@ -553,26 +603,29 @@ class Evaluator:
         if name in _COPIES and given:
             return self._copied(given[0].value, named)
         if called in _TABLES and all(isinstance(one.value, dict) for one in given):
-            return {key: held for part in (*(one.value for one in given), named)
-                    for key, held in part.items()}  # fmt: skip
+            return {
+                key: held
+                for part in (*(one.value for one in given), named)
+                for key, held in part.items()
+            }
         if name in _LISTS and given:
             many = isinstance(given[0].value, list | dict)
             return [*self._listed(given[0])] if many else given[0]
         if name == "field":
             return self._made(named)
         if not name[:1].isupper():
-            raise Lost
+            raise NotConstantError
         more = {"args": Node(given, given[0].place)} if given else {}
-        return Instance(name, {**named, **more})
+        return InstanceValue(name, {**named, **more})
 
     def _made(self, named: dict[str, Node]) -> Any:
         """Returns what a dataclass's field is by default."""
         if "default_factory" not in named:
             return self._apply(operator.getitem, named, "default")
         factory = named["default_factory"].value
-        if isinstance(factory, Function | Class):
+        if isinstance(factory, FunctionValue | ClassValue):
             return self.call(factory, [], {})
-        return _TYPES[str(factory)]() if str(factory) in _TYPES else Instance(str(factory))
+        return _TYPES[str(factory)]() if str(factory) in _TYPES else InstanceValue(str(factory))
 
     def _method(self, value: Any, name: str, given: list[Node], named: dict[str, Node]) -> Any:
         """Returns what a call of a table's or a list's method comes to."""
@@ -585,16 +638,20 @@ class Evaluator:
             own = [one.value for one in given]
         return self._apply(getattr(value, name), *own, **named)
 
-    def call(self, called: Function | Class, given: list[Node], named: dict[str, Node]) -> Node:
+    def call(
+        self, called: FunctionValue | ClassValue, given: list[Node], named: dict[str, Node]
+    ) -> Node:
         """Returns what a function returns, or an instance of a class."""
-        if isinstance(called, Class):
+        if isinstance(called, ClassValue):
             return self._instance(called, given, named)
-        if self.depth >= DEEPEST:
-            raise Lost
+        if self.depth >= MAX_CALL_DEPTH:
+            raise NotConstantError
         node, around = called.node, called.around
         first = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
         names = [*first, *(each.arg for each in node.args.kwonlyargs)]
-        scope = around.new_child({name: self._node(Unknown(name), node, around) for name in names})
+        scope = around.new_child(
+            {name: self._node(UnknownValue(name), node, around) for name in names}
+        )
         defaults = [*node.args.defaults, *node.args.kw_defaults]
         for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
             if default is not None:
@@ -614,19 +671,19 @@ class Evaluator:
         except _Return as done:
             return done.node
         except (_Leave, _Next) as error:
-            raise Lost from error
+            raise NotConstantError from error
         finally:
             self.depth -= 1
         return self._node(None, node, scope)
 
-    def _instance(self, of: Class, given: list[Node], named: dict[str, Node]) -> Node:
+    def _instance(self, of: ClassValue, given: list[Node], named: dict[str, Node]) -> Node:
         """Returns an instance of a class, its fields' defaults made anew."""
-        made: Instance = self._copied(Instance(of.name, of.fields, of), {})
+        made: InstanceValue = self._copied(InstanceValue(of.name, of.fields, of), {})
         made.fields.update(zip(dict.fromkeys(of.ordered), given, strict=False), **named)
         own = Node(made, Place(Path()))
         after = of.fields.get("__post_init__")
-        if after is not None and isinstance(after.value, Function):
-            with suppress(Lost):
+        if after is not None and isinstance(after.value, FunctionValue):
+            with suppress(NotConstantError):
                 self.call(after.value, [own], {})
         return own
 
@@ -640,8 +697,9 @@ class Evaluator:
 
 def _tops(path: Path) -> Iterator[Path]:
     """Yields the folders above a file up to that of its project, or of its package."""
-    project = [folder for folder in path.parents
-               if any((folder / mark).exists() for mark in _PROJECT)]  # fmt: skip
+    project = [
+        folder for folder in path.parents if any((folder / mark).exists() for mark in _PROJECT)
+    ]
     for folder in path.parents:
         yield folder
         within = project and folder != project[0] and folder.is_relative_to(project[0])

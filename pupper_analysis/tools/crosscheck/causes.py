@@ -64,7 +64,7 @@ Links = Mapping[str, tuple[ComparedLink, ...]]
 """{base or joint: the links with mass that move with it}."""
 
 
-def urdf_links(robot: Robot) -> Links:
+def list_urdf_links(robot: Robot) -> Links:
     """Returns the links of the URDF's bodies, in the frames of its own tree."""
     model = robot.pin_model
     found: dict[str, list[ComparedLink]] = {}
@@ -81,7 +81,7 @@ def urdf_links(robot: Robot) -> Links:
     return {mover: tuple(links) for mover, links in found.items()}
 
 
-def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
+def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
     """Returns the links of the MJCF's bodies, in the frames to which its tree was aligned.
 
     Args:
@@ -110,10 +110,10 @@ def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:
     """Returns one body that is made of some, all in the same frame."""
-    return from_moments(sum((body_moments(body) for body in bodies), start=np.zeros(10)))
+    return body_from_moments(sum((compute_moments(body) for body in bodies), start=np.zeros(10)))
 
 
-def body_moments(body: TreeBody) -> Array:
+def compute_moments(body: TreeBody) -> Array:
     """Returns a body's mass, first and second moments about its frame's origin (10,).
 
     They add up when bodies are combined: the mass (kg), the first moments (kg m), and the six
@@ -125,7 +125,7 @@ def body_moments(body: TreeBody) -> Array:
     return np.array([body.mass, *(body.mass * c), *entries])
 
 
-def from_moments(values: Array) -> TreeBody:
+def body_from_moments(values: Array) -> TreeBody:
     """Returns the body of some moments, which `moments` returns."""
     mass = float(values[0])
     com = values[1:4] / mass if mass else np.zeros(3)
@@ -151,7 +151,7 @@ class PatternCase:
         urdf: The links of which the URDF's bodies are made, in the frames of ``first``.
         mjcf: Those of the MJCF's, in the frames of ``second``.
         from_geoms: The MJCF's bodies that take their mass from their geoms.
-        taken: Those that a cause explains already.
+        explained: Those that a cause explains already.
     """
 
     robot: Robot
@@ -163,14 +163,16 @@ class PatternCase:
     urdf: Links
     mjcf: Links
     from_geoms: Collection[str] = ()
-    taken: Collection[Key] = ()
+    explained: Collection[Key] = ()
 
     @property
-    def open(self) -> list[Key]:
+    def unexplained(self) -> list[Key]:
         """The differences that no cause explains yet."""
-        return [key for key in self.keys if key not in self.taken]
+        return [key for key in self.keys if key not in self.explained]
 
-    def left(self, second: MultibodyTree, only: Collection[str] | None = None) -> set[Key]:
+    def find_remaining(
+        self, second: MultibodyTree, only: Collection[str] | None = None
+    ) -> set[Key]:
         """Returns the differences to another tree in place of the MJCF's.
 
         Args:
@@ -185,12 +187,12 @@ class PatternCase:
             return set(self.keys)
         return found
 
-    def gone(self, second: MultibodyTree) -> set[Key]:
+    def find_explained(self, second: MultibodyTree) -> set[Key]:
         """Returns the differences that another tree in place of the MJCF's does not have.
 
         None if it has others instead, or if most of them are left.
         """
-        left = self.left(second)
+        left = self.find_remaining(second)
         gone = set(self.keys) - left
         return gone if not left - set(self.keys) and len(gone) > 1 else set()
 
@@ -210,13 +212,13 @@ class PatternFinding:
     explained: set[Key]
 
 
-Found = Iterator[PatternFinding]
+PatternFindings = Iterator[PatternFinding]
 
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
-def other_angles(case: PatternCase) -> Found:
+def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Finds another eulerseq, or degrees for radians, that ends differences."""
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -244,7 +246,7 @@ def other_angles(case: PatternCase) -> Found:
         except (ValueError, RuntimeError):
             continue
         tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
-        gone = case.gone(replace(tree, gravity=case.first.gravity))
+        gone = case.find_explained(replace(tree, gravity=case.first.gravity))
         if len(gone) > len(best[1]):
             best = (setting, gone)
     (attribute, value, stated), gone = best
@@ -271,7 +273,7 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
     return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
 
 
-def find_exchanged(case: PatternCase) -> Found:
+def find_exchanged(case: PatternCase) -> PatternFindings:
     """Finds limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}
@@ -290,7 +292,9 @@ def find_exchanged(case: PatternCase) -> Found:
         carried = {*own, *(frame for name in own for frame in case.first.carried_by(name))}
         before = {key for key in case.keys if key[1] in carried}
         both = replace(second.part(own), frames=second.frames)
-        after = {key for key in case.left(_renamed(both, exchange), own) if key[1] in carried}
+        after = {
+            key for key in case.find_remaining(_renamed(both, exchange), own) if key[1] in carried
+        }
         if len(before) > 1 and len(after) <= _STAY * len(before):
             pairs.append((one, two))
             second, gone = _renamed(second, exchange), gone | (before - after)
@@ -344,7 +348,7 @@ _INERTIA = {
 }
 
 
-def other_units(case: PatternCase) -> Found:
+def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
     first, raw = case.first, case.raw
     bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
@@ -398,11 +402,11 @@ def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic |
     return diagnose("guess-decimal-point") if decimal else None
 
 
-def before_gears(case: PatternCase) -> Found:
+def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
     """Finds efforts that are the MJCF's once they are multiplied by the gears there."""
     model = case.robot.mj_model
     found: dict[tuple[float, float], list[str]] = defaultdict(list)
-    for kind, name in case.open:
+    for kind, name in case.unexplained:
         if kind == "effort":
             effort = case.first.joints[name].effort
             motors = list_joint_actuators(model, model.joint(name).id)
@@ -424,7 +428,7 @@ def before_gears(case: PatternCase) -> Found:
     )
 
 
-def dropped_products(case: PatternCase, lacking: str) -> Found:
+def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
     """Finds that one file has no products of inertia at all.
 
     They are dropped in the other file, in each link's own axes or, had they been folded before, in
@@ -434,7 +438,7 @@ def dropped_products(case: PatternCase, lacking: str) -> Found:
         case: The two trees.
         lacking: The file that is to have none, ``URDF`` or ``MJCF``.
     """
-    if sum(kind == "inertia" for kind, _ in case.open) < 2:
+    if sum(kind == "inertia" for kind, _ in case.unexplained) < 2:
         return
     bare, full = (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
     tree, other = (case.second, case.first) if lacking == "URDF" else (case.first, case.second)
@@ -456,7 +460,7 @@ def dropped_products(case: PatternCase, lacking: str) -> Found:
             for change in body_changes(name, body, other.bodies[name], case.tolerances)
             if change.kind == "inertia"
         }
-        gone = {key for key in case.open if key[0] == "inertia"} - left
+        gone = {key for key in case.unexplained if key[0] == "inertia"} - left
         if len(gone) > 1 and left <= set(case.keys):
             count = sum(not _is_diagonal(_own(link)) for group in full.values() for link in group)
             yield PatternFinding(
@@ -486,10 +490,10 @@ def _is_diagonal(inertia: Array) -> bool:
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
-def find_dropped(case: PatternCase) -> Found:
+def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
     """Finds what one file has left out of its inertials."""
     for file in ("URDF", "MJCF"):
-        yield from dropped_products(case, file)
+        yield from find_dropped_products(case, file)
 
 
 _MOST_SUBSET_LINKS = 12
@@ -506,14 +510,16 @@ of links leaves about as much as it takes away.
 _ALWAYS = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
-def masses_of_geoms(case: PatternCase) -> Found:
+def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
     """Finds bodies without <inertial>, which MuJoCo weighs by their geoms."""
     made = {
         mover: [link.name for link in links if link.name in case.from_geoms]
         for mover, links in case.mjcf.items()
     }
-    found = {key for key in case.open if key[0] in INERTIAL_KINDS and made.get(key[1])}
-    movers = list(dict.fromkeys(name for _, name in case.open if name in {n for _, n in found}))
+    found = {key for key in case.unexplained if key[0] in INERTIAL_KINDS and made.get(key[1])}
+    movers = list(
+        dict.fromkeys(name for _, name in case.unexplained if name in {n for _, n in found})
+    )
     if found:
         urdf, mjcf = (
             Quantity(sum(tree.bodies[name].mass for name in movers), "kg")
@@ -525,9 +531,9 @@ def masses_of_geoms(case: PatternCase) -> Found:
         yield PatternFinding("geoms", message, found)
 
 
-def closed_loops(case: PatternCase) -> Found:
+def find_closed_loops(case: PatternCase) -> PatternFindings:
     """Combines what an MJCF alone holds by equality constraints."""
-    found = [name for kind, name in case.open if kind == "equality"]
+    found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)
         yield PatternFinding("equalities", message, {("equality", name) for name in found})
@@ -552,9 +558,9 @@ class _Slip:
     inertia: bool = False
 
 
-def other_links(case: PatternCase) -> Found:
+def find_link_slips(case: PatternCase) -> PatternFindings:
     """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
-    differ = dict.fromkeys(name for kind, name in case.open if kind in INERTIAL_KINDS)
+    differ = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not differ:
         return
     slips = [slip for name in differ if (slip := _slip(case, name)) is not None]
@@ -563,7 +569,9 @@ def other_links(case: PatternCase) -> Found:
         groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
     for (lacks, *_), group in groups.items():
         movers = {slip.mover for slip in group}
-        explained = {key for key in case.open if key[0] in INERTIAL_KINDS and key[1] in movers}
+        explained = {
+            key for key in case.unexplained if key[0] in INERTIAL_KINDS and key[1] in movers
+        }
         if lacks:
             yield PatternFinding("links", _lacking(group), explained)
         else:
@@ -573,23 +581,23 @@ def other_links(case: PatternCase) -> Found:
 def _slip(case: PatternCase, name: str) -> _Slip | None:
     """Returns the one slip that explains how a body differs, if any does."""
     one, two = case.first.bodies[name], case.second.bodies[name]
-    apart = body_moments(one) - body_moments(two)
+    apart = compute_moments(one) - compute_moments(two)
     if not one.mass or not two.mass or not apart[0]:
         return None
     lacks, links = ("MJCF", case.urdf) if apart[0] > 0 else ("URDF", case.mjcf)
     own = [link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(apart[0])]
     if len(own) < len(links.get(name, ())):  # a body of which all links are gone is another thing
         for chosen in _subsets(own, abs(apart[0])):
-            extra = sum((body_moments(link.body) for link in chosen), start=np.zeros(10))
-            less = from_moments(body_moments(one if lacks == "MJCF" else two) - extra)
+            extra = sum((compute_moments(link.body) for link in chosen), start=np.zeros(10))
+            less = body_from_moments(compute_moments(one if lacks == "MJCF" else two) - extra)
             if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
                 return _Slip(name, chosen, lacks)
-    kinds = {kind for kind, element in case.open if element == name}
+    kinds = {kind for kind, element in case.unexplained if element == name}
     alone = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
     if alone and not kinds & {"com", "inertia"} and not _is_power(two.mass / one.mass):
         return None  # one number of one link: the difference says it all
     # What another cause explains of the inertia says nothing of the link's.
-    both = (False,) if ("inertia", name) in case.taken else (True, False)
+    both = (False,) if ("inertia", name) in case.explained else (True, False)
     for link, inertia in product(case.urdf.get(name, ()), both):
         factor = 1.0 - float(apart[0]) / link.body.mass
         if factor <= 0:
@@ -599,8 +607,8 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
             link.body.com,
             (factor if inertia else 1.0) * link.body.inertia,
         )
-        extra = body_moments(link.body) - body_moments(changed)
-        if _is_it(case, name, from_moments(body_moments(one) - extra), two, extra, apart):
+        extra = compute_moments(link.body) - compute_moments(changed)
+        if _is_it(case, name, body_from_moments(compute_moments(one) - extra), two, extra, apart):
             return _Slip(name, (link,), "", factor, inertia)
     return None
 
@@ -623,7 +631,7 @@ def _is_it(
 
     But for an inertia that another cause explains already: what is left of it says nothing.
     """
-    taken = {kind for kind, element in case.taken if element == name}
+    taken = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, one, two, case.tolerances)}
     if not one.mass > 0 or changes - taken:
         return False
@@ -649,7 +657,8 @@ def _lacking(slips: Sequence[_Slip]) -> Diagnostic:
     links = {link.name: link.body.mass for slip in slips for link in slip.links}
     other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
-        by_pattern(list(links)).items(), key=lambda group: -sum(links[name] for name in group[1])
+        group_by_pattern(list(links)).items(),
+        key=lambda group: -sum(links[name] for name in group[1]),
     )
     messages = []
     for pattern, names in groups:
@@ -690,7 +699,7 @@ def _is_power(factor: float) -> bool:
     return math.isclose(power, round(power), abs_tol=1e-3) and round(power) != 0
 
 
-def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
+def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
     """Returns {``*_rotor`` or ``sensor_*``, or a name by itself: the names}, the largest first."""
     left, found = list(names), dict[str, list[str]]()
     while left:
@@ -713,13 +722,13 @@ _OTHER_BODYS_MASS = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
 
 
-def other_inertials(case: PatternCase) -> Found:
+def find_foreign_inertials(case: PatternCase) -> PatternFindings:
     """Finds bodies of which nothing is the other file's."""
     kinds = ("mass", "com", "inertia")
     others = []
     for name, one in case.first.bodies.items():
         two = case.second.bodies[name]
-        if not {(kind, name) for kind in kinds} <= set(case.open):
+        if not {(kind, name) for kind in kinds} <= set(case.unexplained):
             continue
         if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER_BODYS_MASS * one.mass:
             others.append(name)
@@ -739,7 +748,7 @@ _MOST_MOVED_JOINTS = 20
 long as a comparison."""
 
 
-def other_lines(case: PatternCase) -> Found:
+def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Finds joints whose axis alone is elsewhere.
 
     A body is drawn from its joint on: if that is moved, com, children and frames all are at other
@@ -747,8 +756,8 @@ def other_lines(case: PatternCase) -> Found:
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
-        moved = with_line_of(case.second, case.first, name)
-        gone = case.gone(moved)
+        moved = copy_joint_axis(case.second, case.first, name)
+        gone = case.find_explained(moved)
         if ("position", name) not in gone:
             continue
         away, angle = _apart(case.first.joints[name], case.second.joints[name])
@@ -764,7 +773,7 @@ def other_lines(case: PatternCase) -> Found:
         )
 
 
-def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
+def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
     """Returns a robot in which a joint turns about another's axis; its body stays at zero.
 
     Args:
@@ -815,14 +824,14 @@ def find_causes(
     first, raw = kinematic_trees(robot)
     keys = [(each.kind, each.element) for each in differences]
     bodies = any(kind in INERTIAL_KINDS for kind, _ in keys)
-    urdf = urdf_links(robot) if bodies else {}
-    mjcf = mjcf_links(robot, raw, second) if bodies else {}
+    urdf = list_urdf_links(robot) if bodies else {}
+    mjcf = list_mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)
     case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf, from_geoms)
     found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
-        for each in look(replace(case, taken={keys[n] for n in taken})):
+        for each in look(replace(case, explained={keys[n] for n in taken})):
             numbers = tuple(
                 n for n, key in enumerate(keys) if key in each.explained and n not in taken
             )
@@ -833,15 +842,15 @@ def find_causes(
 
 
 _LOOKS = (
-    other_angles,
+    find_angle_settings,
     find_exchanged,
-    other_units,
-    before_gears,
-    find_dropped,
-    masses_of_geoms,
-    closed_loops,
-    other_links,
-    other_inertials,
-    other_lines,
+    find_scaled_quantities,
+    find_efforts_before_gears,
+    find_products_dropped_by_either,
+    find_masses_of_geoms,
+    find_closed_loops,
+    find_link_slips,
+    find_foreign_inertials,
+    find_moved_axes,
 )
 """From what explains most at once to what explains a single body."""

@@ -79,7 +79,7 @@ def command(
     from pupper_analysis.pupper.named_robots import is_variant, variant_model_files
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
-    from pupper_analysis.tools.crosscheck.document import comparison_remarks
+    from pupper_analysis.tools.crosscheck.document import make_comparison_annotations
 
     context = click.get_current_context()
     if mjcf is None and is_variant(str(urdf)):
@@ -104,6 +104,6 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)
     else:
-        click.echo(formats.for_machines(style, comparison_remarks(comparison)))
+        click.echo(formats.for_machines(style, make_comparison_annotations(comparison)))
     shared.write_page(report_path, comparison)
     shared.finish_command(json_path, comparison, passed=comparison.agree)

@@ -74,7 +74,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
-ENGINES_AGREE = 1e-8
+ENGINE_RTOL = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
 
 
@@ -133,7 +133,7 @@ def compare_models(
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of its range.
     """
-    check_states(configurations, seed)
+    validate_state_request(configurations, seed)
     tolerances = tolerances or Tolerances()
     compared = compare_files(
         urdf,
@@ -153,12 +153,14 @@ def compare_models(
     )
     own = {one.name: getattr(compared.result, one.name) for one in fields(compared.result)}
     own["differences"] = tuple(
-        replace(one, made_of=mass_shares(one, *compared.sources)) for one in own["differences"]
+        replace(one, made_of=list_mass_shares(one, *compared.sources)) for one in own["differences"]
     )
     return Comparison(**own, check=check, engines=_engines(check, compared.explanation))
 
 
-def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
+def list_mass_shares(
+    difference: Difference, urdf: Sources, mjcf: Sources
+) -> tuple[Diagnostic, ...]:
     """Says of which links or bodies a mass, a com or an inertia is made, the heaviest first."""
     if difference.kind not in INERTIAL_KINDS:
         return ()
@@ -185,10 +187,10 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, .
         )
         for quantity in check.quantities
         for whose, relative in quantity.edges.items()
-        if whose in OF_ONE_MODEL
-        and relative > ENGINES_AGREE
+        if whose in ENGINE_EDGES
+        and relative > ENGINE_RTOL
         # With what no difference explains, the two got different models.
-        and (explanation.complete or whose not in OF_THE_MJCF)
+        and (explanation.complete or whose not in MJCF_ENGINE_EDGES)
     )
 
 
@@ -225,11 +227,11 @@ QUANTITIES = {
 """{quantity: what its rows belong to, its unit}. What does not depend on the configuration is in
 the base's axes at zero angles."""
 
-PER_ROW = ("body masses", "body inertias")
+ROW_SCALED_QUANTITIES = ("body masses", "body inertias")
 """What is judged on each row's own scale, instead of on the greatest of all."""
 
 
-def labels_of(robot: Robot, quantity: str) -> tuple[str, ...]:
+def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Returns what each row of a quantity belongs to."""
     base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
     rows = {
@@ -242,21 +244,21 @@ def labels_of(robot: Robot, quantity: str) -> tuple[str, ...]:
     return rows.get(of, (of,))
 
 
-def collect(
+def collect_evaluation(
     robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
     """Collects what does not depend on the configuration, and what was computed at each."""
     found: Evaluation = {
-        name: np.array(values, dtype=float).reshape(len(labels_of(robot, name)), -1)
+        name: np.array(values, dtype=float).reshape(len(list_row_labels(robot, name)), -1)
         for name, values in at_rest.items()
     }
     for name in of_states[0]:
         rows = np.array([values[name] for values in of_states])
-        found[name] = rows.reshape(len(rows), len(labels_of(robot, name)), -1)
+        found[name] = rows.reshape(len(rows), len(list_row_labels(robot, name)), -1)
     return found
 
 
-def pinocchio_evaluation(robot: Robot, states: States) -> Evaluation:
+def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
     """Evaluates the robot's Pinocchio model, at states what depends on them."""
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
@@ -300,7 +302,7 @@ def pinocchio_evaluation(robot: Robot, states: States) -> Evaluation:
             values["gyro"], values["accelerometer"] = config.imu(qacc)
         of_states.append(values)
         del config
-    return collect(robot, at_rest, of_states)
+    return collect_evaluation(robot, at_rest, of_states)
 
 
 def _of_bodies(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
@@ -311,7 +313,7 @@ def _of_bodies(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
     }
 
 
-def mujoco_evaluation(
+def evaluate_in_mujoco(
     robot: Robot,
     model: mujoco.MjModel,
     base: str,
@@ -370,7 +372,7 @@ def mujoco_evaluation(
             for name, address in zip(("gyro", "accelerometer"), sensors, strict=True):
                 values[name] = data.sensordata[address : address + 3].copy()
         of_states.append(values)
-    return collect(robot, at_rest, of_states)
+    return collect_evaluation(robot, at_rest, of_states)
 
 
 def _at_rest(
@@ -438,7 +440,7 @@ def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | N
     return addresses[0], addresses[1]
 
 
-def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
+def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
     """Returns the feet's positions by yourdfpy's forward kinematics of the URDF."""
     import yourdfpy  # slow to import
 
@@ -453,7 +455,7 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
         frames = robot.contact_frames.values()
         places = [urdf.get_transform(frame, robot.base)[:3, 3] for frame in frames]
         rows.append({"foot positions": [origin + rotation @ place for place in places]})
-    return collect(robot, {}, rows)
+    return collect_evaluation(robot, {}, rows)
 
 
 def _with_unit_axes(text: str) -> bytes:
@@ -480,7 +482,7 @@ def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
     return pin.SE3(rotation_from_quaternion(qpos[3:7]), qpos[:3]) * frame.placement
 
 
-TOLERANCE = 1e-9
+DEFAULT_RTOL = 1e-9
 """Deviation, relative to a quantity's scale, up to which two evaluations agree."""
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
@@ -495,23 +497,23 @@ MJCF_AS_IT_IS = "MJCF as it is"
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 
-EXTRAS = "extras (MJCF)"
+EXTRAS_EDGE = "extras (MJCF)"
 """The side of springs, tendons, fluid and others that a URDF has no words for."""
 
-EDGES = {
+EDGE_NAMES = {
     (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
     (URDF_MUJOCO, MJCF_MUJOCO): "models (MuJoCo)",
     (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
     (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
-    (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS,
+    (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS_EDGE,
 }
 """What a deviation between two evaluations is a deviation of."""
 
-OF_ONE_MODEL = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
+ENGINE_EDGES = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
 """Deviations of engines, which read one and the same model."""
 
-OF_THE_MJCF = ("engines (MJCF)",)
+MJCF_ENGINE_EDGES = ("engines (MJCF)",)
 """Those of them in which MuJoCo's model is the MJCF's."""
 
 
@@ -567,11 +569,11 @@ class CrossCheck(Result):
     notes: tuple[Diagnostic, ...]
 
 
-MOST = 100_000
+MAX_CONFIGURATIONS = 100_000
 """Configurations that are compared: more find nothing, and fill the memory."""
 
 
-def check_states(count: int, seed: int) -> None:
+def validate_state_request(count: int, seed: int) -> None:
     """Checks what random states are asked for.
 
     Raises:
@@ -579,13 +581,15 @@ def check_states(count: int, seed: int) -> None:
     """
     if count < 1:
         raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
-    if count > MOST:
-        raise ConfigurationError("configurations", diagnose("more-than", value=count, most=MOST))
+    if count > MAX_CONFIGURATIONS:
+        raise ConfigurationError(
+            "configurations", diagnose("more-than", value=count, most=MAX_CONFIGURATIONS)
+        )
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
 
 
-def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
+def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
     """Yields what is left out of the comparison of a large robot at so many states."""
     if is_large(robot):
         states = affordable_states(robot, count)
@@ -598,7 +602,7 @@ def cross_check(
     robot: Robot,
     *,
     configurations: int = 20,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_RTOL,
     seed: int = 0,
     mimics: Mimics | None = None,
 ) -> CrossCheck:
@@ -621,7 +625,7 @@ def cross_check(
     Raises:
         ConfigurationError: If an argument is out of its range.
     """
-    check_states(configurations, seed)
+    validate_state_request(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
     configurations, asked = affordable_states(robot, configurations), configurations
@@ -639,7 +643,7 @@ def cross_check(
     )
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     checks = tuple(
-        _compare(name, evaluations, evaluations[first], labels_of(robot, name), tolerance)
+        _compare(name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance)
         for name in evaluations[first]
     )
     return CrossCheck(
@@ -651,7 +655,7 @@ def cross_check(
         worst=max(checks, key=lambda check: check.relative).name,
         notes=(
             *left_out,
-            *size_notes(robot, asked),
+            *list_size_notes(robot, asked),
             diagnose("armature-is-the-mjcfs"),
             diagnose("gravity-is-the-mjcfs"),
             diagnose("forces-in-forward-dynamics"),
@@ -681,7 +685,7 @@ def _evaluations(
     left_out = []
     in_mujoco: mujoco.MjModel | None = None
     try:
-        in_mujoco = mujoco_from_urdf(
+        in_mujoco = import_urdf_to_mujoco(
             description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
         )
     except ModelError as error:
@@ -705,29 +709,29 @@ def _evaluations(
             contact_frames=mjcf_frames,
         )
         evaluations = {
-            URDF_PINOCCHIO: pinocchio_evaluation(robot, states),
-            MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states),
+            URDF_PINOCCHIO: evaluate_in_pinocchio(robot, states),
+            MJCF_PINOCCHIO: evaluate_in_pinocchio(mjcf_robot, states),
         }
     evaluations |= {
-        MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states),
-        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states),
+        MJCF_MUJOCO: evaluate_in_mujoco(robot, square, base, mjcf_frames, states),
+        MJCF_AS_IT_IS: evaluate_in_mujoco(robot, whole, base, mjcf_frames, states),
     }
     if in_mujoco is not None:
         in_mujoco = make_passive_model(in_mujoco)
         # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
         in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
-        evaluations[URDF_MUJOCO] = mujoco_evaluation(
+        evaluations[URDF_MUJOCO] = evaluate_in_mujoco(
             robot, in_mujoco, robot.base, urdf_frames, states
         )
     if pairs and not is_large(robot):
-        evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
+        evaluations[URDF_YOURDFPY] = evaluate_in_yourdfpy(robot, states)
     return evaluations, left_out, robot
 
 
 _ROOT = "__root__"
 
 
-def mujoco_from_urdf(
+def import_urdf_to_mujoco(
     text: str,
     source: Path,
     like: mujoco.MjModel,
@@ -786,11 +790,13 @@ def _compare(
     edges: dict[str, float] = {}
     least = _least_scale(name, first)
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
-    for pair, whose in EDGES.items():
+    for pair, whose in EDGE_NAMES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
             continue
         one, two = (evaluations[evaluation][name] for evaluation in pair)
-        relative, deviation, scale, place = _deviation(one, two, least, per_row=name in PER_ROW)
+        relative, deviation, scale, place = _deviation(
+            one, two, least, per_row=name in ROW_SCALED_QUANTITIES
+        )
         edges[whose] = relative
         if worst is None or relative > worst[0]:
             where = labels[place[-2]] + (f", #{place[0]}" if len(place) == 3 else "")
@@ -804,7 +810,7 @@ def _compare(
         deviation=deviation,
         relative=relative,
         between=between,
-        whose=EDGES[between],
+        whose=EDGE_NAMES[between],
         where=where,
         edges=edges,
         passed=bool(relative <= tolerance),

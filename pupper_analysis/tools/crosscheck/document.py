@@ -25,8 +25,8 @@ from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
-    EDGES,
-    EXTRAS,
+    EDGE_NAMES,
+    EXTRAS_EDGE,
     MJCF_MUJOCO,
     MJCF_PINOCCHIO,
     URDF_MUJOCO,
@@ -36,7 +36,7 @@ from pupper_analysis.tools.crosscheck.crosscheck import (
 )
 
 
-def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
+def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
     """Says how joints were matched, and what was left out."""
     yield from comparison.notes
     if comparison.mount is not None:
@@ -75,7 +75,7 @@ def describe_effects(difference: Difference) -> Diagnostic:
     return diagnose("effects", effects=effects)
 
 
-def comparison_remarks(comparison: Comparison) -> list[Annotation]:
+def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
     found = [_remark("part", "part", part, urdf) for part in comparison.parts]
@@ -123,18 +123,18 @@ def _remark(
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=finding)
 
 
-SHORT, SHOWN = 20, 40
+MAX_SHORT_GROUPS, MAX_SHOWN_GROUPS = 20, 40
 """Groups of differences whose lines are shown side by side, in a short view and in any; the table
 has them all."""
 
 _ONE_FILE = {
-    EDGES[URDF_PINOCCHIO, URDF_MUJOCO],
-    EDGES[MJCF_PINOCCHIO, MJCF_MUJOCO],
-    EDGES[URDF_PINOCCHIO, URDF_YOURDFPY],
+    EDGE_NAMES[URDF_PINOCCHIO, URDF_MUJOCO],
+    EDGE_NAMES[MJCF_PINOCCHIO, MJCF_MUJOCO],
+    EDGE_NAMES[URDF_PINOCCHIO, URDF_YOURDFPY],
 }
 """Deviations of two engines or readers on one file: they are about none of the two files."""
 
-GROUPED = 4
+MAX_NAMED_ELEMENTS = 4
 """Elements of a group that are named; the table has them all."""
 
 
@@ -142,7 +142,7 @@ GROUPED = 4
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
     """Returns what makes two files disagree; see ``build``."""
     agree, same = comparison.agree, comparison.same_robot
-    said = (*matching_notes(comparison), *comparison.check.notes)
+    said = (*list_matching_notes(comparison), *comparison.check.notes)
     notes: list[doc.Words] = list(map(doc.tell, said))
     notes += [
         text("the-engines-differ-on-one", engine=doc.tell(engine)) for engine in comparison.engines
@@ -188,9 +188,9 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
         sides = _sides(comparison, first, doc.tell(cause.diagnostic), made, such)
         listed.append((-1 if cause.leads else cause.differences[0], sides))
     numbers = {id(one): number for number, one in enumerate(comparison.differences)}
-    for place, group in enumerate(groups[:SHOWN]):
+    for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
         sides = _sides(comparison, group[0], doc.tell(group[0].diagnostic), *_likewise(group))
-        listed.append((numbers[id(group[0])], replace(sides, detail=place >= SHORT)))
+        listed.append((numbers[id(group[0])], replace(sides, detail=place >= MAX_SHORT_GROUPS)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
     if comparison.differences:
         yield _differences(comparison)
@@ -202,9 +202,9 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
 def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
     """Says of which else it is true."""
     if len(group) > 1:
-        names = [doc.Name(difference.element) for difference in group[1 : GROUPED + 1]]
+        names = [doc.Name(difference.element) for difference in group[1 : MAX_NAMED_ELEMENTS + 1]]
         listed = join_words(names)
-        if len(group) > GROUPED + 1:
+        if len(group) > MAX_NAMED_ELEMENTS + 1:
             listed = text("names", names=listed)
         yield text("likewise-on-count-more-names", count=len(group) - 1, names=listed)
 
@@ -301,10 +301,10 @@ def _deviation(relative: float | None, tolerance: float) -> doc.Number:
 
 def _quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
-    every = dict.fromkeys(EDGES.values())
+    every = dict.fromkeys(EDGE_NAMES.values())
     sides = [side for side in every if any(side in q.edges for q in check.quantities)]
-    if not any(quantity.edges.get(EXTRAS) for quantity in check.quantities):
-        sides.remove(EXTRAS)  # a column of zeros: the MJCF has nothing that a URDF has not
+    if not any(quantity.edges.get(EXTRAS_EDGE) for quantity in check.quantities):
+        sides.remove(EXTRAS_EDGE)  # a column of zeros: the MJCF has nothing that a URDF has not
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),

@@ -39,11 +39,11 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import (
     ElementDifference,
     SimulatedPair,
-    changed_compiler,
-    changed_elements,
-    like_before,
+    find_changed_compiler_settings,
+    find_changed_elements,
+    match_elements,
 )
-from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
+from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, read_version
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ def diff_models(
     tolerances = tolerances or Tolerances.strict()
     with open_version(old) as before, open_version(new) as after:
         one, two = (
-            version_of(source.read(lambda path: read_model(path, packages)))
+            read_version(source.read(lambda path: read_model(path, packages)))
             for source in (before, after)
         )
         if type(one.file) is not type(two.file):
@@ -192,9 +192,9 @@ class _Comparison:
                 message = diagnose("joint-renamed", subject=("joint", old), new=new)
                 self.differences.append(Difference("name", old, old, new, "", message, {}))
         for name in reversed(gone):
-            one = with_fixed(one, name)
+            one = fix_joint(one, name)
         for name in reversed(come):
-            two = with_fixed(two, name)
+            two = fix_joint(two, name)
         two = rename_joints(two, {new: old for old, new in self.pairs.items()})
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
@@ -217,35 +217,37 @@ class _Comparison:
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
         first = meant.done(first)
         second = align_frames(second, first, tolerances).values
-        trial = Trial(first)
-        before, after = trial.behaviour(first), trial.behaviour(second)
+        trial = RandomStates(first)
+        before, after = trial.evaluate_tree(first), trial.evaluate_tree(second)
         judge = RelativeError(before, after)
         for convention, undone in convention_changes(meant, first, VERSION_NAMES):
-            effects = judge.effects(before, trial.behaviour(undone))
+            effects = judge.effects(before, trial.evaluate_tree(undone))
             self.differences.append(replace(convention, effects=effects))
         for change in changes_between(first, second, tolerances, VERSION_NAMES):
             effects = {}
             if change.felt:
-                effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
+                effects = judge.effects(before, trial.evaluate_tree(change.apply(first, second)))
             self.differences.append(change.difference(effects))
         self.differences += self._others()
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
-        there = like_before(self.one.elements, self.two.elements, renamed, self.old_name)
-        self.differences += changed_elements(self.one.elements, there)
+        there = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
+        self.differences += find_changed_elements(self.one.elements, there)
         combined: tuple[Diagnostic, ...] = ()
         one, two = self.one.file, self.two.file
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            effects, combined = SimulatedPair.of(one, two).effect(explained=bool(self.differences))
+            effects, combined = SimulatedPair.from_files(one, two).compute_effects(
+                explained=bool(self.differences)
+            )
             match self.differences:
                 case [ElementDifference() as only]:  # what one does alone is told of it
                     told = (*only.consequences, *combined)
                     self.differences = [replace(only, effects=effects, consequences=told)]
                     combined = ()
             if self.differences or combined:
-                self.differences += changed_compiler(one, two)
-        patched = trial.behaviour(apply_changes(first, second, VERSION_NAMES))
+                self.differences += find_changed_compiler_settings(one, two)
+        patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
-        holding = trial.holding_torques(first), trial.holding_torques(second)
+        holding = trial.compute_holding_torques(first), trial.compute_holding_torques(second)
         self.differences.sort(key=lambda difference: difference.rank)
         return ModelDiff(
             old=self.sources[0].name,
@@ -263,10 +265,10 @@ class _Comparison:
 
     def _others(self) -> Iterator[Difference]:
         """Yields changes of what is not in a tree: motors, springs, tendons, mimics ..."""
-        here = self.one.others
+        here = self.one.extra_values
         there = {
             (kind, self.old_name.get(element, element)): _with_names(value, self.old_name)
-            for (kind, element), value in self.two.others.items()
+            for (kind, element), value in self.two.extra_values.items()
         }
         for key in dict.fromkeys((*here, *there)):
             kind, element = key
@@ -356,7 +358,7 @@ _COUNT = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class RandomStates:
     """Random states of a tree, the same for every tree with joints of these names.
 
     Attributes:
@@ -388,7 +390,7 @@ class Trial:
     def _tree(self) -> MujocoTree:
         return MujocoTree(self.values)
 
-    def _taken(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
+    def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
         """Returns a tree in MuJoCo, and where the states' positions and velocities are in it."""
         tree = self._tree if self._tree.fits(values) else MujocoTree(values)
         tree.take(values)
@@ -397,9 +399,9 @@ class Trial:
         places = [*range(7 * base), *tree.model.jnt_qposadr[ids].tolist()]
         return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
-    def behaviour(self, values: MultibodyTree) -> dict[str, Array]:
+    def evaluate_tree(self, values: MultibodyTree) -> dict[str, Array]:
         """Evaluates a tree of the same joints at all states; damping is among the bias forces."""
-        model, places, dofs = self._taken(values)
+        model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         bodies = [int(model.joint(name).bodyid[0]) for name in self.values.joints]
         sites = [model.site(name).id for name in values.frames]
@@ -423,13 +425,13 @@ class Trial:
                     rows.setdefault(name, []).append(np.array(value))
         return {name: np.array(found) for name, found in rows.items()}
 
-    def holding_torques(self, values: MultibodyTree) -> dict[str, float]:
+    def compute_holding_torques(self, values: MultibodyTree) -> dict[str, float]:
         """Returns {joint: the greatest torque (N m) or force (N) against gravity}.
 
         With the base level and held, at the positions of the states: what a motor must give to
         hold its links in the air.
         """
-        model, places, dofs = self._taken(values)
+        model, places, dofs = self._load_tree(values)
         data, count = mujoco.MjData(model), len(self.values.joints)
         greatest = np.zeros(count)
         for qpos in self.qpos:
@@ -459,7 +461,7 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
     )
 
 
-def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
+def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
     """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
     joint = values.joints[name]
     pose, joints = joint.placement, {}

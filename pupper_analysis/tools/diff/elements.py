@@ -61,14 +61,14 @@ class Element:
             itself, if it is not.
         shape: That of a geom.
         touches: Whether a geom can touch anything, by ``contype`` and ``conaffinity`` or in a pair.
-        of: The body of a geom, the two geoms of a pair, or the two bodies of an exclude.
+        owners: The body of a geom, the two geoms of a pair, or the two bodies of an exclude.
     """
 
     values: Mapping[str, Value]
     place: Callable[[str], Place]
     shape: Shape | None = None
     touches: bool = True
-    of: tuple[str, ...] = ()
+    owners: tuple[str, ...] = ()
 
 
 _FRICTION_OF: Final = {1: 0, 3: 1, 4: 2, 6: 3}
@@ -86,7 +86,7 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     """
     model = file.model
     found: dict[Key, Element] = {}
-    names = geom_names(model)
+    names = list_geom_names(model)
     touching = find_collidable_geoms(model)
     condim = max((3, *model.geom_condim.tolist()))
     for geom, name in enumerate(names):
@@ -102,19 +102,19 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = element_values(model, "pair", pair)
         at = _at(_nth(pairs, pair, model.npair, file))
-        found["pair", both_of(ends)] = Element(values, at, of=ends)
+        found["pair", join_names(ends)] = Element(values, at, owners=ends)
     for exclude, signature in enumerate(model.exclude_signature.tolist()):
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
         at = _at(_nth(excludes, exclude, model.nexclude, file))
-        found["exclude", both_of(ends)] = Element({}, at, of=ends)
+        found["exclude", join_names(ends)] = Element({}, at, owners=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
     found["option", "option"] = Element(
         element_values(model, "option", 0), _stating(file, "option", stated)
     )
     flags = next((place for _, place in file.elements("flag")), stated)
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
-        enabled = {ENABLED: (float(has_flag(model, bit)),)}
-        found["flag", flag_name(bit)] = Element(enabled, _at(flags))
+        enabled = {ENABLED_WORD: (float(has_flag(model, bit)),)}
+        found["flag", get_flag_name(bit)] = Element(enabled, _at(flags))
     found |= _bound(file)
     for key in range(model.nkey):
         name = model.key(key).name or f"#{key}"
@@ -151,7 +151,7 @@ def _place_of(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Plac
     return file.stated(kind, name, (word,)) or file.place(kind, name)
 
 
-def both_of(ends: Iterable[str]) -> str:
+def join_names(ends: Iterable[str]) -> str:
     """Returns what a pair or an exclude is called."""
     return " and ".join(sorted(ends))
 
@@ -161,7 +161,7 @@ def _nth(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
     return places[number] if len(places) == count else Place(file.path)
 
 
-def geom_names(model: mujoco.MjModel) -> list[str]:
+def list_geom_names(model: mujoco.MjModel) -> list[str]:
     """Returns each geom's name; one without is called after its body and its place there."""
     names, seen = [], dict[int, int]()
     for geom in range(model.ngeom):
@@ -180,7 +180,7 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
             place = model.file.nth(link.name, "collision", number - 1)
-            found["collision", name] = Element({}, _at(place), shape, of=(link.name,))
+            found["collision", name] = Element({}, _at(place), shape, owners=(link.name,))
     return found
 
 
@@ -198,7 +198,7 @@ def _at(place: Place) -> Callable[[str], Place]:
     return lambda _: place
 
 
-ENABLED: Final = "enabled"
+ENABLED_WORD: Final = "enabled"
 """What a flag says: 1 or 0."""
 
 DISABLE_BITS: Final = tuple(
@@ -209,7 +209,7 @@ ENABLE_BITS: Final = tuple(
 )
 
 
-def flag_name(bit: Any) -> str:
+def get_flag_name(bit: Any) -> str:
     """Returns a flag's attribute of ``<flag>``."""
     return str(bit.name).split("_", 1)[1].lower()
 
@@ -223,10 +223,11 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 Array = NDArray[np.float64]
 
-FELT = 1e-4
-"""m, rad: what moves nothing by more in `SECONDS` is harmless. (A stand is settled to 1e-5.)"""
+MIN_FELT_MOTION = 1e-4
+"""Smallest difference of a simulated coordinate [m, rad] within `SIMULATION_SECONDS` that is
+reported. A stand is settled to 1e-5."""
 
-SECONDS = 2.0
+SIMULATION_SECONDS = 2.0
 """Of a simulation (s): what falls has fallen, and servos of some hertz have come to rest."""
 
 _MOST_STEPS = 4000
@@ -238,13 +239,13 @@ _SAMPLES = 200
 _FALL = 1.0
 """m: what loses more has gone through the floor, or off it."""
 
-SAME_NUMBER = 1e-9
+NUMBER_RTOL = 1e-9
 """Relative: files that were written anew round their numbers so."""
 
-SAME_SHAPE = 1e-6
+SURFACE_ATOL = 1e-6
 """m: shapes whose surfaces are no further apart are one."""
 
-SHAPE: Final = "shape"
+SHAPE_WORD: Final = "shape"
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +261,7 @@ class ElementDifference(Difference):
     places: tuple[Place | None, Place | None] = (None, None)
 
 
-def apart(one: Shape, two: Shape) -> float:
+def measure_surface_distance(one: Shape, two: Shape) -> float:
     """Returns how far the surfaces of two shapes' hulls are apart at most (m).
 
     Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
@@ -271,14 +272,15 @@ def apart(one: Shape, two: Shape) -> float:
         return float(np.abs(first - second).max())
     ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
     near = (
-        np.allclose(here, there, rtol=0, atol=SAME_SHAPE) for here, there in zip(*ends, strict=True)
+        np.allclose(here, there, rtol=0, atol=SURFACE_ATOL)
+        for here, there in zip(*ends, strict=True)
     )
     return (
         0.0 if one.kind == two.kind and len(one.size) == len(two.size) and all(near) else math.inf
     )
 
 
-def like_before(
+def match_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
     bodies: Mapping[str, str],
@@ -312,7 +314,7 @@ def like_before(
             continue
         if kind in ("pair", "exclude"):
             ends = calls if kind == "pair" else bodies
-            name = both_of(ends.get(end, end) for end in element.of)
+            name = join_names(ends.get(end, end) for end in element.owners)
         elif kind == "joint":
             name = joints.get(name, name)
         found[kind, name] = element
@@ -331,7 +333,7 @@ def _unnamed(
                 for side in (old, new)
             }
             if element.shape is not None and names != {key[1]}:
-                body = element.of[0]
+                body = element.owners[0]
                 body = bodies.get(body, body) if number else body
                 found.setdefault((key[0], body), ([], []))[number].append(key)
     return found
@@ -345,7 +347,10 @@ def _most_alike(
     def is_of_one_shape(one: Element, two: Element) -> bool:
         assert one.shape is not None
         assert two.shape is not None
-        return one.shape.kind == two.shape.kind and apart(one.shape, two.shape) <= SAME_SHAPE
+        return (
+            one.shape.kind == two.shape.kind
+            and measure_surface_distance(one.shape, two.shape) <= SURFACE_ATOL
+        )
 
     def is_alike(one: Element, two: Element) -> bool:
         same = all(_same(*values) for values in _numbers_of_both(one, two).values())
@@ -376,7 +381,7 @@ def _numbers_of_both(one: Element, two: Element) -> dict[str, tuple[Value, Value
     return found
 
 
-def changed_elements(
+def find_changed_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
 ) -> Iterator[ElementDifference]:
@@ -396,9 +401,9 @@ def changed_elements(
         if (
             one.shape is not None
             and two.shape is not None
-            and apart(one.shape, two.shape) > SAME_SHAPE
+            and measure_surface_distance(one.shape, two.shape) > SURFACE_ATOL
         ):
-            alike.setdefault((key[0], SHAPE, *_reshaped(one.shape, two.shape)), []).append(key)
+            alike.setdefault((key[0], SHAPE_WORD, *_reshaped(one.shape, two.shape)), []).append(key)
     for (kind, word, *_), keys in alike.items():
         yield _change(kind, word, keys, old, new)
 
@@ -408,15 +413,24 @@ _COMPILER: Final = {
     **{
         word: word
         for word in (
-            "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "boundmass",
-            "boundinertia", "settotalmass", "balanceinertia", "alignfree", "fitaabb", "fusestatic",
+            "eulerseq",
+            "autolimits",
+            "inertiafromgeom",
+            "inertiagrouprange",
+            "boundmass",
+            "boundinertia",
+            "settotalmass",
+            "balanceinertia",
+            "alignfree",
+            "fitaabb",
+            "fusestatic",
         )
     },
-}  # fmt: skip
+}
 """{what MuJoCo's spec calls a number of the compiler that others follow from: its attribute}."""
 
 
-def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
+def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
     """Yields what has changed of the compiler: numbers change with it whose lines have not."""
     for name, word in _COMPILER.items():
         one, two = (_stated_flag(name, getattr(file.spec.compiler, name)) for file in (old, new))
@@ -472,7 +486,7 @@ def _reshaped(one: Shape, two: Shape) -> tuple[object, ...]:
 
 
 def _same(one: Value, two: Value) -> bool:
-    return len(one) == len(two) and np.allclose(one, two, rtol=SAME_NUMBER, atol=1e-12)
+    return len(one) == len(two) and np.allclose(one, two, rtol=NUMBER_RTOL, atol=1e-12)
 
 
 def _change(
@@ -497,7 +511,7 @@ def _change(
     )
     consequences: tuple[Diagnostic, ...] = ()
     shapes = [element.shape for element in (one, two) if element is not None and element.shape]
-    if word == SHAPE and math.isfinite(distance := apart(*shapes)):
+    if word == SHAPE_WORD and math.isfinite(distance := measure_surface_distance(*shapes)):
         moved = diagnose("surface-moves", distance=Quantity(distance, "m"))
         consequences = (moved,)
     return ElementDifference(
@@ -525,7 +539,7 @@ _CHOICES: Final = {
     "biastype": mujoco.mjtBias,
 }
 
-_TERMS: Final = (SHAPE, "friction")
+_TERMS: Final = (SHAPE_WORD, "friction")
 
 
 def _value(element: Element | None, word: str) -> object:
@@ -533,13 +547,13 @@ def _value(element: Element | None, word: str) -> object:
         return Term("none")
     if not word:
         return Term("there") if element.shape is None else element.shape.diagnostic
-    if word == SHAPE:
+    if word == SHAPE_WORD:
         assert element.shape is not None
         return element.shape.diagnostic
     numbers = element.values.get(word, ())
     if word in _CHOICES and numbers:
         return _CHOICES[word](int(numbers[0])).name.split("_", 1)[1].lower()
-    if word == ENABLED:
+    if word == ENABLED_WORD:
         return Term("enabled" if numbers[0] else "disabled")
     return " ".join(f"{number:.6g}" for number in numbers) or Term("none")
 
@@ -548,7 +562,7 @@ def _plain(element: Element | None, word: str) -> object:
     """Returns a value as data."""
     if element is None:
         return None
-    if word in ("", SHAPE):
+    if word in ("", SHAPE_WORD):
         shape = element.shape
         return (
             "there" if shape is None else [shape.kind, *shape.size, *shape.pose.position.tolist()]
@@ -576,7 +590,7 @@ class _Run:
     friction: float | None
 
 
-ROUNDING = 1e-9
+ROUNDING_NUDGE = 1e-9
 """rad, m: what files that mean the same are apart by; a fall may make centimetres of it."""
 
 
@@ -586,7 +600,7 @@ def _image(model: mujoco.MjModel) -> bytes:
     return image.tobytes()
 
 
-MOTION: Final = "simulated motion"
+MOTION_QUANTITY: Final = "simulated motion"
 
 
 @dataclass(frozen=True, eq=False)
@@ -596,20 +610,20 @@ class SimulatedPair:
     Attributes:
         old: What MuJoCo makes of the old file.
         new: Of the new one.
-        laid: Whether a ground was laid under both, because neither has one.
+        has_added_floor: Whether a ground was laid under both, because neither has one.
     """
 
     old: mujoco.MjModel
     new: mujoco.MjModel
-    laid: bool
+    has_added_floor: bool
 
     @staticmethod
-    def of(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
+    def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
         """Returns two files' models, on a ground if they have one to stand on or none at all."""
         models = old.model, new.model
         stand = all(has_free_joint(model) and not _stays(model).any() for model in models)
         if not stand:
-            return SimulatedPair(old.model, new.model, laid=False)
+            return SimulatedPair(old.model, new.model, has_added_floor=False)
         height = min(map(_ground_under, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
@@ -617,9 +631,11 @@ class SimulatedPair:
         before, after = (
             compile_spec(tree.spec, file.path) for tree, file in zip(trees, (old, new), strict=True)
         )
-        return SimulatedPair(before, after, laid=True)
+        return SimulatedPair(before, after, has_added_floor=True)
 
-    def effect(self, *, explained: bool) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+    def compute_effects(
+        self, *, explained: bool
+    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
         """Returns by how much the two differ as they are, and what of it a user would see.
 
         Args:
@@ -632,9 +648,11 @@ class SimulatedPair:
         effects, messages = self._weigh(before, after)
         if explained or not effects:
             return (effects, messages) if explained else ({}, ())
-        nudged, _ = self._weigh(before, self._simulate(old, ROUNDING))
+        nudged, _ = self._weigh(before, self._simulate(old, ROUNDING_NUDGE))
         # A tenth: where both have left their course, they are apart by any part of the way.
-        rounding = nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation
+        rounding = (
+            nudged and nudged[MOTION_QUANTITY].deviation > 0.1 * effects[MOTION_QUANTITY].deviation
+        )
         return ({}, ()) if rounding else (effects, messages)
 
     @cached_property
@@ -653,7 +671,9 @@ class SimulatedPair:
         """Returns by how much two simulations differ, and what of it a user would see."""
         seconds = Quantity(min(before.seconds, after.seconds), "s")
         start = self.old.key(0).name if self.old.nkey else ""
-        return _weigh(before, after, {"seconds": seconds, "start": start, "laid": self.laid})
+        return _weigh(
+            before, after, {"seconds": seconds, "start": start, "laid": self.has_added_floor}
+        )
 
 
 def _stays(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -691,7 +711,7 @@ def _simulate(model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0) 
         mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qvel += nudge
     step = float(model.opt.timestep)
-    seconds = min(SECONDS, _MOST_STEPS * step)
+    seconds = min(SIMULATION_SECONDS, _MOST_STEPS * step)
     ends = [*model.jnt_qposadr.tolist(), model.nq]
     places = [place for joint in joints for place in range(ends[joint], ends[joint + 1])]
     lengths = {JointKind.SLIDE: 1, JointKind.FREE: 3}
@@ -744,20 +764,20 @@ def _weigh(
     moved, turned = (float(off[kind].max(initial=0.0)) for kind in (after.slid, ~after.slid))
     worst = max(moved, turned)
     facts = []
-    if worst > FELT:
+    if worst > MIN_FELT_MOTION:
         rise = float(after.com[-1] - before.com[-1])
         facts.append(
             diagnose(
                 "simulation-changes",
                 diverges=math.isnan(rise),
-                higher=Quantity(rise, "m") if rise > FELT else None,
-                lower=Quantity(-rise, "m") if -_FALL <= rise < -FELT else None,
+                higher=Quantity(rise, "m") if rise > MIN_FELT_MOTION else None,
+                lower=Quantity(-rise, "m") if -_FALL <= rise < -MIN_FELT_MOTION else None,
                 falls=Quantity(-rise, "m") if rise < -_FALL else None,
-                ends=abs(rise) > FELT,
+                ends=abs(rise) > MIN_FELT_MOTION,
                 off=[
                     diagnose("coordinate-off", length=unit == "m", most=Quantity(most, unit))
                     for unit, most in (("m", moved), ("rad", turned))
-                    if FELT < most < math.inf
+                    if MIN_FELT_MOTION < most < math.inf
                 ],
                 **where,
             )
@@ -767,5 +787,5 @@ def _weigh(
         facts.append(diagnose("slides-from", one=Quantity(one, "rad"), two=Quantity(two, "rad")))
     if not facts:
         return {}, (diagnose("simulation-unchanged", **where),)
-    effects = {MOTION: Effect(worst, worst, math.inf)} if worst > FELT else {}
+    effects = {MOTION_QUANTITY: Effect(worst, worst, math.inf)} if worst > MIN_FELT_MOTION else {}
     return effects, tuple(facts)

@@ -55,7 +55,7 @@ class Version:
     Attributes:
         file: The file.
         tree: Its joints and bodies. The base of a URDF is free, for it states none.
-        others: {(kind, element): value} of what is not in the tree: joints that follow others,
+        extra_values: {(kind, element): value} of elements that are not in the tree: mimic joints,
             motors, springs, tendons ...
         elements: What touches, and of an MJCF its options and keyframes.
         bodies: {base or joint: the body that it moves}.
@@ -65,14 +65,14 @@ class Version:
 
     file: UrdfFile | MjcfFile
     tree: MultibodyTree
-    others: Mapping[tuple[str, str], Any]
+    extra_values: Mapping[tuple[str, str], Any]
     elements: Mapping[Key, Element]
     bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]
 
 
-def version_of(file: UrdfFile | MjcfFile) -> Version:
+def read_version(file: UrdfFile | MjcfFile) -> Version:
     """Reads what is compared.
 
     Raises:
@@ -94,7 +94,7 @@ def _of_urdf(file: UrdfFile) -> Version:
     return Version(
         file=file,
         tree=urdf_tree(root, file.path, base, frames),
-        others={("mimic", name): list(value) for name, value in mimics.items()},
+        extra_values={("mimic", name): list(value) for name, value in mimics.items()},
         elements=list_collisions(read_urdf_model(file)),
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
@@ -135,7 +135,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     return Version(
         file=published,
         tree=mjcf_tree(spec, file.path, base, frames),
-        others={**others, **_motors(NamedModel(reference))},
+        extra_values={**others, **_motors(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
@@ -259,7 +259,7 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
         return
     if revision.startswith("-"):
         raise ModelError(text, diagnose("no-revision", revision=revision))
-    relative = path_in(text, revision, inside)
+    relative = find_path_in_revision(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
         write_revision(text, revision, root, (*_NEEDED, relative.lower()))
@@ -279,7 +279,7 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
-    top = top_of(folder)
+    top = find_repository_top(folder)
     with tempfile.TemporaryDirectory() as copy:
         root = Path(copy).resolve()
         write_revision(revision, revision, root, _NEEDED, folder)
@@ -293,7 +293,7 @@ _LINK = "120000"
 """The mode of a symbolic link in a tree."""
 
 
-def top_of(folder: Path) -> Path:
+def find_repository_top(folder: Path) -> Path:
     """Returns the top folder of the repository that a folder is in.
 
     Raises:
@@ -302,7 +302,7 @@ def top_of(folder: Path) -> Path:
     return Path(_git_text(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
 
 
-def path_in(given: str, revision: str, inside: str) -> str:
+def find_path_in_revision(given: str, revision: str, inside: str) -> str:
     """Returns a path of ``REVISION:PATH`` from the repository's top, if git has it.
 
     Args:

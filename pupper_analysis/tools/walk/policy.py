@@ -24,14 +24,14 @@ from pupper_analysis.models.places import Place, make_file_error, make_input_err
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     OnnxFile,
+    decode_integers,
     gather_fields,
-    integers_of,
+    get_text,
     onnx,
     read_onnx,
     tables,
-    text_of,
 )
-from pupper_analysis.tools.contract.readers.onnx import Message
+from pupper_analysis.tools.contract.readers.onnx import ProtobufMessage
 from pupper_analysis.tools.walk.contract import (
     Contract,
     convert_source_statements,
@@ -159,7 +159,7 @@ def _floats(values: Sequence[Any]) -> list[float]:
 def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     """Returns a tensor's name and its numbers."""
     tensor = gather_fields(data)
-    name, dims = text_of(tensor, 8), integers_of(tensor.get(1, ()))
+    name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
     kind = tensor.get(2, [0])[0]
     count = 1
     for dim in dims:
@@ -177,7 +177,7 @@ def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
         form = "<f4" if kind == 1 else "<f8"
         found = np.frombuffer(b"".join(map(bytes, tensor.get(_LISTS[kind], ()))), dtype=form)
     else:
-        found = np.array(integers_of(tensor.get(_LISTS.get(kind, 5), ())))
+        found = np.array(decode_integers(tensor.get(_LISTS.get(kind, 5), ())))
     if found.size != count:
         problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {found.size}")
         raise ModelError(path, problem)
@@ -219,25 +219,25 @@ def _network(path: Path, file: OnnxFile) -> Network:
     return assemble_network(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
 
 
-def _node(path: Path, node: Message, number: int, constants: dict[str, Array]) -> Node:
-    kind = text_of(node, 4)
-    name = text_of(node, 3) or f"layer {number} ({kind})"
-    inputs = tuple(text_of(node, 1, index) for index in range(len(node.get(1, ()))))
-    outputs = tuple(text_of(node, 2, index) for index in range(len(node[2])))
+def _node(path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]) -> Node:
+    kind = get_text(node, 4)
+    name = get_text(node, 3) or f"layer {number} ({kind})"
+    inputs = tuple(get_text(node, 1, index) for index in range(len(node.get(1, ()))))
+    outputs = tuple(get_text(node, 2, index) for index in range(len(node[2])))
     given: dict[str, Any] = {}
     for one in node.get(5, ()):
         attribute = gather_fields(one)
-        key = text_of(attribute, 1)
+        key = get_text(attribute, 1)
         if 5 in attribute:
             given[key] = _tensor(path, attribute[5][0])[1]
         elif 3 in attribute:
-            given[key] = integers_of(attribute[3])[0]
+            given[key] = decode_integers(attribute[3])[0]
         elif 8 in attribute:
-            given[key] = integers_of(attribute[8])
+            given[key] = decode_integers(attribute[8])
         elif 2 in attribute:
             given[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
         elif 4 in attribute:
-            given[key] = text_of(attribute, 4)
+            given[key] = get_text(attribute, 4)
     if kind == "Constant" and "value" in given:
         constants[outputs[0]] = given["value"]
         return Node(name, lambda value: value, (outputs[0],), outputs)

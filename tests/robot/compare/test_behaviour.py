@@ -26,7 +26,7 @@ from pupper_analysis.robot.compare.behaviour import (
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.structure import Structure
-from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, size_notes
+from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, list_size_notes
 from tests.support.engines import to_pinocchio
 from tests.support.repository import benchmark
 from tests.support.variants import load
@@ -161,9 +161,9 @@ def test_of_a_very_large_robot_less_is_compared_and_said() -> None:
         nv = 2006
 
     large = Large()
-    assert (affordable_states(robot, 10**5), list(size_notes(robot, 20))) == (10**5, [])
+    assert (affordable_states(robot, 10**5), list(list_size_notes(robot, 20))) == (10**5, [])
     assert [affordable_states(large, count) for count in (20, 1)] == [2, 1]  # type: ignore[arg-type]
-    notes = list(map(str, size_notes(large, 20)))  # type: ignore[arg-type]
+    notes = list(map(str, list_size_notes(large, 20)))  # type: ignore[arg-type]
     assert "2 of 20 states" in notes[0]
 
 

@@ -83,14 +83,14 @@ def test_the_engines_disagreement_is_told_from_the_models(
 ) -> None:
     """MuJoCo is made to weigh the URDF's base wrongly: no number in the files is to blame."""
     files = write_parts(tmp_path, quadruped(), quadruped())
-    original = crosscheck.mujoco_from_urdf
+    original = crosscheck.import_urdf_to_mujoco
 
     def heavier(*arguments: Any, **named: Any) -> Any:
         model = original(*arguments, **named)
         model.body("base").mass[0] *= 1.01
         return model
 
-    monkeypatch.setattr(crosscheck, "mujoco_from_urdf", heavier)
+    monkeypatch.setattr(crosscheck, "import_urdf_to_mujoco", heavier)
     comparison = compared(files)
     assert comparison.differences == ()
     assert any(line.subject.name == "mass matrix" for line in comparison.engines)

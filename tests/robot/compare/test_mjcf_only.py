@@ -18,7 +18,7 @@ from pupper_analysis.robot.compare.differences import Effect
 from pupper_analysis.robot.compare.mjcf_only import mjcf_only_effects, split_mimics
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
-from pupper_analysis.tools.crosscheck.crosscheck import EXTRAS, Comparison
+from pupper_analysis.tools.crosscheck.crosscheck import EXTRAS_EDGE, Comparison
 from tests.support.robots import (
     Files,
     all_changed,
@@ -330,7 +330,7 @@ def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: P
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
     # What is a joint's is a difference of the models; what a URDF cannot state has its own side.
-    assert edges["models (MuJoCo)" if kind == "motor damping" else EXTRAS] > 1e-6
+    assert edges["models (MuJoCo)" if kind == "motor damping" else EXTRAS_EDGE] > 1e-6
 
 
 @pytest.mark.parametrize("kind", UNFELT)

@@ -15,13 +15,13 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import OutputError
-from pupper_analysis.tools.check.config import entries_of, read_config
+from pupper_analysis.tools.check.config import list_pair_entries, read_config
 from pupper_analysis.tools.check.remarks import (
     BaselineEntry,
     Remark,
-    is_same,
-    judge_remarks,
+    mark_known_remarks,
     read_baseline,
+    values_agree,
     write_baseline,
 )
 from tests.support.commands import Answer, answer
@@ -297,7 +297,7 @@ def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None
     assert run(folder).returncode == 0
     (folder / "mj").mkdir()
     (folder / "mj" / "hopper.xml").write_text((folder / "hopper.xml").read_text())
-    assert entries_of(folder) == [  # another copy elsewhere parts no pair of one folder
+    assert list_pair_entries(folder) == [  # another copy elsewhere parts no pair of one folder
         {"name": "hopper", "urdf": "hopper.urdf", "mjcf": "hopper.xml"},
         {"name": "mj/hopper", "mjcf": "mj/hopper.xml"},
     ]
@@ -352,16 +352,16 @@ def test_every_part_of_an_identity_counts() -> None:
         remark("base", 1.0, kind="com"),
         remark("base", 1.0, file="b.urdf"),
     ):
-        ((judged_one,), stale) = judge_remarks([other], [known])
+        ((judged_one,), stale) = mark_known_remarks([other], [known])
         assert not judged_one.known
         assert stale == (known,)
-    assert judge_remarks([remark("base", 1.0)], [known])[0][0].known
+    assert mark_known_remarks([remark("base", 1.0)], [known])[0][0].known
 
 
 def test_several_of_one_identity() -> None:
     """Each entry is for one remark of the same value."""
     remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
-    found, stale = judge_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
+    found, stale = mark_known_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
     assert [one.known for one in found] == [False, True, True, False]
     assert stale == (entry("base", 5.0),)
 
@@ -390,8 +390,8 @@ def test_several_of_one_identity() -> None:
     ],
 )
 def test_values_that_are_the_same(one: object, two: object, expected: bool) -> None:
-    assert is_same(one, two) is expected
-    assert is_same(two, one) is expected
+    assert values_agree(one, two) is expected
+    assert values_agree(two, one) is expected
 
 
 def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:

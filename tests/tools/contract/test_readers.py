@@ -8,10 +8,10 @@ import pytest
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.contract.readers import (
+    decode_integers,
     gather_fields,
-    integers_of,
+    get_text,
     read_onnx,
-    text_of,
 )
 from tests.tools.contract.sources import field, onnx, value
 
@@ -25,11 +25,11 @@ def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
     assert file.metadata == {"joint_names": "a,b"}
     assert file.inputs == {"obs": [1, 45]}
     assert file.outputs == {"actions": [1, 12]}
-    assert text_of(gather_fields(file.graph[12][0]), 1) == "actions"
+    assert get_text(gather_fields(file.graph[12][0]), 1) == "actions"
 
 
 def test_integers_are_packed_or_one_by_one() -> None:
-    assert integers_of([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
+    assert decode_integers([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
 
 
 @pytest.mark.parametrize("data", [b"\x80" * 20, b"\x0f", b"\x72\x7f", b"\x72\x02\x0a\x09", b"\x38"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.crosscheck.crosscheck import EDGES, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, cross_check
 from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
 
 
@@ -30,7 +30,7 @@ def test_compares_what_it_says() -> None:
         *("mass matrix", "bias forces", "gravity", "forward dynamics", "gyro", "accelerometer"),
     }
     # Nothing is compared with nothing: every quantity has a scale, and takes all sides.
-    every = set(EDGES.values())
+    every = set(EDGE_NAMES.values())
     for quantity in quantities.values():
         assert quantity.scale > 0, quantity.name
         assert set(quantity.edges) >= every - {"yourdfpy (URDF)"}

@@ -9,7 +9,7 @@ import pytest
 
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.tools.crosscheck.document import (
-    comparison_remarks,
+    make_comparison_annotations,
 )
 from tests.support.printing import printed
 from tests.support.robots import (
@@ -26,7 +26,7 @@ from tests.support.robots import (
 def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
     urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
     comparison = compared(write_parts(tmp_path, urdf, quadruped()))
-    found = {remark.title: remark for remark in comparison_remarks(comparison)}
+    found = {remark.title: remark for remark in make_comparison_annotations(comparison)}
     assert found["joint knee3"].level == "error"
     assert found["joint knee3"].message == f"joint knee3 is not in {comparison.urdf}"
     assert found["joint knee3"].place == comparison.mjcf
@@ -44,6 +44,6 @@ def test_what_is_not_explained_is_the_verdict(
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     first = printed(comparison).replace(" robot.urdf and robot.xml: ", ": ", 1)
     assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
-    (remark,) = (r for r in comparison_remarks(comparison) if r.title == "agreement")
+    (remark,) = (r for r in make_comparison_annotations(comparison) if r.title == "agreement")
     assert remark.level == "error"
     assert "no difference explains" in remark.message

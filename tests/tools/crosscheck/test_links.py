@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.multibody import TreeBody
-from pupper_analysis.tools.crosscheck.causes import body_moments, by_pattern, fold_bodies
+from pupper_analysis.tools.crosscheck.causes import compute_moments, fold_bodies, group_by_pattern
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Part,
@@ -189,12 +189,12 @@ def test_moments_add_up_as_in_mujoco() -> None:
     mujoco.mju_quat2Mat(turn, model.body_iquat[1])
     turn = turn.reshape(3, 3)
     assert both.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
-    assert body_moments(both)[0] == 5.0
+    assert compute_moments(both)[0] == 5.0
 
 
 def test_names_are_grouped_by_what_they_share() -> None:
     names = ["FL_hip_rotor", "RR_thigh_rotor", "Head_upper", "Head_lower", "imu"]
-    assert by_pattern(names) == {
+    assert group_by_pattern(names) == {
         "*_rotor": ["FL_hip_rotor", "RR_thigh_rotor"],
         "Head_*": ["Head_upper", "Head_lower"],
         "imu": ["imu"],

@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.diff.compare import Trial, with_fixed
+from pupper_analysis.tools.diff.compare import RandomStates, fix_joint
 from tests.support.commands import Answer, answer
 from tests.support.engines import to_pinocchio
 from tests.support.repository import ROOT
@@ -211,7 +211,7 @@ def test_torques_against_gravity_are_those_of_a_pendulum(tmp_path: Path) -> None
     files = written(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "base", ["swing"], {})
-    positions = Trial(tree).qpos[:, 7]
+    positions = RandomStates(tree).qpos[:, 7]
     assert len(positions) == 10
     assert np.ptp(positions) > 1.0
     assert one == pytest.approx(2.0 * 9.81 * 0.5 * np.abs(np.sin(positions)).max(), rel=1e-12)
@@ -222,8 +222,8 @@ def test_behaviour_is_that_of_configurations(name: str) -> None:
     """MuJoCo's of the tree is Pinocchio's of the file, in the public convention."""
     robot = load(name)
     tree, _ = kinematic_trees(robot)
-    trial = Trial(tree)
-    behaviour = trial.behaviour(tree)
+    trial = RandomStates(tree)
+    behaviour = trial.evaluate_tree(tree)
     order = [list(tree.joints).index(joint) for joint in robot.joint_names]
     places, dofs = ([*range(base), *(base + at for at in order)] for base in (7, 6))
     damping = np.array([0.0] * 6 + [tree.joints[joint].damping for joint in robot.joint_names])
@@ -251,7 +251,7 @@ def test_a_fixed_joint_is_pinocchios(tmp_path: Path) -> None:
     path.write_text(urdf_text(arm(), FEET))
     model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
     names = ["turn", "lift", "push"]
-    tree = with_fixed(from_pinocchio(model, "base", names, {"rod": "rod"}), "lift")
+    tree = fix_joint(from_pinocchio(model, "base", names, {"rod": "rod"}), "lift")
     q = pin.neutral(model)
     reduced = pin.buildReducedModel(model, [model.getJointId("lift")], q)
     ours = to_pinocchio(tree)

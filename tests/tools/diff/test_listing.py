@@ -8,7 +8,7 @@ import mujoco
 
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.tools.diff.elements import ENABLED, list_elements
+from pupper_analysis.tools.diff.elements import ENABLED_WORD, list_elements
 
 TEXT = """<mujoco>
   <option timestep="0.003" cone="elliptic">
@@ -53,7 +53,9 @@ def test_numbers_are_those_that_mujoco_compiles_with_their_lines(tmp_path: Path)
     assert found["exclude", "a and b"].place("").line == 22
     option = found["option", "option"]
     assert (option.values["timestep"], option.place("timestep").line) == ((0.003,), 2)
-    flags = {name: one.values[ENABLED] for (kind, name), one in found.items() if kind == "flag"}
+    flags = {
+        name: one.values[ENABLED_WORD] for (kind, name), one in found.items() if kind == "flag"
+    }
     assert (flags["contact"], flags["energy"], flags["gravity"]) == ((0.0,), (1.0,), (1.0,))
     assert found["key", "home"].values["qpos"] == (0, 0, 1, 1, 0, 0, 0, 0.5)
 

@@ -49,7 +49,7 @@ class ActuatorDrive(ActuatorLaw):
         return self.stiffness != 0
 
 
-def drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
+def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
     """Yields the actuators with a constant gain on hinges and slides."""
     constant = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value
     for actuator in np.flatnonzero(constant).tolist():
@@ -67,7 +67,7 @@ def drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
     if robot.mj_model is not None:
-        for drive in drives(robot.mj_model):
+        for drive in list_drives(robot.mj_model):
             yield robot.mj_model, drive
 
 
@@ -107,7 +107,7 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
             yield CheckFinding("actuator", several[1].name, message)
 
 
-FEWEST = 5
+MIN_SERVOS = 5
 """Position servos beside which one drive of another kind is a slip."""
 
 
@@ -116,7 +116,7 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds the one drive, of a joint with limits, that is no position servo among 5 or more."""
     found = list(_drives(robot))
     others = [(model, drive) for model, drive in found if not drive.servo]
-    if len(others) != 1 or len(found) - 1 < FEWEST:
+    if len(others) != 1 or len(found) - 1 < MIN_SERVOS:
         return
     model, drive = others[0]
     hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value

@@ -85,7 +85,7 @@ def _missing(robot: UrdfModel | MjcfModel) -> Iterator[_Missing]:
 
 @rule
 def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Opens each STL and OBJ once; see ``mesh_problem``."""
+    """Opens each STL and OBJ once; see ``find_mesh_problem``."""
     seen: set[Path] = set()
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
@@ -94,14 +94,14 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
             if path is None or path in seen:
                 continue
             seen.add(path)
-            problem = mesh_problem(path)
+            problem = find_mesh_problem(path)
             if problem is not None:
                 place = Place(robot.file.path, mesh.sourceline)
                 message = diagnose("mesh-unreadable", mesh=name, problem=problem)
                 yield CheckFinding("link", owner, message, place=place)
 
 
-def mesh_problem(path: Path) -> Diagnostic | None:
+def find_mesh_problem(path: Path) -> Diagnostic | None:
     """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
 
     STL and OBJ are read, of COLLADA the start. A file of more than ``MAX_MESH_BYTES`` bytes is not
@@ -123,9 +123,20 @@ def mesh_problem(path: Path) -> Diagnostic | None:
 
 
 _FORMATS = (
-    ".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".fbx", ".3ds", ".mesh",
-    ".wrl", ".iv",
-)  # fmt: skip
+    ".stl",
+    ".obj",
+    ".msh",
+    ".dae",
+    ".ply",
+    ".off",
+    ".glb",
+    ".gltf",
+    ".fbx",
+    ".3ds",
+    ".mesh",
+    ".wrl",
+    ".iv",
+)
 """Endings of meshes that MuJoCo, Gazebo, Bullet, Drake or RViz read; whole formats have theirs."""
 
 _PROLOGUE = 4096
@@ -146,6 +157,6 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
             yield _Missing(name, known, place, pointer, name in file.lacking)
 
 
-def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
+def find_first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
     """Returns the place of the first element of a kind with an attribute, of an MJCF."""
     return next((place for found, place in file.elements(tag) if attribute in found), None)

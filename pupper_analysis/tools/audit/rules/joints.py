@@ -29,7 +29,7 @@ from pupper_analysis.models.stated.model import (
     UrdfModel,
 )
 from pupper_analysis.tools.audit.registry import rule
-from pupper_analysis.tools.audit.rules.mirror import joint_pairs, mirror_plane
+from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
@@ -42,7 +42,7 @@ _PATTERNS = [re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for n
 _HIP = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 
 
-def expected_axis(name: str, all_names: set[str]) -> int | None:
+def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
     """Returns about which axis (0 to 2) a joint turns by its name; None if that says nothing clear.
 
     ``hip`` alone is the abduction where there are a ``thigh`` and a ``calf`` of the same leg.
@@ -58,12 +58,12 @@ def expected_axis(name: str, all_names: set[str]) -> int | None:
 @rule
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
-    mirror = mirror_plane(robot)
+    mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
         return  # the base's y is not sideways: roll and pitch are about other axes
     names = set(robot.joints)
     for joint in robot.joints.values():
-        axis = expected_axis(joint.name, names)
+        axis = infer_axis_from_name(joint.name, names)
         if axis is None or joint.kind != HINGE or not joint.axis.any():
             continue
         if abs(joint.axis[axis]) < 0.5:
@@ -223,7 +223,7 @@ def _stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]
 
 def _mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
     """Return the mirrored joint of a joint and its effort (N m); None without a positive one."""
-    for _, first, second in joint_pairs(robot):
+    for _, first, second in list_joint_pairs(robot):
         for joint, other in ((first, second), (second, first)):
             if joint.name == name and 0 < other.effort < math.inf:
                 return other.name, other.effort
@@ -258,13 +258,13 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
         yield CheckFinding("joint", joints[0], message, "limit")
 
 
-PARALLEL, LEVEL = 0.99, 0.3
+MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 """Cosine of axes that count as parallel; and the most that an axis of pitch points up."""
 
-REACHED = 0.75
+MIN_REACHED_FRACTION = 0.75
 """Share of a knee's range in which the foot comes below the hip: of less, limits are looked at."""
 
-SAMPLES = 61
+NUM_KNEE_ANGLES = 61
 """Angles of a knee over its range."""
 
 
@@ -278,7 +278,7 @@ class Leg:
         thigh: (3,) from the hip to the knee, across the axis (m).
         shank: (3,) from the knee to the next joint, or the foot, across the axis (m).
         axis: (3,) the hip's.
-        same: 1 if the knee turns the same way round for the same sign, else -1.
+        knee_sign: 1 if the knee turns the same way round for the same sign, else -1.
     """
 
     hip: Joint
@@ -286,14 +286,16 @@ class Leg:
     thigh: Array
     shank: Array
     axis: Array
-    same: float
+    knee_sign: float
 
-    def reached(self, hip: tuple[float, float], knee: tuple[float, float]) -> float:
+    def compute_reached_fraction(
+        self, hip: tuple[float, float], knee: tuple[float, float]
+    ) -> float:
         """Returns the share of a knee's range in which the foot can be straight below the hip."""
         down = np.array([0.0, 0.0, -1.0]) - self.axis * -self.axis[2]
         side = np.cross(self.axis, down)
-        angles, inside, counted = np.linspace(*knee, SAMPLES), 0, 0
-        for angle in self.same * angles:
+        angles, inside, counted = np.linspace(*knee, NUM_KNEE_ANGLES), 0, 0
+        for angle in self.knee_sign * angles:
             turned = _turn(self.shank, self.axis, angle) + self.thigh
             length = float(np.linalg.norm(self.thigh) + np.linalg.norm(self.shank))
             if np.linalg.norm(turned) < 0.2 * length:
@@ -316,7 +318,7 @@ def _across(vector: Array, axis: Array) -> Array:
     return across
 
 
-def legs_of(robot: RobotModel) -> Iterator[Leg]:
+def find_legs(robot: RobotModel) -> Iterator[Leg]:
     """Yields the limbs that hang down: a hip and a knee that bend in one plane."""
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE:
@@ -328,7 +330,7 @@ def legs_of(robot: RobotModel) -> Iterator[Leg]:
             continue
         hip = above.joints[-1]
         cosine = float(hip.axis @ knee.axis)
-        if abs(cosine) < PARALLEL or abs(hip.axis[2]) > LEVEL:
+        if abs(cosine) < MIN_PARALLEL_COSINE or abs(hip.axis[2]) > MAX_AXIS_SLOPE:
             continue
         thigh, shank = (
             _across(vector, hip.axis)
@@ -374,16 +376,16 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
     In most of the knee's range it can, in robots that stand. Told where it could if the knee's, or
     the hip's, limits (or its axis) had the other sign.
     """
-    for leg in legs_of(robot):
+    for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))
         if not all(map(math.isfinite, (*hip, *knee))) or hip[0] >= hip[1] or knee[0] >= knee[1]:
             continue
-        share = leg.reached(hip, knee)
-        if share >= REACHED:
+        share = leg.compute_reached_fraction(hip, knee)
+        if share >= MIN_REACHED_FRACTION:
             continue
         others = {
-            leg.knee.name: leg.reached(hip, (-knee[1], -knee[0])),
-            leg.hip.name: leg.reached((-hip[1], -hip[0]), knee),
+            leg.knee.name: leg.compute_reached_fraction(hip, (-knee[1], -knee[0])),
+            leg.hip.name: leg.compute_reached_fraction((-hip[1], -hip[0]), knee),
         }
         name = max(others, key=lambda one: others[one])
         if others[name] > 0.95:

@@ -28,17 +28,17 @@ from pupper_analysis.models.stated.model import (
     RobotModel,
 )
 from pupper_analysis.tools.audit.registry import (
-    extent_points,
-    known_points,
-    link_points,
-    outside_hull,
+    compute_hull_distance,
+    list_extent_points,
+    list_known_points,
+    list_link_points,
     rule,
 )
 
-COM_OUTSIDE = 0.002
+MAX_COM_OFFSET = 0.002
 """How far a com may be outside its shapes (m), plus a share of their greatest extent."""
 
-DRAWN, SIMPLIFIED = 0.05, 0.5
+DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
 """That share where a link is drawn, and where it has but simple shapes for contacts."""
 
 DEFAULT_DENSITY = 1000.0
@@ -74,7 +74,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
         carried = sum(other.mass for other in robot.descendants(body.name)) + body.mass - mass
-        if body.moving and 0 < mass < LEAST_SHARE * carried:
+        if body.moving and 0 < mass < MIN_MASS_FRACTION * carried:
             message = diagnose(
                 "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
             )
@@ -90,7 +90,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
         )
 
 
-LEAST_SHARE = 1e-3
+MIN_MASS_FRACTION = 1e-3
 """Of the mass that hangs on a link: what weighs less is a slip of units, or was forgotten."""
 
 
@@ -107,9 +107,9 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         if inertial is None or not inertial.stated or robot.is_negligible(body):
             continue
         group = robot.fixed_group(body.name)
-        points = extent_points(group, body)
+        points = list_extent_points(group, body)
         if points is None:
-            outside = outside_hull(link_points(robot, body), inertial.com)
+            outside = compute_hull_distance(list_link_points(robot, body), inertial.com)
             if 0 < span < outside:
                 message = diagnose(
                     "com-far-from-joints",
@@ -122,12 +122,12 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
                 )
         if points is None or not body.shapes:
             continue
-        points = np.concatenate([points, link_points(robot, body)])
+        points = np.concatenate([points, list_link_points(robot, body)])
         size = float(np.ptp(points, axis=0).max())
-        outside = outside_hull(points, inertial.com)
+        outside = compute_hull_distance(points, inertial.com)
         shapes = [shape for part in group for shape in part.shapes]
         drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
-        if outside > COM_OUTSIDE + (DRAWN if drawn else SIMPLIFIED) * size:
+        if outside > MAX_COM_OFFSET + (DRAWN_FRACTION if drawn else SIMPLIFIED_FRACTION) * size:
             message = diagnose(
                 "com-outside-shapes",
                 com=Vector(tuple(inertial.com), "m"),
@@ -228,17 +228,17 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 # Rules about moments of inertia.
 
-FACTOR = 100.0
+MAX_INERTIA_FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""
 
-UNREAD = 8.0
+UNREAD_MESH_FACTOR = 8.0
 """Times m R^2 that an inertia may be where some mesh is not read, and R is that of the shapes that
 are, and of the joints."""
 
-TINY = 1e-10
+MIN_GYRATION_SQUARED = 1e-10
 """What counts as no inertia, per mass (m^2): a radius of gyration of 0.01 mm."""
 
-REACH = 0.05
+MIN_REACH = 0.05
 """How far a link without shapes is taken to reach, at least (m)."""
 
 
@@ -254,7 +254,7 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     for body, inertial in _stated(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)
-        zero = max(1e-9 * scale, TINY * inertial.mass)
+        zero = max(1e-9 * scale, MIN_GYRATION_SQUARED * inertial.mass)
         alone = body.moving and len(robot.fixed_group(body.name)) == 1
         if least < -max(zero, inertial.rounding) or (alone and least <= zero):
             message = diagnose(
@@ -277,8 +277,8 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
         tolerance = min(max(1e-5 * greatest, 3 * inertial.rounding), 0.01 * greatest)
         excess = greatest - least - middle
         # Of six equal values two moments are 0, but for rounding to either side.
-        positive = least >= -max(1e-9 * greatest, TINY * inertial.mass)
-        if positive and excess > max(tolerance, TINY * inertial.mass):
+        positive = least >= -max(1e-9 * greatest, MIN_GYRATION_SQUARED * inertial.mass)
+        if positive and excess > max(tolerance, MIN_GYRATION_SQUARED * inertial.mass):
             message = diagnose(
                 "triangle-inequality",
                 least=Quantity(least, "kg m^2"),
@@ -305,16 +305,16 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
         greatest = float(inertial.moments[-1])
         if greatest <= 0 or robot.is_negligible(body):
             continue
-        points, whole = known_points(robot.fixed_group(body.name), body)
+        points, whole = list_known_points(robot.fixed_group(body.name), body)
         shaped = points is not None
-        allowed = (2.0 if whole else UNREAD) if shaped else FACTOR
+        allowed = (2.0 if whole else UNREAD_MESH_FACTOR) if shaped else MAX_INERTIA_FACTOR
         if points is None or not whole:
-            ends = link_points(robot, body)
+            ends = list_link_points(robot, body)
             points = ends if points is None else np.concatenate([points, ends])
         reach = float(np.linalg.norm(points - inertial.com, axis=1).max())
         if not shaped:
-            reach = max(reach, REACH)
-        own, _ = known_points([body], body)
+            reach = max(reach, MIN_REACH)
+        own, _ = list_known_points([body], body)
         expected = 0.0 if own is None else _solid_box(own, inertial.mass)
         if greatest > allowed * inertial.mass * reach**2:
             message = diagnose(
@@ -324,7 +324,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
                 gyration=Quantity(np.sqrt(greatest / inertial.mass), "m"),
                 reach=Quantity(reach, "m"),
             )
-        elif greatest < expected / FACTOR:
+        elif greatest < expected / MAX_INERTIA_FACTOR:
             message = diagnose(
                 "inertia-too-small",
                 moment=Quantity(greatest, "kg m^2"),
@@ -373,10 +373,10 @@ _SEVERAL = 2
 
 def _is_round(value: float) -> bool:
     """Whether a number is a power of ten."""
-    return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND)
+    return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND_LOG_ATOL)
 
 
-ROUND = 1e-9
+ROUND_LOG_ATOL = 1e-9
 """Of a logarithm: a power of ten, but for the rounding of binary numbers."""
 
 

@@ -30,11 +30,11 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.robot.contact import ContactParameters, combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
-from pupper_analysis.tools.audit.registry import known_points, rule
+from pupper_analysis.tools.audit.registry import list_known_points, rule
 
 
 @dataclass(frozen=True, eq=False)
-class Mirror:
+class MirrorPlane:
     """The plane between left and right, normal to one of the base's axes.
 
     Attributes:
@@ -52,14 +52,14 @@ class Mirror:
         matrix[self.axis, self.axis] = -1.0
         return matrix
 
-    def point(self, point: Array) -> Array:
+    def reflect_point(self, point: Array) -> Array:
         """Returns the mirror image of a point (3,) in the base frame (m)."""
         image: Array = self.matrix @ point
         image[self.axis] += 2 * self.offset
         return image
 
 
-def mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> Mirror | None:
+def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
     """Finds the plane in which most pairs of bodies are mirror images of each other at zero angles.
 
     Returns:
@@ -73,8 +73,8 @@ def mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> Mirror | None:
     best, most = None, 0
     for axis in (1, 0, 2):
         for offset in (0.0, float(np.median(left[:, axis] + right[:, axis])) / 2):
-            mirror = Mirror(axis, offset)
-            images = np.array([mirror.point(point) for point in left])
+            mirror = MirrorPlane(axis, offset)
+            images = np.array([mirror.reflect_point(point) for point in left])
             away = np.abs(left[:, axis] - right[:, axis]) > tolerance
             close = np.linalg.norm(images - right, axis=1) < tolerance
             agreeing = int(np.sum(close & away))
@@ -83,7 +83,13 @@ def mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> Mirror | None:
     return best if 3 * most >= len(pairs) else None
 
 
-POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
+POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
+    1e-3,
+    0.01,
+    1e-3,
+    0.1,
+    0.02,
+)
 """Tolerances: m, relative, m, relative, rad or m."""
 
 
@@ -97,23 +103,26 @@ def _anchor(body: Link) -> Array:
     return body.joints[0].position if body.moving else body.pose.position
 
 
-def _displaced(robot: RobotModel, mirror: Mirror) -> tuple[set[str], list[tuple[Link, Link]]]:
+def _displaced(robot: RobotModel, mirror: MirrorPlane) -> tuple[set[str], list[tuple[Link, Link]]]:
     """Returns all bodies that are not at their mirror image, and the first pair of each chain."""
     displaced: set[str] = set()
     first_ones = []
     for one, other in _body_pairs(robot):
         if not (one.moving or one.mass or "foot" in one.name.lower()):
             continue  # a mark on a link
-        if float(np.linalg.norm(mirror.point(_anchor(one)) - _anchor(other))) > POSITION:
+        if (
+            float(np.linalg.norm(mirror.reflect_point(_anchor(one)) - _anchor(other)))
+            > POSITION_TOLERANCE
+        ):
             if not displaced & {*robot.ancestors(one.name), *robot.ancestors(other.name)}:
                 first_ones.append((one, other))
             displaced |= {one.name, other.name}
     return displaced, first_ones
 
 
-def _in_place(robot: RobotModel) -> Iterator[tuple[Mirror, Link, Link]]:
+def _in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
     """Yields the pairs that are where they should be, with their children."""
-    mirror = mirror_plane(robot)
+    mirror = find_mirror_plane(robot)
     if mirror is None:
         return
     displaced, _ = _displaced(robot, mirror)
@@ -126,7 +135,7 @@ def _in_place(robot: RobotModel) -> Iterator[tuple[Mirror, Link, Link]]:
 
 def _inertials(
     robot: RobotModel,
-) -> Iterator[tuple[Mirror, tuple[Link, Inertial], tuple[Link, Inertial]]]:
+) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
     """Yields the pairs that are where they should be, with the inertials that both have."""
     for mirror, one, other in _in_place(robot):
         if one.inertial is not None and other.inertial is not None:
@@ -134,17 +143,17 @@ def _inertials(
 
 
 def _same_mass(one: Link, other: Link) -> bool:
-    return not abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass))
+    return not abs(one.mass - other.mass) > MASS_RTOL * max(abs(one.mass), abs(other.mass))
 
 
 @rule
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the places of joints, or of fixed bodies; once per chain."""
-    mirror = mirror_plane(robot)
+    mirror = find_mirror_plane(robot)
     if mirror is None:
         return
     for one, other in _displaced(robot, mirror)[1]:
-        image, place = mirror.point(_anchor(one)), _anchor(other)
+        image, place = mirror.reflect_point(_anchor(one)), _anchor(other)
         gap = float(np.linalg.norm(image - place))
         message = diagnose(
             "mirror-position",
@@ -177,10 +186,10 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
     for mirror, (one, here), (other, there) in _inertials(robot):
-        image = mirror.point(one.pose.point(here.com))
+        image = mirror.reflect_point(one.pose.point(here.com))
         com = other.pose.point(there.com)
         gap = float(np.linalg.norm(image - com))
-        if gap > COM + 0.01 * float(np.linalg.norm(com)):
+        if gap > COM_TOLERANCE + 0.01 * float(np.linalg.norm(com)):
             message = diagnose(
                 "mirror-com",
                 com=Vector(tuple(com), "m"),
@@ -206,7 +215,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
         its, own = inertia_entries(image), inertia_entries(tensor)
         gap = np.abs(its - own)
         worst = int(np.argmax(gap))
-        if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
+        if gap[worst] > max(INERTIA_RTOL * scale, min(rounding, 0.5 * scale)):
             message = diagnose(
                 "mirror-inertia",
                 entry=names[worst],
@@ -217,9 +226,9 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
 
 
-def joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
+def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
     """Yields the pairs of joints that move alike, if there is a plane between them."""
-    mirror, joints = mirror_plane(robot), robot.joints
+    mirror, joints = find_mirror_plane(robot), robot.joints
     if mirror is None:
         return
     for pair in find_mirror_pairs(joints):
@@ -228,7 +237,7 @@ def joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
             yield mirror, one, other
 
 
-def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
+def _sense(mirror: MirrorPlane, one: Joint, other: Joint) -> float:
     """Returns the cosine between a joint's axis and its partner's mirrored one.
 
     An axis of rotation is a pseudovector: its mirror image is -S a, that of a sliding axis S a.
@@ -240,7 +249,7 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
-    for mirror, one, other in joint_pairs(robot):
+    for mirror, one, other in list_joint_pairs(robot):
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -257,14 +266,14 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 @rule
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
-    for mirror, one, other in joint_pairs(robot):
+    for mirror, one, other in list_joint_pairs(robot):
         sense = _sense(mirror, one, other)
         if abs(sense) < 0.9:
             continue
         image = (one.lower, one.upper) if sense > 0 else (0.0 - one.upper, 0.0 - one.lower)
         here = (other.lower, other.upper)
         gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, here, strict=True))
-        if gap > LIMIT:
+        if gap > LIMIT_TOLERANCE:
             lower, upper, its_lower, its_upper = (
                 Quantity(limit, other.unit) for limit in (*here, *image)
             )
@@ -289,7 +298,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares damping, dry friction, armature and springs; see ``unlike_pairs``."""
-    pairs = [(one.name, other.name) for _, one, other in joint_pairs(robot)]
+    pairs = [(one.name, other.name) for _, one, other in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
             name: value
@@ -308,10 +317,10 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding("joint", other, message, robot.words(attribute)[1])
 
 
-SIMPLE = 2e-3
+SIMPLE_SHAPE_TOLERANCE = 2e-3
 """m: of simple shapes, whose numbers are typed; the largest gap in use is 1 mm."""
 
-SHAPES = 0.01
+SHAPE_TOLERANCE = 0.01
 """m: of what touches, plus a tenth of its size: left and right meshes are cut otherwise."""
 
 
@@ -330,7 +339,7 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         extents = [_extent(link, parts) for link, parts in zip((one, other), pair, strict=True)]
         if extents[0] is None or extents[1] is None:
             continue
-        image = np.array([mirror.point(point) for point in extents[0]])
+        image = np.array([mirror.reflect_point(point) for point in extents[0]])
         ends = [
             np.array([points.min(axis=0), points.max(axis=0)]) for points in (image, extents[1])
         ]
@@ -339,7 +348,7 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         simple = all(
             shape.kind != "mesh" for parts in pair for part in parts for shape in part.shapes
         )
-        if gap > (SIMPLE if simple else SHAPES + 0.1 * size):
+        if gap > (SIMPLE_SHAPE_TOLERANCE if simple else SHAPE_TOLERANCE + 0.1 * size):
             message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
             yield CheckFinding(robot.link_tag, other.name, message)
 
@@ -360,8 +369,10 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
             message = diagnose("mirror-contacts", other=whole.name, word=None, own=None, its=None)
             yield CheckFinding(robot.link_tag, bare.name, message)
         for word in _OF_CONTACTS if own and len(its) == len(own) else ():
-            values = [np.array([np.ravel(getattr(contact, word)) for contact in side])
-                      for side in (own, its)]  # fmt: skip
+            values = [
+                np.array([np.ravel(getattr(contact, word)) for contact in side])
+                for side in (own, its)
+            ]
             a, b = (each[np.lexsort(each.T[::-1])] for each in values)
             for place in np.flatnonzero(~np.isclose(a, b).all(axis=1))[:1]:
                 message = diagnose(
@@ -400,5 +411,5 @@ def _touching(robot: RobotModel, link: Link) -> list[Link]:
 
 def _extent(link: Link, parts: list[Link]) -> Array | None:
     """Returns points (n, 3) of what touches, in the base's axes (m); None if some is not known."""
-    points, whole = known_points(parts, link)
+    points, whole = list_known_points(parts, link)
     return link.pose.point(points) if whole and points is not None else None

@@ -17,9 +17,14 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import Shape
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
-from pupper_analysis.tools.audit.registry import extent_points, known_points, link_points, rule
+from pupper_analysis.tools.audit.registry import (
+    list_extent_points,
+    list_known_points,
+    list_link_points,
+    rule,
+)
 
-TOLERANCE = 1e-3
+POSITION_TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""
 
 
@@ -52,7 +57,7 @@ def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
     axis = shape.pose.rotation[:, 2]
     for sign in (1.0, -1.0):
         start = shape.pose.position - sign * half * axis
-        if np.linalg.norm(start - anchor) < max(TOLERANCE, 0.02 * half) and half > radius:
+        if np.linalg.norm(start - anchor) < max(POSITION_TOLERANCE, 0.02 * half) and half > radius:
             return sign * axis, 2 * half
     return None
 
@@ -84,7 +89,7 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
                 continue
             end, way = min(ahead.items(), key=lambda item: abs(item[1] - length))
             gap, caps = length - way, shape.size[0]
-            tolerance = max(TOLERANCE, 0.02 * way)
+            tolerance = max(POSITION_TOLERANCE, 0.02 * way)
             reached = -0.2 * way < gap < tolerance or abs(gap + caps) < tolerance
             if not reached and (end, round(length, 6)) not in reported:
                 reported.add((end, round(length, 6)))
@@ -123,8 +128,12 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
             if not shape.collides or shape.kind not in ("box", "cylinder", "capsule"):
                 continue
             axis, half, width = _rod(shape)
-            along = 0.6 < 2 * half / max(length, SHORT) < 1.4 and half > 2 * width
-            if length < SHORT or not along or abs(way @ axis) < ALONG * length:
+            along = 0.6 < 2 * half / max(length, MIN_LINK_LENGTH) < 1.4 and half > 2 * width
+            if (
+                length < MIN_LINK_LENGTH
+                or not along
+                or abs(way @ axis) < MIN_ALIGNMENT_COSINE * length
+            ):
                 continue
             middle = shape.pose.position - anchor - way / 2
             ahead = float(middle @ way) / length
@@ -140,10 +149,10 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
                 yield CheckFinding(robot.link_tag, body.name, message, _tag(robot, shape))
 
 
-SHORT = 0.03
+MIN_LINK_LENGTH = 0.03
 """m: of joints that are nearer, no shape shows where a link is."""
 
-ALONG = 0.966
+MIN_ALIGNMENT_COSINE = 0.966
 """Cosine of 15 degrees: what is more inclined does not run along its link."""
 
 
@@ -166,7 +175,7 @@ def _tag(robot: RobotModel, shape: Shape) -> str:
 def _on_line(offset: Array, direction: Array, radius: float) -> bool:
     along = float(offset @ direction)
     across = float(np.linalg.norm(offset - along * direction))
-    return along > 2 * radius and across < max(TOLERANCE, 0.5 * radius)
+    return along > 2 * radius and across < max(POSITION_TOLERANCE, 0.5 * radius)
 
 
 @rule
@@ -197,7 +206,11 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
             if not spheres:
                 continue
             _, gap, radius = min(spheres)
-            if gap > 5 * radius or gap < TOLERANCE or abs(gap - radius) < TOLERANCE:
+            if (
+                gap > 5 * radius
+                or gap < POSITION_TOLERANCE
+                or abs(gap - radius) < POSITION_TOLERANCE
+            ):
                 continue
             message = diagnose(
                 "foot-sphere-off-frame", radius=Quantity(radius, "m"), gap=Quantity(gap, "m")
@@ -209,32 +222,32 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
 
 # How large they are.
 
-DENSEST = 20_000.0
+MAX_DENSITY = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.
 
 The hull is the largest volume that a body of these shapes can have. Of 1500 links of robots in use
 the densest has 15600, a wrist whose mesh leaves out what is screwed to it.
 """
 
-UNREAD = 5.0
+UNREAD_MESH_FACTOR = 5.0
 """Times that, where some mesh is not read: the shapes that are may be smaller than the link."""
 
-LIGHTEST = 2.0
+MIN_DENSITY = 2.0
 """Likewise below which none is (kg/m^3): air has 1.2, the lightest foam 10; the links, 8.8."""
 
-SHARE = 0.01
+MIN_MASS_FRACTION = 0.01
 """Of the robot's mass: what weighs less may have a token of a shape."""
 
-TOKEN = 0.5
+MIN_SHAPE_FRACTION = 0.5
 """A shape less than this share of the way to the next joint does not show how large a link is."""
 
-SMALL = 0.01
+MIN_EXTENT = 0.01
 """Nor does one below this extent (m)."""
 
-LARGE, TINY = 20.0, 0.002
+MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
 """Extents between which the joints of a robot are expected (m)."""
 
-OUT_OF_SCALE = 20.0
+MAX_SHAPE_RATIO = 20.0
 """Times the extent of all joints that no link is drawn; of 1500 links the largest has 2.3."""
 
 
@@ -244,19 +257,19 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     for body in _moving(robot):
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
-        if mass < SHARE * robot.total_mass or mass <= 0:
+        if mass < MIN_MASS_FRACTION * robot.total_mass or mass <= 0:
             continue
-        points, whole = known_points(group, body)
+        points, whole = list_known_points(group, body)
         if points is None or not (whole or body.moving):
             continue  # of a base, what is not read may be nearly all
-        most = DENSEST if whole else UNREAD * DENSEST
-        links = link_points(robot, body)
+        most = MAX_DENSITY if whole else UNREAD_MESH_FACTOR * MAX_DENSITY
+        links = list_link_points(robot, body)
         own, way = _extent(points), _extent(links)
-        if own < max(SMALL, TOKEN * way):
+        if own < max(MIN_EXTENT, MIN_SHAPE_FRACTION * way):
             continue
         volume = _volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
-        if volume > 0 and not (LIGHTEST if whole else 0.0) <= density <= most:
+        if volume > 0 and not (MIN_DENSITY if whole else 0.0) <= density <= most:
             message = diagnose(
                 "denser-than-metal" if density > most else "lighter-than-foam",
                 mass=Quantity(mass, "kg"),
@@ -273,19 +286,19 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     if len(places) < 2 or robot.base not in robot.links:
         return
     size = _extent(places)
-    if size > LARGE or 0 < size < TINY:
+    if size > MAX_ROBOT_EXTENT or 0 < size < MIN_ROBOT_EXTENT:
         message = diagnose(
             "joints-out-of-scale",
             size=Quantity(size, "m"),
-            least=Quantity(TINY, "m"),
-            most=Quantity(LARGE, "m"),
+            least=Quantity(MIN_ROBOT_EXTENT, "m"),
+            most=Quantity(MAX_ROBOT_EXTENT, "m"),
         )
         yield CheckFinding(robot.link_tag, robot.base, message)
-    if size < SMALL:
+    if size < MIN_EXTENT:
         return
     for body in robot.links.values():
-        points = extent_points([body], body)
-        if points is not None and _extent(points) > OUT_OF_SCALE * size:
+        points = list_extent_points([body], body)
+        if points is not None and _extent(points) > MAX_SHAPE_RATIO * size:
             message = diagnose(
                 "shapes-out-of-scale",
                 length=Quantity(_extent(points), "m"),

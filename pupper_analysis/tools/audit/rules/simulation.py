@@ -19,8 +19,8 @@ from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
-from pupper_analysis.tools.audit.rules.actuators import drives
-from pupper_analysis.tools.audit.rules.files import first_place
+from pupper_analysis.tools.audit.rules.actuators import list_drives
+from pupper_analysis.tools.audit.rules.files import find_first_place
 
 
 @rule
@@ -31,7 +31,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
-        place = first_place(robot.file, "option", "gravity")
+        place = find_first_place(robot.file, "option", "gravity")
         message = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
         wrong = gravity[2] > 0 or np.hypot(*gravity[:2]) > -gravity[2]
         severity = None if wrong else Severity.NOTE
@@ -44,7 +44,7 @@ def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
     if robot.mj_model is None:
         return
     model = robot.mj_model
-    driven = list(drives(model))
+    driven = list(list_drives(model))
     armature = [
         model.dof_armature[model.jnt_dofadr[drive.joint]] + model.actuator_armature[drive.id]
         for drive in driven
@@ -94,7 +94,12 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds robots with a free base none of whose shapes touches the ground, or that of a scene."""
     model = robot.mj_model
-    if model is None or not (model.jnt_type == FREE).any() or model.npair or robot.file.lacking:
+    if (
+        model is None
+        or not (model.jnt_type == FREE_JOINT).any()
+        or model.npair
+        or robot.file.lacking
+    ):
         return
     ground = ground_geom(model)
     free = [geom for geom in range(model.ngeom) if _falls_free(model, geom)]
@@ -109,13 +114,13 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
 
 
-FREE = mujoco.mjtJoint.mjJNT_FREE.value
+FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE.value
 
 
 def _falls_free(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a geom's tree begins with a free joint."""
     joint = model.body_jntadr[model.body_rootid[model.geom_bodyid[geom]]]
-    return bool(joint >= 0 and model.jnt_type[joint] == FREE)
+    return bool(joint >= 0 and model.jnt_type[joint] == FREE_JOINT)
 
 
 def _touching(model: mujoco.MjModel) -> Iterator[int]:

@@ -24,15 +24,15 @@ from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import own_motion
 from pupper_analysis.tools.audit.registry import rule
-from pupper_analysis.tools.audit.rules.actuators import drives
+from pupper_analysis.tools.audit.rules.actuators import list_drives
 
-FLOOR_DEPTH = 5e-3
+MAX_FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
 
-MOST_KEYFRAMES = 100
+MAX_KEYFRAMES = 100
 """How many keyframes are looked at."""
 
-LARGEST_SAG = 0.5
+MAX_SAG = 0.5
 """How far a servo without a torque limit may be commanded ahead of its joint (rad, m)."""
 
 _SHORTEST = 1e-4
@@ -40,7 +40,7 @@ _SHORTEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class StartPose:
     """A pose in which a simulation may start.
 
     Attributes:
@@ -56,16 +56,16 @@ class Start:
     severity: Severity
 
 
-def _starts(robot: MjcfModel) -> Iterator[Start]:
+def _starts(robot: MjcfModel) -> Iterator[StartPose]:
     model = robot.mj_model
     if model is None or not robot.links:
         return
     least = Severity.NOTE if model.nkey else Severity.WARNING
-    yield Start(("body", robot.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
-    for key in range(min(model.nkey, MOST_KEYFRAMES)):
+    yield StartPose(("body", robot.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
+    for key in range(min(model.nkey, MAX_KEYFRAMES)):
         name = model.key(key).name
         message = diagnose("start-keyframe", keyframe=name, number=key)
-        yield Start(("key", name), message, np.array(model.key_qpos[key]), Severity.WARNING)
+        yield StartPose(("key", name), message, np.array(model.key_qpos[key]), Severity.WARNING)
 
 
 @rule
@@ -122,16 +122,16 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     model = robot.mj_model
     if model is None:
         return
-    for key in range(min(model.nkey, MOST_KEYFRAMES)):
+    for key in range(min(model.nkey, MAX_KEYFRAMES)):
         ahead: dict[str, float] = {}
-        for drive in drives(model):
+        for drive in list_drives(model):
             angle = float(model.key_qpos[key, model.jnt_qposadr[drive.joint]])
             if drive.stiffness <= 0 or drive.gear == 0:
                 continue
             command = float(model.key_ctrl[key, drive.control]) * drive.gain / drive.stiffness
             limit = effort_limit(model, drive.joint) / (drive.stiffness * drive.gear**2)
             off = command / drive.gear - angle
-            if abs(off) > 1e-3 + (limit if math.isfinite(limit) else LARGEST_SAG):
+            if abs(off) > 1e-3 + (limit if math.isfinite(limit) else MAX_SAG):
                 ahead[drive.joint_name] = off
         if ahead:
             worst = max(ahead, key=lambda name: abs(ahead[name]))
@@ -192,7 +192,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
     """Commands position servos to a pose; tells whether they are at half of the joints or more."""
     assert robot.mj_model is not None
-    holding = [drive for drive in drives(robot.mj_model) if drive.servo]
+    holding = [drive for drive in list_drives(robot.mj_model) if drive.servo]
     for drive in holding:
         angle = float(data.qpos[robot.mj_model.jnt_qposadr[drive.joint]])
         data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.gain or 1.0)
@@ -212,7 +212,7 @@ def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
         for bodies, geoms, depth in _contacts(robot, start):
             assert robot.mj_model is not None
             planes = robot.mj_model.geom_type[list(geoms)] == mujoco.mjtGeom.mjGEOM_PLANE.value
-            if planes.any() and 0 in bodies and depth > FLOOR_DEPTH:
+            if planes.any() and 0 in bodies and depth > MAX_FLOOR_DEPTH:
                 name = robot.body_names[max(bodies)]
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
@@ -236,7 +236,7 @@ def _rounded(value: float, unit: str) -> Quantity:
 
 
 def _contacts(
-    robot: MjcfModel, start: Start
+    robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
     """Yields bodies, geoms and depth (m) of each contact that MuJoCo finds in a pose."""
     model = robot.mj_model

@@ -21,7 +21,7 @@ from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.tools.audit.registry import rule
-from pupper_analysis.tools.audit.rules.files import first_place
+from pupper_analysis.tools.audit.rules.files import find_first_place
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 
@@ -143,7 +143,7 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
                 greatest=greatest,
                 below=value < least,
             )
-            place = first_place(robot.file, "option", name)
+            place = find_first_place(robot.file, "option", name)
             yield CheckFinding("option", "", message, place=place, severity=severity)
 
 

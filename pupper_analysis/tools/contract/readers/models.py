@@ -19,26 +19,30 @@ from pupper_analysis.models.transmission import group_actuators_by_joint, read_a
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
-from pupper_analysis.tools.contract.orders import depth_first
+from pupper_analysis.tools.contract.orders import list_depth_first
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz")
 
 
 def read(request: Request) -> Iterator[Source]:
     """Yields what a model file states of its joints, which are in the file's order."""
-    model = read_stated(request.path)
+    model = read_model_file(request.path)
     if isinstance(model, MjcfModel) and model.refusal is not None:
         problem, place = model.refusal
         raise make_file_error(place or Place(request.path), problem)
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
     ids = {} if compiled is None else group_actuators_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
-    statements = [one for joint in model.joints.values() if joint.moves
-                  for one in _of_joint(model, joint, drives.get(joint.name, []))]  # fmt: skip
+    statements = [
+        one
+        for joint in model.joints.values()
+        if joint.moves
+        for one in _of_joint(model, joint, drives.get(joint.name, []))
+    ]
     if isinstance(model, MjcfModel) and compiled is not None:
         for name, driving in drives.items():
             statements += [one for drive in driving for one in _servo(model, drive, name)]
-    order = depth_first(model)
+    order = list_depth_first(model)
     if order:
         yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
 
@@ -62,7 +66,7 @@ def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[St
 _RANGES = ("ctrlrange", "forcerange")
 
 
-def read_stated(path: Path) -> RobotModel:
+def read_model_file(path: Path) -> RobotModel:
     """Returns the robot that a model file states."""
     reader = reader_of(path)
     with silence_mujoco():
@@ -92,7 +96,7 @@ def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place
     return model.file.stated("actuator", name, words) or model.file.place("actuator", name)
 
 
-def match_names(
+def match_joint_names(
     models: Sequence[Source], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Returns {a model's name of a joint: the first one's} where these differ, and notes.
@@ -106,10 +110,13 @@ def match_names(
     found, notes = dict[str, str](), list[Diagnostic]()
     for other in (each for each in models if set(each.order) != set(models[0].order)):
         # That which can be read as a URDF, then that which can be read as an MJCF; a USD as either.
-        one, two = sorted((models[0].path, other.path), key=lambda path: (
-            0 if reader_of(path) else 1 if kind_of(path) == "mjcf" else -1))  # fmt: skip
-        known = {old: new for old, new in given.items()
-                 if old in other.order and new in models[0].order}  # fmt: skip
+        one, two = sorted(
+            (models[0].path, other.path),
+            key=lambda path: 0 if reader_of(path) else 1 if kind_of(path) == "mjcf" else -1,
+        )
+        known = {
+            old: new for old, new in given.items() if old in other.order and new in models[0].order
+        }
         turned = one == models[0].path
         try:
             with silence_mujoco():

@@ -10,12 +10,19 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.models.places import Place, make_input_error
-from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, scalar
-from pupper_analysis.tools.contract.readers.tables import of_table
+from pupper_analysis.tools.contract.facts import (
+    Node,
+    Request,
+    Role,
+    Source,
+    Statement,
+    parse_scalar,
+)
+from pupper_analysis.tools.contract.readers.tables import read_table
 
 SUFFIXES = (".onnx",)
 
-Message = dict[int, list["int | memoryview"]]
+ProtobufMessage = dict[int, list["int | memoryview"]]
 """A message of Protocol Buffers: {number of a field: its values, in order}."""
 
 # Fields are numbered as in onnx.proto (ONNX 1.16).
@@ -35,7 +42,7 @@ class OnnxFile:
     """
 
     metadata: dict[str, str]
-    graph: Message
+    graph: ProtobufMessage
     inputs: dict[str, list[int]]
     outputs: dict[str, list[int]]
 
@@ -49,9 +56,9 @@ def read_onnx(path: Path) -> OnnxFile:
     try:
         model = gather_fields(memoryview(read_input(path, MAX_FILE_BYTES)))
         entries = [gather_fields(one) for one in model.get(_METADATA, ())]
-        metadata = {text_of(one, 1): text_of(one, 2) for one in entries}
+        metadata = {get_text(one, 1): get_text(one, 2) for one in entries}
         graph = gather_fields(model[_GRAPH][0]) if _GRAPH in model else {}
-        constants = {text_of(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
+        constants = {get_text(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
         ends = [dict(map(_named_sizes, graph.get(which, ()))) for which in (_INPUTS, _OUTPUTS)]
     except InputError as error:
         raise make_input_error(path, error) from error
@@ -64,23 +71,27 @@ def read_onnx(path: Path) -> OnnxFile:
 def read(request: Request) -> Iterator[Source]:
     """Yields what a policy says of itself, if it does."""
     file = read_onnx(request.path)
-    table = {key: _parts(text, Place(request.path, element=key))
-             for key, text in file.metadata.items()}  # fmt: skip
+    table = {
+        key: _parts(text, Place(request.path, element=key)) for key, text in file.metadata.items()
+    }
     ends = {"actions": file.outputs, "observed numbers": file.inputs}
-    sizes = [Statement(what, float(size[-1]), Place(request.path, element=name))
-             for what, end in ends.items()
-             for name, size in list(end.items())[:1] if size]  # fmt: skip
+    sizes = [
+        Statement(what, float(size[-1]), Place(request.path, element=name))
+        for what, end in ends.items()
+        for name, size in list(end.items())[:1]
+        if size
+    ]
     whole = Node(table, Place(request.path))
-    yield from of_table(request, request.path.name, whole, Role.POLICY, sizes)
+    yield from read_table(request, request.path.name, whole, Role.POLICY, sizes)
 
 
 def _parts(text: str, place: Place) -> Node:
     """Returns what a list in metadata holds, with its brackets and quotes or without."""
     parts = (part for one in text.strip("[]() ").split(",") if (part := one.strip(" \"'")))
-    return Node([scalar(part, place) for part in parts], place)
+    return Node([parse_scalar(part, place) for part in parts], place)
 
 
-def gather_fields(data: int | memoryview) -> Message:
+def gather_fields(data: int | memoryview) -> ProtobufMessage:
     """Returns the fields of a message in the wire format of Protocol Buffers.
 
     Raises:
@@ -88,7 +99,7 @@ def gather_fields(data: int | memoryview) -> Message:
     """
     if isinstance(data, int):
         raise ValueError(data)
-    at, found = 0, Message()
+    at, found = 0, ProtobufMessage()
     while at < len(data):
         tag, at = _varint(data, at)
         kind = tag & 7
@@ -104,14 +115,14 @@ def gather_fields(data: int | memoryview) -> Message:
     return found
 
 
-def text_of(message: Message, number: int, index: int = 0) -> str:
+def get_text(message: ProtobufMessage, number: int, index: int = 0) -> str:
     """Returns a field of a message as a text; "" if it is not there."""
     values = message.get(number, ())
     held = values[index] if len(values) > index else b""
     return "" if isinstance(held, int) else bytes(held).decode(errors="replace")
 
 
-def integers_of(values: Sequence[int | memoryview]) -> list[int]:
+def decode_integers(values: Sequence[int | memoryview]) -> list[int]:
     """Returns signed integers that are packed, or stand one by one."""
     flat: list[int] = []
     for value in values:
@@ -130,8 +141,8 @@ def _named_sizes(data: int | memoryview) -> tuple[str, list[int]]:
     value = gather_fields(data)
     kind = gather_fields(gather_fields(value[2][0])[1][0])
     shape = gather_fields(kind[2][0]) if 2 in kind else {}
-    dims = [integers_of(gather_fields(dim).get(1, [1]))[0] for dim in shape.get(1, ())]
-    return text_of(value, 1), dims
+    dims = [decode_integers(gather_fields(dim).get(1, [1]))[0] for dim in shape.get(1, ())]
+    return get_text(value, 1), dims
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
