@@ -164,6 +164,18 @@ third are put aside by the second, and stand below the hips by the fourth."""
 _KEY_DIGITS = 6
 """Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
 
+_POSE_WEIGHT = 1e-3
+"""Weight of the distance from the pose [rad] beside a contact point's height error, in parts of the
+base height, and the CoM's offset, likewise. It selects among the postures that lay the soles."""
+
+_MAX_SOLE_ERROR = 1e-3
+"""Largest height error of a contact point, and offset of the CoM, in parts of the base height, with
+which joint positions are an initial guess of a stand. Chosen: the stand is solved exactly."""
+
+_LIMIT_CLEARANCE = 1e-9
+"""Distance of an initial guess from the bounds of the least-squares problem [rad]: SciPy requires
+it to be strictly inside."""
+
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
 
@@ -200,7 +212,8 @@ def first_stand(robot: Robot) -> Stand | None:
 def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Finds a stand in the middle of the heights that the legs can reach.
 
-    The feet are where one of some poses has them, seen from above; or else aside from their hips.
+    The horizontal positions of the feet are those of one of the poses; else beside the hips; else
+    those of legs that are bent until their soles are level: see ``_find_level_soles``.
 
     Args:
         robot: The robot with feet.
@@ -210,7 +223,78 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
     poses = list(poses)
-    return _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
+    return (
+        _found(robot, poses)
+        or _found(robot, [_put_aside(robot, pose) for pose in poses])
+        or next(filter(None, (_find_level_soles(robot, pose) for pose in poses)), None)
+    )
+
+
+def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
+    """Find a nominal stand whose feet are level and wherever the bent legs have them.
+
+    Legs with fewer than six joints, and axes that are not parallel, move a sole sideways and turn
+    it while they bend: at the horizontal positions of the straight legs the sole is never level.
+
+    Returns:
+        Robot with this nominal stand. None if there is none, or if no joint moves a contact point
+        (wheels).
+    """
+    jacobians = Configuration(robot, robot.posed(pose)).foot_jacobians().values()
+    if not any((np.abs(jacobian[:, 6:]) > _LIMIT_CLEARANCE).any() for jacobian in jacobians):
+        return None
+    length = leg_length(robot, robot.posed(pose))
+    heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
+    heights = heights[heights > 0]
+    for margin in _MARGINS:
+        guesses = [(height, _level_soles(robot, pose, height, margin)) for height in heights]
+        found = _from_middle(
+            [
+                _starting(replace(robot, nominal=joints), joints, float(height))
+                for height, joints in guesses
+                if joints is not None
+            ]
+        )
+        if found is not None:
+            return found
+    return None
+
+
+def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
+    """Bend the joints until all contact points are on the ground and the CoM above their centre.
+
+    Least squares over the joint positions with a level base; the distance from the pose is a small
+    regularisation. The horizontal positions and the yaw of the feet are free.
+
+    Args:
+        robot: Robot with feet.
+        pose: Joint positions that the solution is close to, shape (nu,) [rad or m].
+        height: Height of the base above the ground [m].
+        margin: Distance of the joints from their limits [rad]; at most 40 % of a joint's range.
+
+    Returns:
+        Joint positions, shape (nu,) [rad or m]; None if an error exceeds ``_MAX_SOLE_ERROR``.
+    """
+    from scipy import optimize  # slow to import
+
+    lower = np.clip(robot.lower_limits, -np.pi, np.pi)
+    upper = np.clip(robot.upper_limits, -np.pi, np.pi)
+    inset = np.minimum(margin, 0.4 * (upper - lower)) - _LIMIT_CLEARANCE
+    radii = np.array(list(robot.contact_radius.values()))
+
+    def errors(joints: Array) -> Array:
+        config = Configuration(robot, robot.posed(joints))
+        places = config.foot_positions()
+        touching = np.array([places[point] for point in robot.contact_radius])
+        com_offset = (config.center_of_mass() - touching.mean(axis=0))[:2]
+        return np.concatenate([touching[:, 2] - radii + height, com_offset])
+
+    found = optimize.least_squares(
+        lambda joints: np.concatenate([errors(joints) / height, _POSE_WEIGHT * (joints - pose)]),
+        np.clip(pose, lower + inset + _LIMIT_CLEARANCE, upper - inset - _LIMIT_CLEARANCE),
+        bounds=(lower + inset, upper - inset),
+    ).x
+    return found if np.abs(errors(found)).max() < _MAX_SOLE_ERROR * height else None
 
 
 def _starting(robot: Robot, joints: Array, height: float) -> Robot:

@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import shapely
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import StanceUnreachableError
@@ -118,3 +119,51 @@ def test_a_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path)
     np.testing.assert_allclose(knees, -1.2)
     stand = pa.solve_stand_as_simulated(robot)
     assert stand.qpos[2] == pytest.approx(float(data.qpos[2]), abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [40000, 40005])
+def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
+    seed: int, tmp_path: Path
+) -> None:
+    """Bent legs turn the soles otherwise than straight legs.
+
+    Reference: in MuJoCo's model all bottom corners of both boxes are on the ground, and the CoM is
+    inside their convex hull.
+    """
+    robot = pa.load_robot(*random_legged.written(random_legged.irregular_biped(seed), tmp_path))
+    stand = pa.solve_stand(robot)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    corners = [
+        data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ (model.geom_size[geom] * signs)
+        for geom in np.flatnonzero((model.geom_type == 6) & (model.geom_contype != 0))
+        for signs in ([1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1])
+    ]
+    assert np.abs(np.array(corners)[:, 2]).max() < 1e-6
+    area = shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
+    assert area.contains(shapely.Point(data.subtree_com[0][:2]))
+
+
+def test_level_soles_are_not_searched_for_wheels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No joint moves the centre of a wheel: on TIAGo the search took a minute without a result."""
+    wheels = "".join(
+        f'<body name="{x}{y}" pos="{x} {y} 0"><joint axis="0 1 0"/><geom size="0.1"/></body>'
+        for x in (-0.3, 0.3)
+        for y in (-0.2, 0.2)
+    )
+    path = tmp_path / "cart.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="cart" pos="0 0 0.1"><freejoint/>'
+        f'<geom type="box" size="0.3 0.1 0.05"/>{wheels}</body></worldbody></mujoco>'
+    )
+    robot = pa.load_robot(path)
+    searched_heights: list[float] = []
+    monkeypatch.setattr(start, "_level_soles", lambda *args: searched_heights.append(args[2]))
+    assert start._find_level_soles(robot, clip_to_limits(robot)) is None
+    assert searched_heights == []
+    assert start._find_level_soles(load("v3"), clip_to_limits(load("v3"))) is None
+    assert len(searched_heights) > start._HEIGHTS
