@@ -80,7 +80,7 @@ def judge(
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
-    null, unknown = describe_null_efforts(robot), None
+    null, unknown, masses = describe_null_efforts(robot), None, describe_given_masses(loaded)
     if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
         # All else that fails is a consequence.
         fed, null = replace(fed, passed=False, failures=(null,)), None
@@ -90,7 +90,7 @@ def judge(
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _SAME_MASS)
     overloaded = () if statics is None else _overloaded(robot, statics)
     remarks = (
-        *(remark for remark in (null, unknown) if remark is not None),
+        *(remark for remark in (null, masses, unknown) if remark is not None),
         *report_limbs_without_feet(robot),
         *(robot.description.replaced_soles() if stand.stance_feet else ()),
         *remarks_of_files(robot),
@@ -115,6 +115,7 @@ def judge(
         published=published,
         converted=robot.description.converted,
         unknown=unknown is not None and (loaded_more or asked in ABOUT_LOAD),
+        masses_unknown=masses is not None,
         remarks=remarks,
     )
 
@@ -174,11 +175,24 @@ def _nudged(
 
 
 _BEARING = {
-    *("mass-given", "inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
+    *("inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
 """Codes of what is made up for on loading, and is an error of the file: an audit's errors that let
 a robot be simulated."""
+
+
+def describe_given_masses(robot: Robot) -> Diagnostic | None:
+    """Describe the moving links whose mass is absent or zero in the URDF; None without any.
+
+    They are simulated with 1 g. MuJoCo refuses the URDF.
+    """
+    given = [
+        note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
+    ]
+    if not given:
+        return None
+    return diagnose("link-masses-unknown", links=given, count=len(given))
 
 
 def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:

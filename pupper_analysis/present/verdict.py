@@ -26,6 +26,7 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.simulation.verdict import (
+    UNKNOWN,
     Asked,
     Ending,
     Verdict,
@@ -55,8 +56,7 @@ class Clause:
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
     own, fails = tuple(own_clauses(verdict.own)), verdict.code is VerdictCode.OWN_DRIVES_FAIL
-    unknown = verdict.code is VerdictCode.LIMITS_UNKNOWN
-    deciding = [one for one in verdict.remarks if unknown and one.code == _UNKNOWN_LIMITS]
+    deciding = [one for one in verdict.remarks if one.code == _DECIDING.get(verdict.code)]
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(own if fails else ()),
@@ -78,8 +78,11 @@ def in_words(verdict: Verdict) -> str:
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
-_UNKNOWN_LIMITS = "torque-limits-unknown"
-"""Code of the remark that decides ``VerdictCode.LIMITS_UNKNOWN``."""
+_DECIDING = {
+    VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
+    VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
+}
+"""Codes of the remarks that decide the verdicts ``UNKNOWN``."""
 
 _WORDS = {
     Asked.STANDS: ("HOLDS", "FAILS"),
@@ -92,7 +95,7 @@ _WORDS = {
 
 def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
-    if verdict.code is VerdictCode.LIMITS_UNKNOWN:
+    if verdict.code in UNKNOWN:
         return "UNKNOWN"
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:

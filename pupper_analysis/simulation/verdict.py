@@ -32,6 +32,7 @@ class VerdictCode(StrEnum):
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
     LIMITS_UNKNOWN = "holds in simulation, on motors whose torque limit no file states"
+    MASSES_UNKNOWN = "holds in simulation, with the masses of links that the file does not state"
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
@@ -45,6 +46,10 @@ HOLDING = (
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
 """The verdicts that let pass; exit status 0."""
+
+
+UNKNOWN = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
+"""The verdicts of stances that hold in simulation, with values that no file states."""
 
 
 class Asked(StrEnum):
@@ -185,6 +190,7 @@ def judge_stance(
     published: Published | None = None,
     converted: str = "",
     unknown: bool = False,
+    masses_unknown: bool = False,
     remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
     """Weighs what was simulated of a stance, of a posture, or of what is asked of them.
@@ -199,11 +205,14 @@ def judge_stance(
         published: How the MJCF as it was published differs from what was simulated.
         converted: Which of the robot's models was made of the other one, if one was.
         unknown: Whether the answer depends on torque limits that no file states.
+        masses_unknown: Whether moving links have masses that no file states.
         remarks: What else of the robot it rests on; an error lets it not pass.
     """
     code = _code(fed, alone, servos, overloaded, own, published, remarks)
     if unknown and code in HOLDING:
         code = VerdictCode.LIMITS_UNKNOWN
+    if masses_unknown and code in HOLDING:
+        code = VerdictCode.MASSES_UNKNOWN
     return Verdict(
         code=code,
         asked=asked,

@@ -46,7 +46,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
 
 def _word(limit: PayloadLimit) -> doc.Words:
     """Returns the verdict: whether it carries, and if that lasts."""
-    if limit.unknown_limits and limit.at_most > 0:
+    if math.isnan(limit.mass):
         key = "UNKNOWN"
     elif not limit.passed:
         key = "FAILS"
@@ -67,7 +67,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
-        mass=mass_text(limit.mass),
+        mass=mass_text(limit.at_most),
         ground=ground_word(limit.stand.depths.values()),
         failure=_failure(limit.failure, limit.where),
     )

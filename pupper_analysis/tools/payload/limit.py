@@ -29,7 +29,13 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
-from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode, beyond_limits
+from pupper_analysis.simulation.verdict import (
+    UNKNOWN,
+    Asked,
+    Verdict,
+    VerdictCode,
+    beyond_limits,
+)
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -141,10 +147,10 @@ class PayloadLimit(Result):
     Attributes:
         name: The robot's name.
         mass: kg; the least of the four bounds, infinite if none binds; not a number if a motor that
-            bears the load has an unknown torque limit.
+            bears the load has an unknown torque limit, or a link an unknown mass.
         at_most: kg; the least of the four bounds, without motors whose limit is unknown.
-        code: ``unknown`` if a motor that bears the load has an unknown torque limit, ``zero`` if a
-            motor has no torque, else ``stated``.
+        code: ``unknown`` if a motor that bears the load has an unknown torque limit, or a moving
+            link an unknown mass, ``zero`` if a motor has no torque, else ``stated``.
         binding: Which of them it is: ``stance``, ``motors``, ``servos`` or ``simulation``.
         stance: Up to where there is a loaded stand: the base comes where the load asks for it, and
             the contacts bear it.
@@ -288,11 +294,13 @@ def payload_limit(
     known = EffortCode.ZERO if null else EffortCode.STATED
     assert held.stand is not None
     assert held.statics is not None
+    verdict = judged(TRIED * most if carries else 0.0)
+    massless = verdict.code is VerdictCode.MASSES_UNKNOWN
     return PayloadLimit(
         name=robot.name,
-        mass=math.nan if unknown and most > 0 else most,
+        mass=math.nan if (unknown or massless) and most > 0 else most,
         at_most=most,
-        code=EffortCode.UNKNOWN if unknown else known,
+        code=EffortCode.UNKNOWN if unknown or massless else known,
         binding=binding,
         **bounds,
         continuous=(),
@@ -304,7 +312,7 @@ def payload_limit(
         joint_names=robot.joint_names,
         joint_torques=held.statics.joint_torques,
         contact_forces=held.statics.contact_forces,
-        verdict=judged(TRIED * most if carries else 0.0),
+        verdict=verdict,
         trial=tried(TRIED * most) if carries else None,
     )
 
@@ -345,8 +353,8 @@ def _simulated(
 
 
 def _holds(verdict: Verdict) -> bool:
-    """Return True if a stance holds in simulation, whatever is known of its motors' limits."""
-    return verdict.passed or verdict.code is VerdictCode.LIMITS_UNKNOWN
+    """Return True if a stance holds in simulation, even if torque limits or masses are unknown."""
+    return verdict.passed or verdict.code in UNKNOWN
 
 
 def _bisect(
