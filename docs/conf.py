@@ -27,6 +27,7 @@ extensions = [
 ]
 exclude_patterns = ["zh"]
 templates_path = ["_templates"]
+smartquotes = False  # they would turn --base into a dash and base
 nitpicky = False  # of the types in signatures most are other packages'
 
 myst_enable_extensions = ["colon_fence"]
@@ -66,6 +67,7 @@ def setup(app: object) -> None:
     words = "zh" if app.config.language.startswith("zh") else "en"  # type: ignore[attr-defined]
     pages.write(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
     app.connect("autodoc-process-docstring", pages.plain_text)  # type: ignore[attr-defined]
+    app.connect("autodoc-process-signature", pages.shorten_aliases)  # type: ignore[attr-defined]
 
 
 os.environ.setdefault("PYTHONHASHSEED", "0")

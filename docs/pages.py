@@ -49,7 +49,7 @@ def write(site: Path, language: str) -> None:
         "results.md": result_fields(words, language),
     }
     if language == "en":
-        pages |= {"commands.md": command_page()} | api_pages() | table_pages()
+        pages |= command_pages() | api_pages() | table_pages()
     for old in folder.rglob("*.*"):
         if old.relative_to(folder).as_posix() not in pages:
             old.unlink()
@@ -143,17 +143,30 @@ def result_fields(words: Mapping[str, Any], language: str) -> str:
 # --------------------------------------------------------------------------------- command line
 
 
-def command_page() -> str:
-    """Returns the page of all commands, each with its help and its options."""
-    lines = [f"# {WORDS['en']['commands']}", "", WORDS["en"]["commands-about"], ""]
-    parts = (_command(name, cli.find_command(name)) for name in cli.COMMANDS)
-    return "\n".join(lines) + "\n" + "\n".join(parts)
+def command_pages() -> dict[str, str]:
+    """Return a page for each command with its help and options, and the list of commands."""
+    commands = {name: cli.find_command(name) for name in cli.COMMANDS}
+    pages = {f"commands/{name}.md": _command(name, command) for name, command in commands.items()}
+    rows = [
+        (f"[{name}](commands/{name}.md)", _plain(command.get_short_help_str(limit=200)))
+        for name, command in commands.items()
+    ]
+    first = f"# {WORDS['en']['commands']}\n\n{WORDS['en']['commands-about']}\n\n"
+    table = _table(("Command", "Purpose"), rows)
+    hidden = _toctree(pages_without_suffix(pages)).replace(":maxdepth: 1", ":hidden:")
+    return pages | {"commands.md": f"{first}{table}\n{hidden}"}
+
+
+def pages_without_suffix(pages: Iterable[str]) -> list[str]:
+    """Return the names of pages as a toctree refers to them."""
+    return [page.removesuffix(".md") for page in pages]
 
 
 def _command(name: str, command: click.Command) -> str:
+    """Return the page of a command: usage, help and table of options."""
     context = click.Context(command, info_name=f"pupper-analysis {name}")
     usage = " ".join(command.collect_usage_pieces(context))
-    parts = [f"## {name}", f"```text\npupper-analysis {name} {usage}\n```"]
+    parts = [f"# {name}", f"```text\npupper-analysis {name} {usage}\n```"]
     for paragraph in re.split(r"\n\s*\n", command.help or ""):
         lines = [line.strip("\b") for line in paragraph.splitlines()]
         text = "\n".join(line.strip() for line in lines if line.strip())
@@ -168,7 +181,7 @@ def _command(name: str, command: click.Command) -> str:
         record = option.get_help_record(context)
         if record is not None and isinstance(option, click.Option):
             rows.append((f"`{record[0]}`", _plain(record[1])))
-    return "\n\n".join(parts) + "\n\n" + _table(("Option", "Does"), rows)
+    return "\n\n".join(parts) + "\n\n" + _table(("Option", "Effect"), rows)
 
 
 # ------------------------------------------------------------------------------------------ API
@@ -177,13 +190,14 @@ def _command(name: str, command: click.Command) -> str:
 def api_pages() -> dict[str, str]:
     """Returns the pages of the public interface: the package's own names, and each module's."""
     own = [name for name in pa.__all__ if not isinstance(getattr(pa, name), ModuleType)]
-    modules = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), ModuleType)]
-    pages = {"api/pupper_analysis.md": _api(pa, own)}
-    for module in modules:
-        short = module.__name__.removeprefix(f"{pa.__name__}.")
-        pages[f"api/{short}.md"] = _api(module, _public(module))
+    pages = {"api/pupper_analysis.md": _api("pa", pa.__name__, pa, own)}
+    for name in pa.__all__:
+        module = getattr(pa, name)
+        if isinstance(module, ModuleType):
+            public = f"{pa.__name__}.{name}"
+            pages[f"api/{name}.md"] = _api(f"pa.{name}", public, module, _public(module))
     first = f"# {WORDS['en']['api']}\n\n{WORDS['en']['api-about']}\n\n"
-    return pages | {"api.md": first + _toctree([page.removesuffix(".md") for page in pages], 2)}
+    return pages | {"api.md": first + _toctree(pages_without_suffix(pages), 2)}
 
 
 def _public(module: ModuleType) -> list[str]:
@@ -198,13 +212,20 @@ def _public(module: ModuleType) -> list[str]:
     ]
 
 
-def _api(module: ModuleType, names: Sequence[str]) -> str:
+def _api(title: str, public: str, module: ModuleType, names: Sequence[str]) -> str:
+    """Return the page of a module's names, each under the path by which users import it.
+
+    Args:
+        title: Heading of the page.
+        public: Public path of the module, such as ``pupper_analysis.identification``.
+        module: The module.
+        names: Names in the module.
+    """
     about = (module.__doc__ or "").strip().split("\n\n")[0]
-    title = module.__name__.replace(pa.__name__, "pa", 1)
     lines = [f"# {title}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
-    lines += [f".. currentmodule:: {module.__name__}", ""]
-    for name in sorted(names, key=lambda one: (one[0].isupper(), one)):
-        lines += _directive(module.__name__, name, getattr(module, name))
+    lines += [f".. currentmodule:: {public}", ""]
+    for name in sorted(names, key=lambda name: (name[0].isupper(), name)):
+        lines += _directive(public, name, getattr(module, name))
     return "\n".join([*lines, "```", ""])
 
 
@@ -218,6 +239,20 @@ def _directive(module: str, name: str, value: object) -> list[str]:
     if callable(value):
         return [f".. autofunction:: {full}", *index, ""]
     return [f".. autodata:: {full}", "   :no-value:", *index, ""]
+
+
+def shorten_aliases(*event: Any) -> tuple[str, str] | None:
+    """Replace Sphinx' marker of an aliased type by the name of the alias, as ``ArrayLike``.
+
+    Args:
+        event: Arguments of ``autodoc-process-signature``; the last two are signature and return
+            annotation, None for an object without a signature.
+    """
+    signature, returned = event[-2:]
+    if signature is None:
+        return None
+    marker = r"TypeAliasForwardRef\('(\w+)'\)"
+    return re.sub(marker, r"\1", signature), re.sub(marker, r"\1", returned or "")
 
 
 def plain_text(*event: Any) -> None:

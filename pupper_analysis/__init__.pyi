@@ -66,7 +66,6 @@ from .tools.study.study import read_study as read_study
 from .tools.sync.models import sync_models as sync_models
 
 analysis = _tools
-checks = _tools
 guard = _check
 identification = _fit
 posture = _hold

@@ -81,7 +81,7 @@ def written(results: object, *, robots: bool = True, language: str = "en") -> st
 
 
 @cache
-def comparison() -> pa.checks.Comparison:
+def comparison() -> pa.analysis.Comparison:
     """Of a URDF whose base is heavier, and whose knee is stronger, than the MJCF's."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant(
@@ -167,7 +167,7 @@ def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
 
 
 @cache
-def audit() -> pa.checks.Audit:
+def audit() -> pa.analysis.Audit:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "bad.urdf"
         text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()

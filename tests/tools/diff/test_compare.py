@@ -45,11 +45,11 @@ def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
     return files
 
 
-def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.checks.ModelDiff:
+def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.analysis.ModelDiff:
     return pa.diff_models(*written(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
 
 
-def kinds(diff: pa.checks.ModelDiff) -> list[tuple[str, str]]:
+def kinds(diff: pa.analysis.ModelDiff) -> list[tuple[str, str]]:
     return [(change.kind, change.element) for change in diff.changes]
 
 
