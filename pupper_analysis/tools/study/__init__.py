@@ -1,6 +1,7 @@
 """Measure thousands of designs.
 
-Many designs: which numbers vary, what is measured, and the engine that loses nothing.
+Variables of the robot and stance are varied, metrics are evaluated for each design, and results are
+stored so that an interrupted run resumes.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

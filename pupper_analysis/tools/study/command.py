@@ -1,4 +1,4 @@
-"""``pupper-analysis study``: thousands of designs."""
+"""Command ``pupper-analysis study``: evaluates the designs of a study file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.study.study import Study
 
 
-def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    if not asked or context.resilient_parsing:
+def _list_metrics(context: click.Context, _: click.Parameter, requested: bool) -> None:
+    """Print all metrics and exit, if requested."""
+    if not requested or context.resilient_parsing:
         return
     from pupper_analysis.tools.study.document import metrics_document
 
-    _show(metrics_document(), "text", everything=True)
+    _show_document(metrics_document(), "text", everything=True)
     context.exit()
 
 
-_FOLDER = kinds.Folder(
+_STUDY_FOLDER = kinds.Folder(
     {"study.json": kinds.Kind("study", kinds.match_prefix('{\n  "format": ', '{"format": '))}
 )
-"""What is written beside shards."""
+"""File by which the folder of a study is recognised."""
 
 
 @shared.command("study")
@@ -39,7 +40,7 @@ _FOLDER = kinds.Folder(
     "--output",
     "folder",
     required=True,
-    holds=_FOLDER,
+    holds=_STUDY_FOLDER,
     help="Folder of the results; a run that was interrupted is resumed.",
 )
 @click.option(
@@ -124,7 +125,7 @@ def command(
     study = Study.read(file)
     check_objectives(study, minimise, maximise)
     with progress_bar() as show:
-        _run(study, folder, workers, show)
+        _run_study(study, folder, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
     shared.show_results([("", outcome)], style, everything=everything)
     shared.write_page(report_path, outcome)
@@ -135,32 +136,34 @@ def command(
 def _write_designs(
     study: Study, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
 ) -> bool:
-    """Writes designs as robots; returns whether their files give the study's numbers."""
+    """Write designs as files; return True if their metrics agree with the study."""
     from pupper_analysis.tools.study.document import written_document
     from pupper_analysis.tools.study.write import write_design
 
     passed = True
     for number in dict.fromkeys(numbers):
         written = write_design(study, number, folder)
-        _show(written_document(written), style, everything)
+        _show_document(written_document(written), style, everything)
         for path in (written.urdf, written.mjcf, written.stance):
             shared.confirm_written(path)
         passed = passed and written.passed
     return passed
 
 
-def _show(document: Document, style: str, everything: bool) -> None:
+def _show_document(document: Document, style: str, everything: bool) -> None:
+    """Print a document."""
     from pupper_analysis.present.document import Report
 
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
 
 
-def _run(
+def _run_study(
     study: Study,
     folder: Path,
     workers: int | None,
     show: Callable[[Progress], None],
 ) -> None:
+    """Evaluate the study; if it is interrupted, print how to resume."""
     try:
         study.execute(folder, workers=workers, progress=show)
     except BaseException:

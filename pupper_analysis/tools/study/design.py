@@ -1,7 +1,7 @@
-"""One design: its numbers, the robot and stand that they make, and what is measured of it.
+"""One design of a study: variable values, the robot and stand that result, and measured columns.
 
-Its diagnostics are kept as plain data: what is reported today can be said tomorrow, in any
-language.
+Diagnostics of failed designs are stored as plain data, so that the message can be rendered later in
+any language.
 """
 
 from __future__ import annotations
@@ -69,37 +69,39 @@ from pupper_analysis.tools.study.parameters import (
 
 
 def to_record(message: Diagnostic) -> dict[str, Any]:
-    """Returns a diagnostic as JSON can hold it, from which ``from_record`` makes it again."""
+    """Convert a diagnostic to JSON data; `from_record` is the inverse."""
     subject, sources = message.subject, message.sources
     return {
         "code": message.code,
         "severity": message.severity.value,
         "subject": None if subject is None else [subject.kind, subject.name],
-        "values": {name: _recorded(value) for name, value in message.values.items()},
-        "sources": [[one.file, one.line, one.element, one.attribute] for one in sources],
+        "values": {name: _encode_value(value) for name, value in message.values.items()},
+        "sources": [
+            [source.file, source.line, source.element, source.attribute] for source in sources
+        ],
     }
 
 
-def from_record(kept: dict[str, Any]) -> Diagnostic:
-    """Returns the diagnostic of a record.
+def from_record(record: dict[str, Any]) -> Diagnostic:
+    """Convert the JSON data of `to_record` back to a diagnostic.
 
     Raises:
-        KeyError: If the catalogue has its code no more.
+        KeyError: If the catalogue no longer contains the code of the diagnostic.
     """
-    entry(kept["code"])
+    entry(record["code"])
     return Diagnostic(
-        kept["code"],
-        Severity(kept["severity"]),
-        None if kept["subject"] is None else Subject(*kept["subject"]),
-        FrozenDict({name: _restored(value) for name, value in kept["values"].items()}),
-        tuple(Source(*one) for one in kept["sources"]),
+        record["code"],
+        Severity(record["severity"]),
+        None if record["subject"] is None else Subject(*record["subject"]),
+        FrozenDict({name: _decode_value(value) for name, value in record["values"].items()}),
+        tuple(Source(*source) for source in record["sources"]),
     )
 
 
-def _recorded(value: Value) -> Any:
-    """Returns a value; what is no plain one is a dict with its kind as the key."""
+def _encode_value(value: Value) -> Any:
+    """Encode a value as JSON; a typed value becomes a dict with its type as the only key."""
     if isinstance(value, tuple):
-        return [_recorded(one) for one in value]
+        return [_encode_value(item) for item in value]
     if isinstance(value, Diagnostic):
         return {"diagnostic": to_record(value)}
     if isinstance(value, Quantity):
@@ -111,12 +113,13 @@ def _recorded(value: Value) -> Any:
     return {"term": str(value)} if isinstance(value, Term) else value
 
 
-def _restored(kept: Any) -> Value:
-    if isinstance(kept, list):
-        return tuple(map(_restored, kept))
-    if not isinstance(kept, dict):
-        return kept  # type: ignore[no-any-return]  # a number, a text, true or false, None
-    ((kind, value),) = kept.items()
+def _decode_value(encoded: Any) -> Value:
+    """Decode a value that `_encode_value` encoded."""
+    if isinstance(encoded, list):
+        return tuple(map(_decode_value, encoded))
+    if not isinstance(encoded, dict):
+        return encoded  # type: ignore[no-any-return]  # a number, a text, true or false, None
+    ((kind, value),) = encoded.items()
     if kind == "diagnostic":
         return from_record(value)
     if kind == "quantity":
@@ -126,29 +129,30 @@ def _restored(kept: Any) -> Value:
     return Vector(tuple(value[0]), value[1]) if kind == "vector" else Term(value)
 
 
-# Where the robots of a study come from.
+# Sources of the robots of a study.
 
 
-_KNOWN = ("take", "body", "feet", "name", "joints", "keyframe", "packages")
-"""What a study may say of files, besides the files."""
+_FILE_OPTIONS = ("take", "body", "feet", "name", "joints", "keyframe", "packages")
+"""Options that a study may specify in addition to the files: arguments of `load_robot`."""
 
 
-def load_file_source(given: Mapping[str, Any]) -> FileSource:
-    """Loads the robot of a study, without what is only looked at.
+def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
+    """Load the robot of a study from files, and remove the visual geoms of its MJCF.
 
     Args:
-        given: {``urdf``, ``mjcf`` or both, or ``models``: its files; and other arguments of
-            ``load_robot``}.
+        arguments: ``models`` or ``urdf`` and/or ``mjcf`` (the files), and other arguments of
+            `load_robot`.
 
     Raises:
-        ConfigurationError: If an option is not ``load_robot``'s, or the robot cannot stand.
-        ModelError: As ``load_robot``.
+        ConfigurationError: If no file is given, an option is unknown, the base is fixed, or the
+            robot has no contact points.
+        ModelError: As `load_robot`.
     """
-    options = dict(given)
+    options = dict(arguments)
     models = options.pop("models", ())
-    unknown = [name for name in options if name not in (*_KNOWN, "urdf", "mjcf")]
+    unknown = [name for name in options if name not in (*_FILE_OPTIONS, "urdf", "mjcf")]
     if unknown or not (models or "urdf" in options or "mjcf" in options):
-        problem = diagnose("no-files-of-a-robot", given=repr(dict(given)), known=_KNOWN)
+        problem = diagnose("no-files-of-a-robot", given=repr(dict(arguments)), known=_FILE_OPTIONS)
         raise ConfigurationError("robot", problem)
     files = RobotFiles.of(*models, **options)
     robot = files.load()
@@ -160,19 +164,20 @@ def load_file_source(given: Mapping[str, Any]) -> FileSource:
 
 @dataclass(frozen=True)
 class Variants(Scaled):
-    """The robots that scales make of a variant.
+    """Source of the robots that result from scaling a variant.
 
     Attributes:
-        whole: Whether with all that is only looked at.
+        whole: True to keep visual geoms and meshes.
     """
 
     whole: bool = False
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Makes the variant of some scales.
+        """Build the variant with the given scale factors.
 
         Raises:
-            VariantError: If a scale is not a finite positive number, or nothing can be made so.
+            VariantError: If a scale is not a finite positive number, or the scaled variant is not
+                valid.
         """
         spec = self.scaled(scales)
         described = describe_variant(spec)
@@ -182,37 +187,37 @@ class Variants(Scaled):
         )
 
     def asked(self) -> dict[str, Any]:
-        """Returns the spec."""
+        """Return the base and all scales of the variant as plain data."""
         return {"base": self.spec.base, **self.scales}
 
 
 RobotSource = FileSource | Variants
-"""Makes robots, here and in other processes: it can be pickled."""
+"""Source of robots. Instances can be pickled, so that worker processes can build robots."""
 
 
 def make_robot_source(robot: Any) -> RobotSource:
-    """Returns the source of a robot that is given in one of the ways of ``Study``.
+    """Create the source of robots from the argument ``robot`` of `Study`.
 
     Raises:
-        ConfigurationError: If it is given in another.
-        VariantError: If there is no such variant.
+        ConfigurationError: If the argument has none of the supported forms, or an unknown key.
+        VariantError: If the named variant does not exist.
     """
     if isinstance(robot, str):
-        meant = split_word(robot)
-        if isinstance(meant, tuple):
-            return load_file_source({"models": meant})
-        return Variants(variant_spec(meant))
+        parsed = split_word(robot)
+        if isinstance(parsed, tuple):
+            return load_file_source({"models": parsed})
+        return Variants(variant_spec(parsed))
     if isinstance(robot, VariantSpec):
         return Variants(robot)
     if isinstance(robot, Mapping) and "base" in robot:
-        base, others = robot["base"], {n: one for n, one in robot.items() if n != "base"}
-        meant = split_word(base) if isinstance(base, str) else base
-        if isinstance(meant, tuple):
-            return load_file_source({"models": meant, **others})
-        known = [field.name for field in fields(VariantSpec)]
-        unknown = [name for name in robot if name not in known]
+        base, options = robot["base"], {key: value for key, value in robot.items() if key != "base"}
+        parsed = split_word(base) if isinstance(base, str) else base
+        if isinstance(parsed, tuple):
+            return load_file_source({"models": parsed, **options})
+        field_names = [field.name for field in fields(VariantSpec)]
+        unknown = [name for name in robot if name not in field_names]
         if unknown:
-            problem = diagnose("variant-has-no-field", known=known, unknown=unknown[0])
+            problem = diagnose("variant-has-no-field", known=field_names, unknown=unknown[0])
             raise ConfigurationError("robot", problem)
         return Variants(VariantSpec(**robot))
     if isinstance(robot, Mapping):
@@ -221,7 +226,7 @@ def make_robot_source(robot: Any) -> RobotSource:
 
 
 def hash_description(description: Description) -> str:
-    """Returns a hash of all that a description says: the same files have the same hash."""
+    """Return the SHA-256 hash of a robot description, independent of the folders of its files."""
     parts = {
         "urdf": description.urdf,
         "mjcf": spec_to_data(description.mjcf),
@@ -230,15 +235,20 @@ def hash_description(description: Description) -> str:
         "geoms": dict(description.foot_geoms),
         "nominal": dict(description.nominal),
     }
-    return hashlib.sha256(orjson.dumps(_plain(parts), option=orjson.OPT_SORT_KEYS)).hexdigest()
+    return hashlib.sha256(
+        orjson.dumps(_to_json_value(parts), option=orjson.OPT_SORT_KEYS)
+    ).hexdigest()
 
 
-def _plain(value: Any) -> Any:
-    """Returns a value as JSON can hold it, each number whole; folders are left out."""
+def _to_json_value(value: Any) -> Any:
+    """Convert a value to JSON data without rounding: ``repr`` of scalars, bytes of arrays.
+
+    Entries named ``folder`` are left out.
+    """
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items() if key != "folder"}
+        return {str(key): _to_json_value(item) for key, item in value.items() if key != "folder"}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_to_json_value(item) for item in value]
     if isinstance(value, np.ndarray):
         return [list(value.shape), value.tobytes().hex()]
     return repr(value)
@@ -251,28 +261,32 @@ STANCE_VARIABLES = {
     for axis, name in enumerate([f"{known.name}_{x}" for x in known.axes] or [known.name])
     if name not in METRICS
 }
-"""{number of the stance: its field, and which number of a point}; they change no model.
+"""Variables of the stance: {variable: (field, index into the field's axes)}. The model does not
+depend on these variables.
 
-A metric of the same name, such as ``com_margin``, would be in the same column of the table.
-"""
+A field whose name is also a metric, such as ``com_margin``, is left out: both would use the same
+column of the table."""
 
 ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
-"""Numbers of the robot, for all joints and feet alike."""
+"""Variables of the robot that apply to all joints or feet: {variable: field}."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
+"""Field of each variable of the stance or robot, without patterns: {variable: field}."""
 
 MAX_CACHED_ROBOTS = 8
-"""So many robots and stands are remembered: neighbours in a product of lists share them."""
+"""Maximum number of entries in each cache of scaled robots, robots and stands. Neighbours in a
+product of lists share entries. Chosen, not tuned."""
 
 
 @dataclass(eq=False)
 class DesignBuilder:
-    """Makes designs of numbers.
+    """Builds designs from variable values, with caches of robots and stands.
 
     Attributes:
-        source: Of the robots.
-        task: The stance, where a design does not say otherwise.
-        point: Where a payload is (m); see ``robot.tool.find_place``.
+        source: Source of the robots.
+        task: Stand task; variables of the stance take precedence.
+        point: Position of the payload [m], optionally after a frame name; see
+            `robot.tool.find_place`.
     """
 
     source: RobotSource
@@ -280,84 +294,106 @@ class DesignBuilder:
     point: tuple[str | float, ...]
 
     def __post_init__(self) -> None:
-        remember = lru_cache(MAX_CACHED_ROBOTS)
-        self._scaled = remember(lambda scales: self.source.robot(dict(scales)))
-        self._loaded = remember(lambda numbers: self._robot(dict(numbers)))
-        self._stand = remember(
+        cache = lru_cache(MAX_CACHED_ROBOTS)
+        self._cached_scaled_robot = cache(lambda scales: self.source.robot(dict(scales)))
+        self._cached_robot = cache(lambda numbers: self._build_robot(dict(numbers)))
+        self._cached_stand = cache(
             lambda model, stance: solve_stand(
-                self._loaded(model), apply_stance_values(self.task, dict(stance)), explain=False
+                self._cached_robot(model),
+                apply_stance_values(self.task, dict(stance)),
+                explain=False,
             )
         )
 
     def design(self, numbers: Mapping[str, float]) -> Design:
-        """Makes a design.
+        """Build the design with the given variable values.
 
         Raises:
-            PupperAnalysisError: If there is none; ``classify_failure`` says of which kind.
+            PupperAnalysisError: If the robot cannot be built or the stance cannot be solved; see
+                `classify_failure`.
         """
-        gains = {n: v for n, v in numbers.items() if is_servo_variable(n)}
-        stance = {n: v for n, v in numbers.items() if n in STANCE_VARIABLES or is_stance_pattern(n)}
-        model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
+        gains = {name: value for name, value in numbers.items() if is_servo_variable(name)}
+        stance = {
+            name: value
+            for name, value in numbers.items()
+            if name in STANCE_VARIABLES or is_stance_pattern(name)
+        }
+        model = {
+            name: value
+            for name, value in numbers.items()
+            if name not in gains and name not in stance
+        }
         for name in ("kp", "kd"):
             if name in gains:
                 ROBOT_VARIABLES[name].check_range(name, gains[name])
         key = tuple(sorted(model.items()))
-        robot, stand = self._loaded(key), self._stand(key, tuple(sorted(stance.items())))
-        own = not gains
+        robot, stand = (
+            self._cached_robot(key),
+            self._cached_stand(key, tuple(sorted(stance.items()))),
+        )
+        own_servos = not gains
         if gains:
             robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
-        return Design(robot, stand, own_servos=own, point=self.point)
+        return Design(robot, stand, own_servos=own_servos, point=self.point)
 
-    def _robot(self, numbers: Mapping[str, float]) -> Robot:
-        scales = {name: v for name, v in numbers.items() if name in self.source.scales}
-        factors = {name: v for name, v in numbers.items() if ":" in name}
-        robot = scale_robot(self._scaled(tuple(sorted(scales.items()))), factors)
+    def _build_robot(self, numbers: Mapping[str, float]) -> Robot:
+        """Build a robot from scales, patterns, friction and payload."""
+        scales = {name: value for name, value in numbers.items() if name in self.source.scales}
+        factors = {name: value for name, value in numbers.items() if ":" in name}
+        robot = scale_robot(self._cached_scaled_robot(tuple(sorted(scales.items()))), factors)
         if "friction" in numbers:
             robot = with_friction(robot, numbers["friction"])
         if "payload" in numbers:
             robot = with_payload(robot, numbers["payload"], self.point)
-            # Its stands are its own here: the com is over the feet with the payload.
+            # The stand is solved for this robot: its CoM includes the payload.
         return robot
 
 
 def is_servo_variable(name: str) -> bool:
-    """Whether a number is one of the servos alone."""
+    """Return True if a variable is a servo gain: ``kp``, ``kd``, or a pattern of either."""
     return name.partition(":")[0] in SERVO_KINDS
 
 
 def is_stance_pattern(name: str) -> bool:
-    """Whether a number is one of the stance: ``posture:JOINT``, ``contacts:LINK``."""
+    """Return True for the form ``posture:JOINT`` or ``contacts:LINK``."""
     return name.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 
 
 def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
-    """Returns a task with a design's numbers.
+    """Return the stand task with the stance variables of a design.
 
     Raises:
-        ConfigurationError: If a number is out of its range.
+        ConfigurationError: If a value is out of range.
     """
     changes: dict[str, Any] = {}
     values = task.values()
-    for name, (known, axis) in STANCE_VARIABLES.items():
-        if name in numbers and known.axes:
-            point = list(changes.get(known.name, values[known.name]) or (0.0,) * len(known.axes))
+    for name, (stance_field, axis) in STANCE_VARIABLES.items():
+        if name in numbers and stance_field.axes:
+            point = list(
+                changes.get(stance_field.name, values[stance_field.name])
+                or (0.0,) * len(stance_field.axes)
+            )
             point[axis] = numbers[name]
-            changes[known.name] = tuple(point)
+            changes[stance_field.name] = tuple(point)
         elif name in numbers:
-            changes[known.name] = numbers[name]
+            changes[stance_field.name] = numbers[name]
     for name in filter(is_stance_pattern, numbers):
-        field, _, of = name.partition(":")
-        whole = changes.get(field, values[field])
-        number = whole[of].at(numbers[name]) if field in LINK_STANCE_KINDS else numbers[name]
-        changes[field] = {**whole, of: number}
+        field_name, _, element = name.partition(":")
+        values_by_element = changes.get(field_name, values[field_name])
+        element_value = (
+            values_by_element[element].at(numbers[name])
+            if field_name in LINK_STANCE_KINDS
+            else numbers[name]
+        )
+        changes[field_name] = {**values_by_element, element: element_value}
     return task.having(changes)
 
 
 def check_variable_name(name: str, source: RobotSource) -> None:
-    """Checks that a study can vary a number.
+    """Check that a study can vary a variable of this name.
 
     Raises:
-        ConfigurationError: If there is none of that name; the message lists the names.
+        ConfigurationError: If no such variable exists; the message lists the valid names.
     """
     if (
         VariablePattern.parse(name) is None
@@ -369,30 +405,32 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 
 
 def check_variable_range(name: str, low: float, high: float) -> None:
-    """Checks that a variable's values make sense; those of no bounds are judged one by one.
+    """Check the smallest and largest value of a variable against the bounds of the variable.
+
+    Infinite bounds of a distribution are not checked here: each design is checked when it is built.
 
     Raises:
-        ConfigurationError: If not.
+        ConfigurationError: If a finite value is out of bounds.
     """
     kind, colon, _ = name.partition(":")
-    if kind in ADDITIVE_KINDS and colon:  # the robot's own limits count
+    if kind in ADDITIVE_KINDS and colon:  # the limits of the robot are checked later
         return
     field = FIELD_OF_VARIABLE.get(name)
-    least, most, unit = (
+    lower_bound, upper_bound, unit = (
         (0.0, math.inf, "x") if field is None else (field.low, field.high, field.unit)
     )
-    above = (
+    is_open = (
         kind in ("mass", "inertia", "length", "kp") or not colon if field is None else field.open
     )
-    below = low <= least if above else low < least
-    if (math.isfinite(low) and below) or (math.isfinite(high) and high > most):
+    is_below = low <= lower_bound if is_open else low < lower_bound
+    if (math.isfinite(low) and is_below) or (math.isfinite(high) and high > upper_bound):
         finding = diagnose(
             "out-of-range",
             first=low,
             last=high,
-            open=above,
-            low=least,
-            high=most if math.isfinite(most) else None,
+            open=is_open,
+            low=lower_bound,
+            high=upper_bound if math.isfinite(upper_bound) else None,
             unit=unit,
         )
         raise ConfigurationError(f"vary[{name!r}]", finding)
@@ -405,11 +443,12 @@ STAND_FAILURES = (
     NotStandingError,
     NotSettlingError,
 )
-"""What is raised of a design that cannot stand so; of others it is not known."""
+"""Errors that mean that the robot cannot stand in this way. A metric then has its ``fallen`` value;
+after other errors the value is unknown."""
 
 
 def classify_failure(error: BaseException) -> str:
-    """Returns of which kind a failure is, in words that a table can be sorted by."""
+    """Return the failure kind of an error, for the column ``failure`` of the table."""
     kinds = {
         StanceUnreachableError: "unreachable",
         NoEquilibriumError: "no equilibrium",
@@ -422,27 +461,29 @@ def classify_failure(error: BaseException) -> str:
     }
     if isinstance(error, StaticsInfeasibleError):
         return str(error.reason.value)
-    return next((word for kind, word in kinds.items() if isinstance(error, kind)), "error")
+    return next((label for kind, label in kinds.items() if isinstance(error, kind)), "error")
 
 
 def measure_design(
-    maker: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
+    builder: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
 ) -> Row:
-    """Makes a design and measures it; what fails is said in the row.
+    """Build one design, evaluate all metrics, and record failures in the row.
 
-    A metric that fails leaves the others: the row's reason is that of the first that did. Of a
-    design that cannot stand, a metric that has a value of what has fallen has this one.
+    A metric that fails does not stop the others; the row records the first failure. If the error is
+    one of `STAND_FAILURES`, a metric with a ``fallen`` value gets that value.
     """
     row: Row = dict.fromkeys(FAILURE_COLUMNS)
     try:
-        design = maker.design(numbers)
+        design = builder.design(numbers)
     except Exception as error:
-        fallen = {one.name: one.fallen for one in metrics if one.fallen is not None}
-        finding = {**row, **make_failure_columns(classify_failure(error), describe_error(error))}
-        return {**finding, **fallen} if isinstance(error, STAND_FAILURES) else finding
+        fallen_values = {
+            metric.name: metric.fallen for metric in metrics if metric.fallen is not None
+        }
+        failed_row = {**row, **make_failure_columns(classify_failure(error), describe_error(error))}
+        return {**failed_row, **fallen_values} if isinstance(error, STAND_FAILURES) else failed_row
     for metric in metrics:
         try:
-            row.update(_columns(metric.name, metric.function(design)))
+            row.update(_make_columns(metric.name, metric.function(design)))
         except Exception as error:
             if isinstance(error, STAND_FAILURES) and metric.fallen is not None:
                 row[metric.name] = metric.fallen
@@ -453,35 +494,37 @@ def measure_design(
 
 
 Row = dict[str, Any]
+"""Row of the table of a study: {column: value}."""
 
 FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
-"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why: in
-English, and as the record of a diagnostic."""
+"""Columns that describe a failure: its kind; the metric that failed (None if the design could not
+be built); the reason in English; the reason as the record of a diagnostic (JSON)."""
 
 
 def make_failure_columns(kind: str, reason: Diagnostic) -> Row:
-    """Returns a row's columns of what failed."""
-    kept = orjson.dumps(to_record(reason)).decode()
-    return {"failure": kind, "reason": str(reason), "diagnostic": kept}
+    """Return the columns of a row that describe a failure, except ``failed_metric``."""
+    record = orjson.dumps(to_record(reason)).decode()
+    return {"failure": kind, "reason": str(reason), "diagnostic": record}
 
 
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
-    """Returns {column: value} of the metrics that a design has; one that fails has none."""
+    """Return {column: value} of the metrics of a design, without metrics that raise an error."""
     row: dict[str, float] = {}
     for metric in metrics:
         with suppress(PupperAnalysisError):
-            row.update(_columns(metric.name, metric.function(design)))
+            row.update(_make_columns(metric.name, metric.function(design)))
     return row
 
 
-def _columns(name: str, found: Any) -> Row:
-    if isinstance(found, Mapping):
-        return {f"{name}.{key}": _value(name, value) for key, value in found.items()}
-    return {name: _value(name, found)}
+def _make_columns(name: str, measured: Any) -> Row:
+    """Return the columns of a metric: ``NAME``, or ``NAME.KEY`` for each key of a mapping."""
+    if isinstance(measured, Mapping):
+        return {f"{name}.{key}": _to_float(name, value) for key, value in measured.items()}
+    return {name: _to_float(name, measured)}
 
 
-def _value(name: str, value: Any) -> float:
-    """Returns a metric's value as a number: 1 for True, 0 for False."""
+def _to_float(name: str, value: Any) -> float:
+    """Convert a measured value to a number: 1 for True, 0 for False."""
     try:
         return float(value)
     except (TypeError, ValueError) as error:
@@ -490,7 +533,7 @@ def _value(name: str, value: Any) -> float:
 
 
 def describe_error(error: BaseException) -> Diagnostic:
-    """Returns why a design failed; of an error that is not this package's, what it says."""
+    """Return the diagnostic of an error; a foreign error is described by its type and message."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic
     return diagnose("other-error", error=type(error).__name__, message=str(error))

@@ -1,4 +1,4 @@
-"""The document of a study: what failed, the Pareto front, what matters."""
+"""Documents of studies: failures, Pareto front, main effects, written designs."""
 
 from __future__ import annotations
 
@@ -27,91 +27,105 @@ from pupper_analysis.tools.study.write import WrittenDesign
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.tools.study.running import Progress as Done
+    from pupper_analysis.tools.study.running import Progress as StudyProgress
 
-_ALONE = "alone-the-variance"
+_MAIN_EFFECT_NOTE = "alone-the-variance"
 
 MAX_TABLE_ROWS = 300
-"""Of a table of designs: more than anyone reads, and pages stay small."""
+"""Maximum number of rows in a table of designs. Bounds the size of a page. Chosen, not tuned."""
 
 
-_MOST_METRICS = 4
-"""Metrics beside the objectives in a table of the front."""
+_MAX_FRONT_METRICS = 4
+"""Maximum number of metrics in the table of the front, in addition to the objectives. Chosen, not
+tuned."""
 
 
 @build_document.register(StudyOutcome)
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
-    """Returns what is shown of a study; see ``build``."""
-    failed = sum(one.designs for one in outcome.failures)
-    counted = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
+    """Create the document of a study; see ``build_document``."""
+    failed = sum(group.designs for group in outcome.failures)
+    count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     if outcome.failures:
-        named = join_words(
-            text("count-kind", count=one.designs, kind=word(one.kind)) for one in outcome.failures
+        kinds = join_words(
+            text("count-kind", count=group.designs, kind=word(group.kind))
+            for group in outcome.failures
         )
-        counted = text("designs-kinds", designs=counted, kinds=named)
-    finding: list[doc.Words] = [counted, *map(doc.tell, outcome.rests_on)]
+        count_text = text("designs-kinds", designs=count_text, kinds=kinds)
+    findings: list[doc.Words] = [count_text, *map(doc.tell, outcome.rests_on)]
     if outcome.converted:
-        finding.append(text("study-from-one-file"))
+        findings.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
-        left = outcome.designs - len(outcome.table)
-        finding.append(text("count-more-are-not-measured", count=left))
-    blocks = (_measured(outcome), *_failures(outcome), *_front(outcome),
-              *_shares(outcome), _designs(outcome))  # fmt: skip
+        remaining = outcome.designs - len(outcome.table)
+        findings.append(text("count-more-are-not-measured", count=remaining))
+    blocks = (
+        _make_metric_table(outcome),
+        *_make_failure_table(outcome),
+        *_make_front_blocks(outcome),
+        *_make_effect_table(outcome),
+        _make_design_table(outcome),
+    )
     return doc.Document(
-        text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(finding)
+        text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(findings)
     )
 
 
-def _left(name: str) -> doc.Column:
+def _text_column(name: str) -> doc.Column:
+    """Create a left-aligned column."""
     return doc.Column(text(name), left=True)
 
 
-def _right(name: str, unit: str = "") -> doc.Column:
+def _number_column(name: str, unit: str = "") -> doc.Column:
+    """Create a column of numbers."""
     return doc.Column(text(name), unit)
 
 
-def _measured(outcome: StudyOutcome) -> doc.Table:
+def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
+    """Create the table of all metrics."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(format_column_label(one.metric)),
-            *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
-            doc.number_cell(one.designs, ".0f"),
+            doc.Name(format_column_label(summary.metric)),
+            *(
+                doc.number_cell(value, ".5g")
+                for value in (summary.least, summary.median, summary.greatest)
+            ),
+            doc.number_cell(summary.designs, ".0f"),
         )
-        for one in outcome.measured
+        for summary in outcome.measured
     ]
     return doc.Table(
         text("what-was-measured"),
         (
-            _left("metric"),
-            *map(_right, ("least", "median", "greatest")),
-            _right("designs", "1"),
+            _text_column("metric"),
+            *map(_number_column, ("least", "median", "greatest")),
+            _number_column("designs", "1"),
         ),
         tuple(rows),
     )
 
 
-def _failures(outcome: StudyOutcome) -> list[doc.Block]:
+def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
+    """Create the table of failures by kind; no block without failures."""
     if not outcome.failures:
         return []
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            word(one.kind),
-            doc.Name(one.metric or ""),
-            doc.number_cell(one.designs, ".0f"),
-            doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
-            doc.Name(one.reason) if one.diagnostic is None else doc.tell(one.diagnostic),
+            word(group.kind),
+            doc.Name(group.metric or ""),
+            doc.number_cell(group.designs, ".0f"),
+            doc.Number(f"{group.share:.1%}", 100 * group.share, share=group.share),
+            doc.Name(group.reason) if group.diagnostic is None else doc.tell(group.diagnostic),
         )
-        for one in outcome.failures
+        for group in outcome.failures
     ]
     return [
         doc.Table(
             text("what-failed-by-kind"),
             (
-                _left("failure"),
-                _left("metric"),
-                _right("designs", "1"),
-                _right("share", "1"),
-                _left("reason-of-the-first"),
+                _text_column("failure"),
+                _text_column("metric"),
+                _number_column("designs", "1"),
+                _number_column("share", "1"),
+                _text_column("reason-of-the-first"),
             ),
             tuple(rows),
             detail=True,
@@ -119,102 +133,122 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     ]
 
 
-def _front(outcome: StudyOutcome) -> list[doc.Block]:
+def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
+    """Create the table of the Pareto front, and a plot if there are two objectives."""
     front, objectives = outcome.front, outcome.objectives
     if not objectives or front.empty:
         return []
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
-        across, up = (
+        x_axis, y_axis = (
             doc.Axis(doc.Name(f"{name}, {sense}"), find_column_unit(name), ".4g")
             for name, sense in objectives.items()
         )
         x, y = (front[name].to_numpy(float) for name in objectives)
         line = doc.Series(text("no-other-design-beats-these"), x, y, points=True)
-        blocks.append(doc.LinePlot(text("designs-worth-building-the-front"), across, up, [line]))
-    named = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
-    title = text("designs-worth-building-no-other", objectives=named)
-    others = [name for name in outcome.variables if name not in objectives]
-    measured = [one.metric for one in outcome.measured if one.metric not in objectives]
-    columns = [*objectives, *others, *measured[:_MOST_METRICS]]
-    return [*blocks, _table(title, front, columns, outcome.table)]
+        blocks.append(
+            doc.LinePlot(text("designs-worth-building-the-front"), x_axis, y_axis, [line])
+        )
+    objective_text = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
+    title = text("designs-worth-building-no-other", objectives=objective_text)
+    variables = [name for name in outcome.variables if name not in objectives]
+    measured = [summary.metric for summary in outcome.measured if summary.metric not in objectives]
+    columns = [*objectives, *variables, *measured[:_MAX_FRONT_METRICS]]
+    return [*blocks, _make_row_table(title, front, columns, outcome.table)]
 
 
-def _shares(outcome: StudyOutcome) -> list[doc.Block]:
+def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
+    """Create the table of main effects; no block without variables."""
     rows: list[tuple[doc.Cell, ...]] = []
-    for one in outcome.measured:
-        measured = text("measured-of", count=one.designs, whole=outcome.designs)
+    for summary in outcome.measured:
+        measured = text("measured-of", count=summary.designs, whole=outcome.designs)
         shares: list[tuple[doc.Text | doc.Name, float]] = [
-            (doc.Name(name), alone) for name, alone in one.alone.items()
+            (doc.Name(name), alone) for name, alone in summary.alone.items()
         ]
-        if one.interaction is not None:
-            shares.append((text("interaction"), one.interaction))
-        rows += [(doc.Name(one.metric), name, _share(share), measured) for name, share in shares]
+        if summary.interaction is not None:
+            shares.append((text("interaction"), summary.interaction))
+        rows += [
+            (doc.Name(summary.metric), name, _format_share(share), measured)
+            for name, share in shares
+        ]
     if not rows:
         return []
-    columns = (_left("metric"), _left("number"), _right("alone", "1"), _left("designs"))
+    columns = (
+        _text_column("metric"),
+        _text_column("number"),
+        _number_column("alone", "1"),
+        _text_column("designs"),
+    )
     title = text("which-number-matters-shares")
     source = (page_of("explanation/studies.md", "Sensitivities"),)
-    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), source, detail=True)]
+    return [doc.Table(title, columns, tuple(rows), (text(_MAIN_EFFECT_NOTE),), source, detail=True)]
 
 
-def _share(value: float) -> doc.Number:
+def _format_share(value: float) -> doc.Number:
+    """Format a fraction as a percentage with a bar."""
     if not math.isfinite(value):
         return doc.Number("-", math.nan)
     return doc.Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
 
 
-def _designs(outcome: StudyOutcome) -> doc.Table:
-    measured = [one.metric for one in outcome.measured]
+def _make_design_table(outcome: StudyOutcome) -> doc.Table:
+    """Create the table of all designs."""
+    measured = [summary.metric for summary in outcome.measured]
     columns = [*outcome.variables, *measured]
-    return replace(_table(text("designs-title"), outcome.table, columns), detail=True)
+    return replace(_make_row_table(text("designs-title"), outcome.table, columns), detail=True)
 
 
-def _table(
-    title: doc.Words, table: pd.DataFrame, columns: Sequence[str], whole: pd.DataFrame | None = None
+def _make_row_table(
+    title: doc.Words,
+    table: pd.DataFrame,
+    columns: Sequence[str],
+    all_rows: pd.DataFrame | None = None,
 ) -> doc.Table:
-    """Returns rows of a study's table, with their numbers in the whole of it (``--write N``)."""
-    whole = table if whole is None else whole
-    numbers = {design: number for number, design in enumerate(whole["design"], start=1)}
-    places = [name for name in columns if name in table]
-    failed = "failure" in table and table["failure"].notna().any()
+    """Create a table of designs.
+
+    The first column is the row number in the complete table, as for ``--write``.
+    """
+    all_rows = table if all_rows is None else all_rows
+    numbers = {design: number for number, design in enumerate(all_rows["design"], start=1)}
+    present_columns = [name for name in columns if name in table]
+    has_failures = "failure" in table and table["failure"].notna().any()
     rows: list[tuple[doc.Cell, ...]] = []
     shown = table if len(table) <= MAX_TABLE_ROWS else table.head(MAX_TABLE_ROWS)
     for _, row in shown.iterrows():
         cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
-        for name in places:
+        for name in present_columns:
             value = float(row[name])
             cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
-        if failed:
+        if has_failures:
             kind = row["failure"]
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
         rows.append(tuple(cells))
-    heads = [
-        _right("ordinal", "1"),
-        *(doc.Column(doc.Name(name), find_column_unit(name)) for name in places),
+    header = [
+        _number_column("ordinal", "1"),
+        *(doc.Column(doc.Name(name), find_column_unit(name)) for name in present_columns),
     ]
-    if failed:
-        heads.append(_left("failure"))
+    if has_failures:
+        header.append(_text_column("failure"))
     notes: tuple[doc.Words, ...] = ()
     if len(table) > MAX_TABLE_ROWS:
-        left = len(table) - MAX_TABLE_ROWS
-        notes = (text("count-more-are-in-the-studys", count=left),)
-    return doc.Table(title, tuple(heads), tuple(rows), notes)
+        remaining = len(table) - MAX_TABLE_ROWS
+        notes = (text("count-more-are-in-the-studys", count=remaining),)
+    return doc.Table(title, tuple(header), tuple(rows), notes)
 
 
 def format_duration(seconds: float) -> str:
-    """Returns a time as people say it."""
+    """Format a duration [s] in s, min or h."""
     if not math.isfinite(seconds):
         return "-"
-    whole = round(seconds)
-    if whole < 120:
-        return f"{whole} s"
-    if whole < 7200:
-        return f"{whole // 60} min"
-    return f"{whole / 3600:.1f} h"
+    rounded = round(seconds)
+    if rounded < 120:
+        return f"{rounded} s"
+    if rounded < 7200:
+        return f"{rounded // 60} min"
+    return f"{rounded / 3600:.1f} h"
 
 
-def _meaning_of(metric: str) -> doc.Words:
+def _find_meaning(metric: str) -> doc.Words:
     """Return the meaning of a metric from the catalogue; without an entry, its name."""
     try:
         return text(text_key(metric))
@@ -223,21 +257,21 @@ def _meaning_of(metric: str) -> doc.Words:
 
 
 def metrics_document() -> doc.Document:
-    """Return the metrics of a study as a table: name, unit, meaning."""
+    """Create the document that lists all named metrics: name, unit, meaning."""
     rows = tuple(
-        (doc.Name(metric.name), doc.Name(metric.unit), _meaning_of(metric.name))
+        (doc.Name(metric.name), doc.Name(metric.unit), _find_meaning(metric.name))
         for metric in METRICS.values()
     )
-    columns = (_left("metric"), _left("unit"), _left("meaning"))
+    columns = (_text_column("metric"), _text_column("unit"), _text_column("meaning"))
     table = doc.Table(text("what-can-be-measured"), columns, rows)
     return doc.Document(text("study-of-designs"), doc.Name("study"), (table,))
 
 
-# Studies on a terminal: the bar while they run.
+# Written designs, and the progress bar of a run.
 
 
 def written_document(written: WrittenDesign) -> doc.Document:
-    """Returns what a design that was written is, and what is measured of its files."""
+    """Create the document of a written design: its files, and its metrics before and after."""
     rows = tuple(
         (
             doc.Name(format_column_label(name)),
@@ -246,7 +280,11 @@ def written_document(written: WrittenDesign) -> doc.Document:
         )
         for name, value in written.measured.items()
     )
-    columns = (_left("metric"), _right("measured-in-the-study"), _right("measured-of-the-files"))
+    columns = (
+        _text_column("metric"),
+        _number_column("measured-in-the-study"),
+        _number_column("measured-of-the-files"),
+    )
     numbers = ", ".join(f"{name} {value:g}" for name, value in written.numbers.items())
     return doc.Document(
         text("design-written", number=written.number),
@@ -259,23 +297,27 @@ def written_document(written: WrittenDesign) -> doc.Document:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[Done], None]]:
-    """Yields what shows how far a run has come: designs, rate, time left, failures by kind."""
+def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
+    """Yield a function that displays progress: designs, rate, remaining time, failures by kind."""
     with Progress(
         "designs", BarColumn(), MofNCompleteColumn(), "{task.description}", console=make_console()
-    ) as shown:
-        task = shown.add_task("", total=None)
+    ) as bar:
+        task = bar.add_task("", total=None)
 
-        def show(done: Done) -> None:
-            rate = f"{done.rate:.1f}/s, {format_duration(done.left)} left" if done.done else ""
-            words = f"{rate} {format_failures(done.failures)}"
-            there = done.there + done.done
-            shown.update(task, total=done.total, completed=there, description=words)
+        def show(progress: StudyProgress) -> None:
+            rate = (
+                f"{progress.rate:.1f}/s, {format_duration(progress.left)} left"
+                if progress.done
+                else ""
+            )
+            words = f"{rate} {format_failures(progress.failures)}"
+            completed = progress.there + progress.done
+            bar.update(task, total=progress.total, completed=completed, description=words)
 
         yield show
 
 
 def format_failures(failures: Mapping[str, int]) -> str:
-    """Returns failures by kind, the most frequent first."""
+    """Format the number of failures of each kind, the most frequent first."""
     ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{count} {kind}" for kind, count in ordered)

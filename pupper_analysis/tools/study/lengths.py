@@ -1,11 +1,12 @@
-"""Links of another length: geometry and mass of a robot's links, in its URDF and its MJCF alike.
+"""Stretched links: geometry, mass and inertia of the links of a robot, in the URDF and the MJCF.
 
-A link is stretched along the line from its own joint to the next one, or to the foot that it
-carries, within the plane normal to the axis there: a sideways offset stays. With the unit vector u
-along that line, s the factor, and A = 1 + (s - 1) u u^T, positions become p' = A p, and, as the
-density stays, m' = s m and the second moments S' = s A S A^T, where S = tr(I)/2 1 - I and
-I' = tr(S') 1 - S'. What is fixed to a link is stretched with it. A shape that lies along u gets
-longer; another keeps its size and moves.
+A link is stretched along the line from its own joint to the next joint, or to its foot. The
+component of this line along the axis of the joint at its end is removed, so that a lateral offset
+remains. With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions
+become p' = A p. The density is constant, so that m' = s m, and the second moments become S' = s A S
+A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are fixed to a stretched link are
+stretched with it. A shape with a principal axis along u is lengthened; any other shape keeps its
+size and is moved.
 """
 
 from __future__ import annotations
@@ -33,21 +34,19 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_ALONG = 1 - 1e-9
-"""Cosine: an axis of a shape lies along the stretch, but for rounding of six printed digits."""
-
-_SHORTEST = 1e-6
-"""m: a link whose ends are nearer than this has no direction to be stretched in."""
+_MIN_LINK_LENGTH = 1e-6
+"""Minimum length of a link that can be stretched [m]. A shorter link has no defined direction.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch in the world, at the pose of zeros.
+    """Linear stretch of a link, expressed in the world frame with all joints at zero.
 
     Attributes:
-        origin: (3,) the point that stays: the origin of the URDF's link (m).
-        along: (3,) the unit vector u.
-        factor: s.
+        origin: Fixed point, shape (3,) [m]: origin of the URDF's link.
+        along: Unit vector u, shape (3,).
+        factor: Factor s.
     """
 
     origin: Array
@@ -55,22 +54,28 @@ class Stretch:
     factor: float
 
     def matrix(self, rotation: Array) -> Array:
-        """Returns A (3, 3) in a frame of this rotation in the world."""
+        """Return A (3, 3) in a frame with the given rotation (3, 3) to the world."""
         along = rotation.T @ self.along
-        made: Array = np.eye(3) + (self.factor - 1.0) * np.outer(along, along)
-        return made
+        matrix: Array = np.eye(3) + (self.factor - 1.0) * np.outer(along, along)
+        return matrix
 
     def local(self, rotation: Array, position: Array) -> tuple[Array, Array]:
-        """Returns A (3, 3) and b (3,) of p' = A p + b in a frame that stays where it is."""
+        """Return A (3, 3) and b (3,) [m] of p' = A p + b in a frame that does not move.
+
+        Args:
+            rotation: Rotation (3, 3) of the frame in the world.
+            position: Origin (3,) of the frame in the world [m].
+        """
         matrix = self.matrix(rotation)
         return matrix, (np.eye(3) - matrix) @ rotation.T @ (self.origin - position)
 
 
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
-    """Returns the stretch of the link that a joint moves.
+    """Return the stretch of the link that a joint moves.
 
     Raises:
-        ConfigurationError: If the link ends at no joint and no single foot, or at several joints.
+        ConfigurationError: If the joint is ``""`` (the base), the link does not end at exactly one
+            joint or foot, or its length is below `_MIN_LINK_LENGTH`.
     """
     urdf = UrdfTree.of(robot.description.urdf)
     name = f"length:{joint}" if joint else "length"
@@ -79,158 +84,179 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
     link = urdf.moved_links[joint]
     group = urdf.fixed_group(link)
     config = Configuration(robot, robot.neutral())
-    own = _placed(config, link)
-    ends = [one for part in group for one in urdf.below.get(part, ()) if one.moves]
+    link_pose = _link_pose(config, link)
+    ends = [below for part in group for below in urdf.below.get(part, ()) if below.moves]
     feet = [point for point, frame in robot.contact_frames.items() if frame in group]
     if len(ends) + len(feet) != 1:
-        found = [*(one.name for one in ends), *feet]
-        raise ConfigurationError(name, diagnose("link-without-one-end", link=link, ends=found))
+        end_names = [*(below.name for below in ends), *feet]
+        raise ConfigurationError(name, diagnose("link-without-one-end", link=link, ends=end_names))
     if ends:
-        carrier, turning = _placed(config, ends[0].parent) * ends[0].origin, ends[0]
-        end = carrier.translation
+        end_frame, end_joint = _link_pose(config, ends[0].parent) * ends[0].origin, ends[0]
+        end = end_frame.translation
     else:
-        carrier, turning = own, urdf.joints[joint]
+        end_frame, end_joint = link_pose, urdf.joints[joint]
         end = config.frame_position(robot.contact_frames[feet[0]])
-    stated = turning.element.find("axis")
-    axis = parse_numbers(None if stated is None else stated.get("xyz"), "1 0 0")
-    normal = carrier.rotation @ _unit(axis)
-    line = end - own.translation
-    line = line - normal * (normal @ line)
-    if np.linalg.norm(line) < _SHORTEST:
+    axis_element = end_joint.element.find("axis")
+    axis = parse_numbers(None if axis_element is None else axis_element.get("xyz"), "1 0 0")
+    normal = end_frame.rotation @ _normalise(axis)
+    offset = end - link_pose.translation
+    offset = offset - normal * (normal @ offset)
+    if np.linalg.norm(offset) < _MIN_LINK_LENGTH:
         raise ConfigurationError(name, diagnose("link-without-length", link=link))
-    return Stretch(np.array(own.translation), _unit(line), factor)
+    return Stretch(np.array(link_pose.translation), _normalise(offset), factor)
 
 
-def _placed(config: Configuration, link: str) -> pin.SE3:
+def _link_pose(config: Configuration, link: str) -> pin.SE3:
+    """Return the pose of a link in the world."""
     return pin.SE3(config.frame_rotation(link), config.frame_position(link))
 
 
-def _unit(vector: Array) -> Array:
-    unit: Array = np.array(vector) / np.linalg.norm(vector)
-    return unit
+def _normalise(vector: Array) -> Array:
+    """Return the vector divided by its norm."""
+    normalised: Array = np.array(vector) / np.linalg.norm(vector)
+    return normalised
 
 
 def stretch_links(
     robot: Robot, trees: tuple[UrdfTree, SpecTree], factors: Mapping[str, float]
 ) -> float:
-    """Stretches links in both files, in place; keyframes keep their clearance of the ground.
+    """Stretch links in both files, in place; keyframes keep their clearance above the ground.
 
     Args:
-        robot: The robot of which the files are.
-        trees: Of the URDF and of the MJCF.
-        factors: {joint: factor on the length of the link that it moves}.
+        robot: Robot of the files.
+        trees: Trees of the URDF and of the MJCF.
+        factors: {joint: factor on the length of the link that the joint moves}.
 
     Returns:
-        The base's height in the nominal stand (m): with all joints where they were in it, or, where
-        it is not the keyframe's, in the same proportion.
+        Base height of the nominal stand [m], for the same joint positions as the keyframe. If the
+        nominal stand is another, its height is scaled by the ratio of the keyframe's heights.
 
     Raises:
         ConfigurationError: If a link has no length.
-        ModelError: If a mesh cannot be stretched so.
+        ModelError: If no axis of a mesh is along the stretch.
     """
     urdf, mjcf = trees
     source = robot.description.mjcf_source
     config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, robot.neutral())
     mujoco.mj_kinematics(robot.mj_model, data)
-    weighed = compile_spec(mjcf.spec.copy(), source)  # masses may have changed before
+    model = compile_spec(
+        mjcf.spec.copy(), source
+    )  # compiled again: earlier factors may have changed masses
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]] = {}
     for joint, factor in factors.items():
         stretch = find_stretch(robot, joint, factor)
         link = urdf.moved_links[joint]
         for part in urdf.fixed_group(link):
-            at = _placed(config, part)
-            matrix, shift = stretch.local(at.rotation, at.translation)
-            if part != link:  # its frame has moved with what carries it
+            pose = _link_pose(config, part)
+            matrix, shift = stretch.local(pose.rotation, pose.translation)
+            if part != link:  # the joint above has moved this frame already
                 shift = np.zeros(3)
             _stretch_link(urdf, part, matrix, shift, factor)
         body = mjcf.moved_by(joint)
         assert body is not None
         for part in mjcf.fixed_group(body):
-            at = data.body(part)
-            rotation = at.xmat.reshape(3, 3)
-            matrix, shift = stretch.local(rotation, at.xpos)
+            pose = data.body(part)
+            rotation = pose.xmat.reshape(3, 3)
+            matrix, shift = stretch.local(rotation, pose.xpos)
             if part != body:
                 shift = np.zeros(3)
-            inertia = inertia_of_body(weighed, weighed.body(part).id)
+            inertia = inertia_of_body(model, model.body(part).id)
             _stretch_body(mjcf.spec.body(part), inertia, (matrix, shift), factor, meshes)
     _stretch_meshes(mjcf.spec, meshes)
     return _raise_keyframes(robot, mjcf.spec)
 
 
-def stretch_inertia(inertia: pin.Inertia, matrix: Array, shift: Array, s: float) -> pin.Inertia:
-    """Returns what a link weighs that is stretched, p' = A p + b, at the same density."""
+def stretch_inertia(
+    inertia: pin.Inertia, matrix: Array, shift: Array, factor: float
+) -> pin.Inertia:
+    """Return the inertia of a link after the stretch p' = A p + b with constant density.
+
+    Args:
+        inertia: Inertia before the stretch.
+        matrix: A, shape (3, 3).
+        shift: b, shape (3,) [m].
+        factor: Factor s on the mass.
+    """
     tensor = np.array(inertia.inertia)
-    second = s * matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T
+    second_moments = factor * matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T
     lever = matrix @ inertia.lever + shift
-    return make_inertia(s * inertia.mass, lever, np.trace(second) * np.eye(3) - second)
+    return make_inertia(
+        factor * inertia.mass, lever, np.trace(second_moments) * np.eye(3) - second_moments
+    )
 
 
-def _sizes(matrix: Array, rotation: Array) -> Array | None:
-    """Returns by how much a shape grows along each of its axes; None: it has none along u."""
+def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
+    """Return the factors (3,) along the axes of a shape; None if A is not diagonal there."""
     local = rotation.T @ matrix @ rotation
-    growth = np.diag(local)
-    return growth if np.abs(local - np.diag(growth)).max() < 1e-9 else None
+    factors = np.diag(local)
+    return factors if np.abs(local - np.diag(factors)).max() < 1e-9 else None
 
 
-# In a URDF.
+# URDF.
 
 
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
+    """Stretch the inertial, the shapes and the joint origins of one link of the URDF."""
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia
     if inertia is not None:
         link.set_inertia(stretch_inertia(inertia, matrix, shift, factor))
     for joint in urdf.below.get(name, ()):
-        _move(joint.element, matrix, shift)
+        _move_origin(joint.element, matrix, shift)
     for _, shape, form in link.shapes:
         if form is not None:
-            _stretch_form(form, _sizes(matrix, np.array(origin_of(shape).rotation)), name)
-        _move(shape, matrix, shift)
+            _stretch_form(
+                form, _find_axis_factors(matrix, np.array(origin_of(shape).rotation)), name
+            )
+        _move_origin(shape, matrix, shift)
 
 
-def _move(element: etree._Element, matrix: Array, shift: Array) -> None:
-    placed = origin_of(element)
-    set_origin(element, pin.SE3(placed.rotation, matrix @ placed.translation + shift))
+def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
+    """Move the origin of an element to A p + b."""
+    origin = origin_of(element)
+    set_origin(element, pin.SE3(origin.rotation, matrix @ origin.translation + shift))
 
 
-def _stretch_form(form: etree._Element, growth: Array | None, link: str) -> None:
-    words: dict[object, tuple[str, Callable[[Array], Array]]] = {
-        "box": ("size", lambda one: one),
-        "mesh": ("scale", lambda one: one),
-        "cylinder": ("length", lambda one: one[2:]),
-        "capsule": ("length", lambda one: one[2:]),
+def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
+    """Scale the size of a shape of the URDF; spheres keep their size."""
+    attributes: dict[object, tuple[str, Callable[[Array], Array]]] = {
+        "box": ("size", lambda factors: factors),
+        "mesh": ("scale", lambda factors: factors),
+        "cylinder": ("length", lambda factors: factors[2:]),
+        "capsule": ("length", lambda factors: factors[2:]),
     }
-    if form.tag not in words:
+    if form.tag not in attributes:
         return
-    if growth is None:
+    if factors is None:
         if form.tag == "mesh":
             raise ModelError(
                 form.get("filename") or link, diagnose("mesh-without-axis", along=link)
             )
         return
-    word, part = words[form.tag]
-    old = parse_numbers(form.get(word) or None, "1 1 1")
-    form.set(word, write_numbers(old * part(growth), digits=None))
+    attribute, select = attributes[form.tag]
+    old = parse_numbers(form.get(attribute) or None, "1 1 1")
+    form.set(attribute, write_numbers(old * select(factors), digits=None))
 
 
-# In an MJCF.
+# MJCF.
 
 
 def _stretch_body(
     body: mujoco.MjsBody,
     inertia: pin.Inertia,
-    moved: tuple[Array, Array],
+    transform: tuple[Array, Array],
     factor: float,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
-    matrix, shift = moved
+    """Stretch a body of the MJCF: inertial, sites, cameras, geoms, origins of its children."""
+    matrix, shift = transform
     if inertia.mass > 0:
-        made = stretch_inertia(inertia, matrix, shift, factor)
-        body.explicitinertial, body.mass = True, float(made.mass)
-        body.ipos, body.iquat = np.array(made.lever), (1.0, 0.0, 0.0, 0.0)
-        body.inertia = np.zeros(3)  # MuJoCo takes either, and not both
-        body.fullinertia = inertia_entries(np.array(made.inertia))
+        stretched = stretch_inertia(inertia, matrix, shift, factor)
+        body.explicitinertial, body.mass = True, float(stretched.mass)
+        body.ipos, body.iquat = np.array(stretched.lever), (1.0, 0.0, 0.0, 0.0)
+        body.inertia = np.zeros(3)  # MuJoCo accepts one of the two only
+        body.fullinertia = inertia_entries(np.array(stretched.inertia))
     for part in (*body.bodies, *body.sites, *body.cameras):
         part.pos = matrix @ np.array(part.pos) + shift
     for geom in body.geoms:
@@ -243,66 +269,73 @@ def _stretch_geom(
     shift: Array,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
+    """Stretch one geom of the MJCF; mesh geoms are collected in ``meshes``."""
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)
         geom.fromto = np.concatenate([matrix @ end + shift for end in (ends[:3], ends[3:])])
         return
     rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, _unit(geom.quat))
-    growth = _sizes(matrix, rotation.reshape(3, 3))
-    kinds = mujoco.mjtGeom
-    if geom.type == kinds.mjGEOM_MESH:
-        if growth is None:
+    mujoco.mju_quat2Mat(rotation, _normalise(geom.quat))
+    factors = _find_axis_factors(matrix, rotation.reshape(3, 3))
+    geom_types = mujoco.mjtGeom
+    if geom.type == geom_types.mjGEOM_MESH:
+        if factors is None:
             finding = diagnose("mesh-without-axis", along=geom.parent.name)
             raise ModelError(geom.meshname, finding)
-        meshes.setdefault(geom.meshname, []).append((geom, growth.copy()))
-    elif growth is not None and geom.type == kinds.mjGEOM_BOX:
-        geom.size = np.array(geom.size) * growth
-    elif growth is not None and geom.type in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
-        geom.size = np.array(geom.size) * (1.0, growth[2], 1.0)
+        meshes.setdefault(geom.meshname, []).append((geom, factors.copy()))
+    elif factors is not None and geom.type == geom_types.mjGEOM_BOX:
+        geom.size = np.array(geom.size) * factors
+    elif factors is not None and geom.type in (
+        geom_types.mjGEOM_CAPSULE,
+        geom_types.mjGEOM_CYLINDER,
+    ):
+        geom.size = np.array(geom.size) * (1.0, factors[2], 1.0)
     geom.pos = matrix @ np.array(geom.pos) + shift
 
 
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Gives each stretch of a mesh an asset of its own, unless all that is made of it has one."""
+    """Scale mesh assets. A mesh whose geoms need different stretches gets one asset per stretch."""
     for name, users in meshes.items():
         mesh = spec.mesh(name)
         scale, file = np.array(mesh.scale), mesh.file
         count = sum(geom.meshname == name for geom in spec.geoms)
-        kinds = {tuple(growth): growth for _, growth in users}
-        if len(kinds) == 1 and count == len(users):
-            mesh.scale = scale * next(iter(kinds.values()))
+        stretches = {tuple(factors): factors for _, factors in users}
+        if len(stretches) == 1 and count == len(users):
+            mesh.scale = scale * next(iter(stretches.values()))
             continue
-        for number, (key, growth) in enumerate(kinds.items()):
-            own = f"{name}_stretched{number or ''}"
-            made = spec.add_mesh(name=own, file=file, scale=scale * growth)
-            made.refpos, made.refquat = np.array(mesh.refpos), np.array(mesh.refquat)
-            made.inertia = mesh.inertia
-            for geom, one in users:
-                if tuple(one) == key:
-                    geom.meshname = own
+        for index, (key, factors) in enumerate(stretches.items()):
+            asset_name = f"{name}_stretched{index or ''}"
+            asset = spec.add_mesh(name=asset_name, file=file, scale=scale * factors)
+            asset.refpos, asset.refquat = np.array(mesh.refpos), np.array(mesh.refquat)
+            asset.inertia = mesh.inertia
+            for geom, geom_factors in users:
+                if tuple(geom_factors) == key:
+                    geom.meshname = asset_name
 
 
 def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
-    """Keeps keyframes' clearance of the ground; returns the new height of the nominal stand."""
+    """Raise the base and the keyframes so that their clearance above the ground is unchanged.
+
+    Returns the new height of the nominal stand [m].
+    """
     description = robot.description
     before, after = robot.mj_model, compile_spec(spec.copy(), description.mjcf_source)
 
     def height(model: mujoco.MjModel, qpos: Array) -> float:
-        places = {
+        sites = {
             point: foot_site(model, frame, description.mjcf_source)
             for point, (_, frame) in description.contact_points.items()
         }
-        return stand_height(model, robot.mj_base, places, robot.contact_radius, qpos, None)
+        return stand_height(model, robot.mj_base, sites, robot.contact_radius, qpos, None)
 
     if not robot.floating or not robot.contact_points:
         return robot.stand_height
     free = int(before.jnt_qposadr[np.flatnonzero(before.jnt_type == 0)[0]])
-    base = spec.body(robot.mj_base)  # where it is without a keyframe
-    raised = height(after, before.qpos0) - height(before, before.qpos0)
-    base.pos = np.array(base.pos) + np.array([0.0, 0.0, raised])
+    base = spec.body(robot.mj_base)  # initial pose without a keyframe
+    height_change = height(after, before.qpos0) - height(before, before.qpos0)
+    base.pos = np.array(base.pos) + np.array([0.0, 0.0, height_change])
     for key in spec.keys:
         if len(key.qpos) == before.nq:
             qpos = np.array(key.qpos)
@@ -311,5 +344,7 @@ def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
     data = mujoco.MjData(before)
     robot.mj_convention.set_state(data, robot.home)
     radius = max(robot.contact_radius.values())
-    old, new = (height(model, np.array(data.qpos)) - radius for model in (before, after))
-    return radius + (robot.stand_height - radius) * new / old
+    old_height, new_height = (
+        height(model, np.array(data.qpos)) - radius for model in (before, after)
+    )
+    return radius + (robot.stand_height - radius) * new_height / old_height

@@ -1,4 +1,4 @@
-"""What is measured of a design: named metrics, and functions of (robot, stand)."""
+"""Metrics of a study: named metrics of a design, and functions of (robot, stand)."""
 
 from __future__ import annotations
 
@@ -35,18 +35,21 @@ from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 MetricValue = float | bool
+"""Value of a metric."""
 MetricFunction = Callable[[Robot, Stand], Any]
+"""Function of the user: (robot, stand) to a value, or to a mapping of values."""
 
 
 @dataclass(eq=False)
 class Design:
-    """A design that stands: what its metrics look at, each worked out once.
+    """A robot with a solved stand. Quantities that several metrics need are computed on first use.
 
     Attributes:
-        robot: The robot, with its payload and its servos' gains.
-        stand: How it stands.
-        own_servos: Whether these gains are its file's, and what that does by itself counts.
-        point: Where a payload is, or is sought; see ``robot.tool.find_place``.
+        robot: Robot with payload and servo gains.
+        stand: Solved stand.
+        own_servos: True if the servo gains are those of the file. The simulation of the published
+            file then counts for ``stands``.
+        point: Position of a payload, present or sought; see `robot.tool.find_place`.
     """
 
     robot: Robot
@@ -56,7 +59,10 @@ class Design:
 
     @cached_property
     def gains(self) -> dict[str, Any]:
-        """Its servos' kp and kd (nu,), as ``--kp`` and ``--kd`` give them; its own are not."""
+        """Servo gains as arguments ``kp`` and ``kd``; empty if the gains are those of the file.
+
+        Each has the shape (nu,) [N m/rad and N m s/rad].
+        """
         if self.own_servos:
             return {}
         gains = servo_gains(self.robot)
@@ -64,12 +70,15 @@ class Design:
 
     @cached_property
     def statics(self) -> GravityCompensation:
-        """What the motors hold, with the contact forces that last."""
+        """Motor torques and contact forces of the stand, with minimum tangential forces."""
         return stand_statics(self.robot, self.stand)
 
     @cached_property
-    def _sought(self) -> SteadyState | PupperAnalysisError:
-        """The equilibrium, or why there is none; also a search that fails is run once."""
+    def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:
+        """Steady state without feed-forward, or the error of the search.
+
+        A search that fails is not repeated.
+        """
         try:
             return steady_state(self.robot, self.stand)
         except PupperAnalysisError as error:
@@ -77,22 +86,22 @@ class Design:
 
     @property
     def equilibrium(self) -> SteadyState:
-        """Where its servos balance it without feed-forward, whether it stays there or not.
+        """Equilibrium of the servos without feed-forward, stable or not.
 
         Raises:
-            PupperAnalysisError: As ``steady_state``.
+            PupperAnalysisError: As `steady_state`.
         """
-        if isinstance(self._sought, PupperAnalysisError):
-            raise self._sought
-        return self._sought
+        if isinstance(self._equilibrium_or_error, PupperAnalysisError):
+            raise self._equilibrium_or_error
+        return self._equilibrium_or_error
 
     @property
     def rest(self) -> SteadyState:
-        """Where its servos let it come to rest, without feed-forward.
+        """Equilibrium of the servos without feed-forward, in which the robot stays up.
 
         Raises:
-            NotStandingError: If it does not stay up there: then it rests elsewhere, if at all.
-            PupperAnalysisError: As ``steady_state``.
+            NotStandingError: If the equilibrium has failures.
+            PupperAnalysisError: As `steady_state`.
         """
         if self.equilibrium.failures:
             raise NotStandingError(self.equilibrium.failures)
@@ -100,57 +109,58 @@ class Design:
 
     @cached_property
     def stability(self) -> Stability:
-        """Of where it comes to rest, by the spectrum of a step: what a simulation would show.
+        """Stability of `rest`, from the spectrum of one simulation step.
 
         Raises:
-            PupperAnalysisError: As ``rest``.
+            PupperAnalysisError: As `rest`.
         """
         return rest_stability(self.robot, self.stand, self.rest)
 
     @cached_property
     def workspace(self) -> BaseWorkspace:
-        """How far the base can go."""
+        """Range of the base in each direction."""
         return base_workspace(self.robot, self.stand.task)
 
     @cached_property
     def held(self) -> Stand:
-        """The stand that is simulated, as everywhere: its feet sunk into MuJoCo's ground."""
+        """Stand that is simulated: on MuJoCo's soft ground."""
         return solve_stand_as_simulated(self.robot, self.stand)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What ``stand`` says of it."""
+        """Verdict of the stand, as by the command ``stand``."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def per_joint(self, values: Iterable[float]) -> dict[str, float]:
-        """Returns values by joint."""
-        named = zip(self.robot.joint_names, values, strict=True)
-        return {name: float(value) for name, value in named}
+        """Return {joint: value}; the values are in actuator order."""
+        pairs = zip(self.robot.joint_names, values, strict=True)
+        return {name: float(value) for name, value in pairs}
 
     def span(self, direction: str) -> float:
-        """Returns how far apart the ends of one of the workspace's intervals are."""
+        """Return the length of the base workspace in one direction [m or rad]."""
         interval = self.workspace.intervals[direction]
         return interval.high - interval.low
 
     def utilisation_at_rest(self) -> float:
-        """Returns the peak motor utilisation where the servos let it come to rest."""
+        """Return the largest torque / effort limit of the joints at `rest`."""
         return float(np.max(np.abs(self.rest.joint_torques) / self.robot.effort_limits))
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric.
+    """One metric.
 
     Attributes:
-        name: The column that it fills; with several values, ``NAME.KEY`` for each.
-        function: Of a design; of one of a file, ``of_file`` makes it.
-        unit: Its unit; ``1`` of a ratio, empty of one's own functions.
-        simulates: Whether it takes a simulation, or some seconds.
-        fallen: Its value of a design that cannot stand so; None where it has none.
-        of_file: Of what is written after a colon, such as a policy's file: returns the function,
-            and what tells that the file has changed; None where a metric is of a design alone.
-        file: What is written there.
-        content: What told so.
+        name: Column of the table; a mapping of values fills the columns ``NAME.KEY``.
+        function: Function of a design. If the metric needs a file, `of_file` creates this function.
+        unit: Unit; ``1`` for a ratio, empty for a function of the user.
+        simulates: True if the metric needs a simulation, or some seconds.
+        fallen: Value for a design that cannot stand; None if the metric has no such value.
+        of_file: Function of the text after the colon (for example, the path of a policy). It
+            returns the function of a design and a hash that changes with the file. None if the
+            metric needs no file.
+        file: Text after the colon.
+        content: Hash that `of_file` returned.
     """
 
     name: str
@@ -164,50 +174,58 @@ class Metric:
 
 
 def text_key(metric: str) -> str:
-    """Return the catalogue key of a metric's meaning, which other packages may omit."""
+    """Return the catalogue key of the meaning of a metric. Other packages may omit the entry."""
     return f"metric-{metric.replace('_', '-')}"
 
 
-def _stands(design: Design) -> bool:
-    """Tells so, or says why not: it stays up, and neither shakes nor buckles within 12 s."""
-    own = own_run(design.robot) if design.own_servos else None
-    if own is not None and own.fails:
+def _check_stand(design: Design) -> bool:
+    """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
+
+    With the gains of the file, the simulation of the published file from its keyframe must not fail
+    either.
+
+    Raises:
+        NotStandingError: If the robot falls or a deviation grows; the error contains the reasons.
+    """
+    published_run = own_run(design.robot) if design.own_servos else None
+    if published_run is not None and published_run.fails:
         raise NotStandingError(
-            tuple(clause.message for clause in own_clauses(own) if not clause.good)
+            tuple(clause.message for clause in own_clauses(published_run) if not clause.good)
         )
-    leaving = design.stability.leaving()
-    if leaving:
-        raise NotStandingError((describe_growth(leaving[0]),))
+    growing = design.stability.leaving()
+    if growing:
+        raise NotStandingError((describe_growth(growing[0]),))
     return True
 
 
-def _peak(values: NDArray[np.float64]) -> float:
+def _find_peak(values: NDArray[np.float64]) -> float:
+    """Return the largest magnitude of an array."""
     return float(np.abs(values).max())
 
 
-def _friction_utilisation(design: Design) -> float:
+def _max_friction_utilisation(design: Design) -> float:
     return max(design.statics.friction_utilisation.values())
 
 
-def _minimum_stiffness(design: Design) -> float:
+def _compute_minimum_stiffness(design: Design) -> float:
     return minimum_stiffness(design.robot, design.stand)
 
 
-_ALL = (
+_METRICS_OF_DESIGNS = (
     Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
-    Metric("peak_utilisation", lambda d: _peak(d.statics.motor_utilisation), "1"),
-    Metric("peak_torque", lambda d: _peak(d.statics.joint_torques), "N m"),
+    Metric("peak_utilisation", lambda d: _find_peak(d.statics.motor_utilisation), "1"),
+    Metric("peak_torque", lambda d: _find_peak(d.statics.joint_torques), "N m"),
     Metric("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
     Metric("utilisation", lambda d: d.per_joint(d.statics.motor_utilisation), "1"),
-    Metric("friction_utilisation", _friction_utilisation, "1"),
+    Metric("friction_utilisation", _max_friction_utilisation, "1"),
     Metric("com_margin", lambda d: d.stand.com_margin, "m"),
     Metric("base_height", lambda d: d.rest.base_height, "m"),
     Metric("sag", lambda d: d.rest.height_loss, "m"),
     Metric("servo_sag", lambda d: d.rest.servo_sag, "m"),
     Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2"),
     Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
-    Metric("stands", _stands, "1", fallen=0.0),
-    Metric("minimum_stiffness", _minimum_stiffness, "N m/rad", simulates=True),
+    Metric("stands", _check_stand, "1", fallen=0.0),
+    Metric("minimum_stiffness", _compute_minimum_stiffness, "N m/rad", simulates=True),
     Metric("height_range", lambda d: d.span("height"), "m", simulates=True),
     Metric("roll_range", lambda d: d.span("roll"), "rad", simulates=True),
     Metric("pitch_range", lambda d: d.span("pitch"), "rad", simulates=True),
@@ -215,57 +233,61 @@ _ALL = (
 )
 
 
-def _of_tools() -> Iterator[Metric]:
-    """Yields what tools let studies measure: the ``METRICS`` of their ``metrics.py``."""
+def _load_tool_metrics() -> Iterator[Metric]:
+    """Yield the metrics of other tools: ``METRICS`` of each tool's module ``metrics``."""
     for package in find_tool_modules("metrics").values():
-        offered = importlib.import_module(f"{package}.metrics").METRICS
-        yield from (Metric(name, **more) for name, more in offered.items())
+        metrics_of_tool = importlib.import_module(f"{package}.metrics").METRICS
+        yield from (Metric(name, **arguments) for name, arguments in metrics_of_tool.items())
 
 
 METRICS_REVISION = 5
-"""Of what metrics mean, raised when one changes: results of before are not taken for it."""
+"""Revision of the meanings of the metrics. Increased if a meaning changes, so that results of
+earlier revisions are not reused."""
 
-METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (*_ALL, *_of_tools())}
-"""The named metrics."""
+METRICS: Mapping[str, Metric] = {
+    metric.name: metric for metric in (*_METRICS_OF_DESIGNS, *_load_tool_metrics())
+}
+"""Named metrics: {name: metric}."""
 
 
-def make_metric(given: str | MetricFunction) -> Metric:
-    """Returns a named metric, or makes one of a function of (robot, stand).
+def make_metric(requested: str | MetricFunction) -> Metric:
+    """Return a named metric, or create the metric of a function of (robot, stand).
 
     Args:
-        given: A name of ``METRICS``, with ``:FILE`` where it is of one, or a function that other
-            processes can import: it stands at the top of a module.
+        requested: Name of `METRICS`, followed by ``:FILE`` if the metric needs a file; or a
+            function at the top level of a module, so that other processes can import it.
 
     Raises:
-        ConfigurationError: If there is no such metric, or the function does not fit.
+        ConfigurationError: If the name is unknown, a file is missing or not needed, or the function
+            has another signature, cannot be pickled or has the name of a metric.
     """
-    if isinstance(given, str):
-        if (named := METRICS.get(given.partition(":")[0])) is not None:
-            return _of_file(named, given)
-        finding = diagnose("metric-unknown", name=given, known=METRICS)
+    if isinstance(requested, str):
+        if (metric := METRICS.get(requested.partition(":")[0])) is not None:
+            return _bind_file(metric, requested)
+        finding = diagnose("metric-unknown", name=requested, known=METRICS)
         raise ConfigurationError("measure", finding)
-    if not callable(given):
-        raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(given)))
+    if not callable(requested):
+        raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(requested)))
     try:
-        inspect.signature(given).bind(None, None)
+        inspect.signature(requested).bind(None, None)
     except (TypeError, ValueError) as error:
-        problem = diagnose("metric-of-another-signature", given=repr(given), problem=str(error))
+        problem = diagnose("metric-of-another-signature", given=repr(requested), problem=str(error))
         raise ConfigurationError("measure", problem) from error
     try:
-        pickle.dumps(given)
+        pickle.dumps(requested)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        problem = diagnose("metric-not-picklable", given=repr(given))
+        problem = diagnose("metric-not-picklable", given=repr(requested))
         raise ConfigurationError("measure", problem) from error
-    name = getattr(given, "__name__", type(given).__name__)
+    name = getattr(requested, "__name__", type(requested).__name__)
     if name in METRICS:
         problem = diagnose("metric-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Metric(name, UserFunction(given), "")
+    return Metric(name, UserFunction(requested), "")
 
 
-def _of_file(metric: Metric, given: str) -> Metric:
-    """Returns a named metric, of the file after its colon if it is of one."""
-    _, colon, file = given.partition(":")
+def _bind_file(metric: Metric, requested: str) -> Metric:
+    """Return a named metric, bound to the file after the colon if the metric needs a file."""
+    _, colon, file = requested.partition(":")
     if metric.of_file is None:
         if colon:
             raise ConfigurationError("measure", diagnose("metric-of-no-file", name=metric.name))
@@ -276,30 +298,30 @@ def _of_file(metric: Metric, given: str) -> Metric:
     return replace(metric, function=function, file=file, content=content)
 
 
-def resolve_metric_file(folder: Path, given: object) -> object:
-    """Returns a metric of a study's file, with the file that it is of sought beside that."""
-    name, _, file = given.partition(":") if isinstance(given, str) else ("", "", "")
-    named = METRICS.get(name)
-    return f"{name}:{folder / file}" if file and named and named.of_file else given
+def resolve_metric_file(folder: Path, requested: object) -> object:
+    """Return a requested metric with its file taken relative to a folder."""
+    name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
+    metric = METRICS.get(name)
+    return f"{name}:{folder / file}" if file and metric and metric.of_file else requested
 
 
 @dataclass(frozen=True)
 class UserFunction:
-    """A function of (robot, stand) as one of a design."""
+    """Adapter that calls a function of (robot, stand) with a design."""
 
     function: MetricFunction
 
     def __call__(self, design: Design) -> Any:
-        """Calls it."""
+        """Evaluate the function for a design."""
         return self.function(design.robot, design.stand)
 
     @property
     def place(self) -> str:
-        """Returns ``module:function``."""
+        """Return ``module:function``."""
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
 
     def fingerprint(self) -> str:
-        """Returns its name and a hash of its text, which tells that it has changed."""
+        """Return the name of the function and a hash of its source text, to detect changes."""
         try:
             text = inspect.getsource(self.function)
         except (OSError, TypeError):
@@ -308,14 +330,14 @@ class UserFunction:
 
 
 def format_metric(metric: Metric) -> str:
-    """Returns how a study's file says a metric."""
-    own = metric.function
-    named = f"{metric.name}:{metric.file}" if metric.file else metric.name
-    return own.place if isinstance(own, UserFunction) else named
+    """Return a metric as written in a study file."""
+    function = metric.function
+    metric_name = f"{metric.name}:{metric.file}" if metric.file else metric.name
+    return function.place if isinstance(function, UserFunction) else metric_name
 
 
 def fingerprint_metric(metric: Metric) -> str:
-    """Returns what tells that a metric is another one."""
-    own = metric.function
-    named = f"{metric.name} {metric.content}".rstrip()
-    return own.fingerprint() if isinstance(own, UserFunction) else named
+    """Return a text that differs if the metric, its function or its file has changed."""
+    function = metric.function
+    metric_name = f"{metric.name} {metric.content}".rstrip()
+    return function.fingerprint() if isinstance(function, UserFunction) else metric_name

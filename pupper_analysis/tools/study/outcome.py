@@ -1,4 +1,4 @@
-"""The results of a study, to be shown: failures, fronts, shares, maps."""
+"""Outcome of a study: failures by kind, summary of each metric, main effects, Pareto front."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Failures(Result):
-    """Designs that failed alike.
+    """Designs that failed in the same way.
 
     Attributes:
-        kind: How.
-        metric: In measuring what, the first of them; None if there is no such design to measure.
-        designs: How many.
-        share: Of all designs.
-        reason: What the first of them says.
-        diagnostic: The same as data; None in a folder of an older version.
+        kind: Failure kind.
+        metric: Metric that failed in the first of these designs; None if the design could not be
+            built.
+        designs: Number of these designs.
+        share: Fraction of all designs.
+        reason: Reason of the first of these designs, in English.
+        diagnostic: Reason as a diagnostic; None if the folder is of an older version.
     """
 
     kind: str
@@ -61,19 +62,20 @@ class Failures(Result):
 
 @dataclass(frozen=True)
 class MetricSummary(Result):
-    """What was measured, of all designs together.
+    """Summary of one metric over all designs.
 
     Attributes:
-        metric: Its column.
-        unit: Its unit; ``1`` of a ratio, empty of one's own functions.
-        least: The least value.
-        median: The median.
-        greatest: The greatest.
-        designs: Of how many it was measured.
-        alone: {variable: share of its variance that the variable makes alone, among the designs of
-            which it was measured}; empty of single joints.
-        interaction: The share that they make only together, on the full product of lists; None of
-            samples, and where not all designs were measured: shares overlap there.
+        metric: Column of the metric.
+        unit: Unit; ``1`` for a ratio, empty for a function of the user.
+        least: Smallest value.
+        median: Median.
+        greatest: Largest value.
+        designs: Number of designs with a value.
+        alone: {variable: fraction of the variance due to this variable alone, among the designs
+            with a value}; empty for a column ``NAME.KEY``.
+        interaction: Fraction of the variance due to several variables together. None for samples,
+            for fewer than two variables with several values, and unless all designs of the product
+            have a value.
     """
 
     metric: str
@@ -88,21 +90,20 @@ class MetricSummary(Result):
 
 @dataclass(frozen=True, eq=False)
 class StudyOutcome(Result):
-    """The results of a study.
+    """Results of a study.
 
     Attributes:
-        robot: Whose it is, as it was asked.
-        converted: ``"urdf"`` or ``"mjcf"``: which of its models was made of the other one; empty if
-            each has a file.
-        rests_on: What its stands rest on: what its file does by itself, servos that were added.
-        variables: {number: what it varies over, as a study's file says it}.
-        table: One row per design that is there.
-        designs: How many the study asks for.
-        measured: What was measured.
-        failures: What failed, the most frequent first.
-        objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
-        front: The designs that no other beats in these, of those that stay up where that was
-            measured.
+        robot: Robot as named in the study.
+        converted: ``"urdf"`` or ``"mjcf"``: model that was generated from the other file; empty if
+            both files exist.
+        rests_on: Assumptions of the stands: simulation of the published file, added servos.
+        variables: {variable: values or distribution, as in the study file}.
+        table: One row per stored design.
+        designs: Number of designs of the study.
+        measured: Summary of each metric.
+        failures: Failed designs by kind, the most frequent first.
+        objectives: {column: ``min`` or ``max``} of the Pareto front; empty without a front.
+        front: Designs on the Pareto front; only designs that stand, if ``stands`` was measured.
     """
 
     robot: str
@@ -124,23 +125,23 @@ def study_outcome(
     minimise: Sequence[str] = (),
     maximise: Sequence[str] = (),
 ) -> StudyOutcome:
-    """Collects the results of a study; nothing is run.
+    """Collect the results of a study without evaluating designs.
 
     Args:
-        study: The study.
-        folder: Where its results are.
-        minimise: Columns in which the designs of the front are least.
-        maximise: Columns in which they are greatest. If neither is given, there is no front.
+        study: Study.
+        folder: Folder of the results.
+        minimise: Columns that the Pareto front minimises.
+        maximise: Columns that the Pareto front maximises. Without objectives there is no front.
 
     Raises:
-        ConfigurationError: If a column is not there, or no design is.
-        StudyError: If the folder is no study's, or damaged.
+        ConfigurationError: If a column does not exist, or no design is stored.
+        StudyError: If the folder contains no study, or a shard is damaged.
     """
     check_type("study", study, Study)
     check_type("minimise", minimise, Sequence[str])
     check_type("maximise", maximise, Sequence[str])
     require_library("pandas")
-    Store(Path(folder)).read_request()  # that it is a study's folder
+    Store(Path(folder)).read_request()  # raises StudyError if the folder contains no study
     table = study.table(folder)
     if table.empty:
         finding = diagnose("study-has-no-design", folder=str(folder))
@@ -148,16 +149,16 @@ def study_outcome(
     variables = tuple(study.variables)
     metrics = list_metric_columns(table, variables)
     objectives = check_objectives(study, minimise, maximise)
-    spread = list_spread_variables(table, variables)
+    spread_variables = list_spread_variables(table, variables)
     return StudyOutcome(
-        robot=_named(study.source.asked()),
+        robot=_format_source(study.source.asked()),
         converted=study.base.description.converted,
         rests_on=list_stand_assumptions(study.base),
-        variables={name: one.to_dict() for name, one in study.variables.items()},
+        variables={name: variable.to_dict() for name, variable in study.variables.items()},
         table=table,
         designs=len(study),
-        measured=tuple(_measured(table, name, spread, study) for name in metrics),
-        failures=_failures(table),
+        measured=tuple(_summarise_metric(table, name, spread_variables, study) for name in metrics),
+        failures=_group_failures(table),
         objectives=objectives,
         front=pareto_front(select_standing_designs(table), objectives)
         if objectives
@@ -166,27 +167,27 @@ def study_outcome(
 
 
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Returns what stands of a robot rest on; see ``StudyOutcome``."""
-    finding = [clause.message for clause in own_clauses(own_run(robot))]
-    with contextlib.suppress(ModelError):  # without servos gains are given
+    """Return the assumptions of the stands of a robot; see `StudyOutcome.rests_on`."""
+    messages = [clause.message for clause in own_clauses(own_run(robot))]
+    with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
         servos = servos_used(robot)
-        finding += [on_servos(servos, good=True).message] if servos.made else []
-    return tuple(finding)
+        messages += [on_servos(servos, good=True).message] if servos.made else []
+    return tuple(messages)
 
 
 def check_objectives(
     study: Study, minimise: Sequence[str], maximise: Sequence[str]
 ) -> dict[str, str]:
-    """Returns {column: ``min`` or ``max``} of a front; none if none are asked for.
+    """Return {column: ``min`` or ``max``} of the Pareto front.
 
     Raises:
-        ConfigurationError: If the study has no such metric or number, or one is there twice.
+        ConfigurationError: If the study has no such metric or variable, or a column occurs twice.
     """
-    measured = [one.name for one in study.metrics]
+    measured = [metric.name for metric in study.metrics]
     for name in (*minimise, *maximise):
         if name.partition(".")[0] not in measured and name not in study.variables:
-            known = (*measured, *study.variables)
-            finding = diagnose("study-has-no-such", column=name, known=known)
+            valid_names = (*measured, *study.variables)
+            finding = diagnose("study-has-no-such", column=name, known=valid_names)
             raise ConfigurationError("minimise, maximise", finding)
     objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}
     if len(objectives) < len(minimise) + len(maximise):
@@ -197,168 +198,189 @@ def check_objectives(
 def compute_main_effects(
     table: pd.DataFrame, variables: Iterable[str], metric: str, *, sampled: bool = True
 ) -> dict[str, float]:
-    """Returns what share of a metric's variance each variable makes alone, in some designs.
+    """Compute the fraction of a metric's variance due to each variable alone.
 
-    That is the variance of the means over the variable's values, in parts of the whole variance. On
-    the full product of lists it is so as it stands (eta squared): with every design measured these
-    are the main effects, and what they leave of 1 is made by several variables together. Of samples
-    it is without what chance makes of so few designs (Kelley's epsilon squared), over cells of
-    values. Designs of which the metric was not measured are left out.
+    On the full product of lists this is eta squared: the variance of the means per value, divided
+    by the total variance. The remainder to 1 is due to several variables together. For samples it
+    is epsilon squared, which corrects eta squared for the number of designs, over cells of values.
+    Designs without a value are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
     Args:
-        table: Of a study.
-        variables: Columns.
-        metric: A column.
-        sampled: Whether the designs are samples, and not the full product of lists.
+        table: Table of a study.
+        variables: Columns of the variables.
+        metric: Column of the metric.
+        sampled: True if the designs are samples, False for the full product of lists.
+
+    Returns:
+        {variable: fraction}. Zero if the metric or the variable has one value only; NaN if each
+        sample has its own cell.
     """
-    known = table[np.isfinite(table[metric].to_numpy(float))]
-    values = known[metric].to_numpy(float)
+    measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
+    values = measured_rows[metric].to_numpy(float)
     varies = len(values) > 0 and measure_span(float(values.min()), float(values.max())) > 0
-    whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
-    found = {}
+    total_squares = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
+    effects = {}
     for name in variables:
-        column = known[name].to_numpy(float)
-        index = np.unique(_cells(column) if sampled else column, return_inverse=True)[1]
+        column = measured_rows[name].to_numpy(float)
+        index = np.unique(_assign_cells(column) if sampled else column, return_inverse=True)[1]
         counts = np.bincount(index)
-        free = len(values) - len(counts)
-        if whole <= 0 or len(counts) < 2 or (sampled and free < 1):
-            found[name] = 0.0 if whole <= 0 or len(counts) < 2 else float("nan")
+        degrees_of_freedom = len(values) - len(counts)
+        if total_squares <= 0 or len(counts) < 2 or (sampled and degrees_of_freedom < 1):
+            effects[name] = 0.0 if total_squares <= 0 or len(counts) < 2 else float("nan")
             continue
         means = np.bincount(index, values) / counts
-        within = float(((values - means[index]) ** 2).sum())
-        least = free / (len(values) - 1) if sampled else 1.0  # of the whole: what chance leaves
-        found[name] = max(0.0, 1 - within / least / whole)
-    return found
+        within_squares = float(((values - means[index]) ** 2).sum())
+        within_fraction = (
+            degrees_of_freedom / (len(values) - 1) if sampled else 1.0
+        )  # expected fraction within cells, by chance
+        effects[name] = max(0.0, 1 - within_squares / within_fraction / total_squares)
+    return effects
 
 
-def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> MetricSummary:
+def _summarise_metric(
+    table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
+) -> MetricSummary:
+    """Summarise one metric column."""
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     alone = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
-    whole = not sampled and len(column) == len(study) and len(alone) > 1
-    own = {one.name: one for one in study.metrics}
-    kind = own[name if name in own else name.partition(".")[0]]
+    is_complete = not sampled and len(column) == len(study) and len(alone) > 1
+    metric_by_name = {entry.name: entry for entry in study.metrics}
+    study_metric = metric_by_name[name if name in metric_by_name else name.partition(".")[0]]
     return MetricSummary(
         metric=name,
-        unit=kind.unit,
+        unit=study_metric.unit,
         least=float(column.min()),
         median=float(column.median()),
         greatest=float(column.max()),
         designs=len(column),
         alone=alone,
-        interaction=max(0.0, 1 - sum(alone.values())) if whole and any(alone.values()) else None,
+        interaction=max(0.0, 1 - sum(alone.values()))
+        if is_complete and any(alone.values())
+        else None,
     )
 
 
-def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
-    found = []
+def _group_failures(table: pd.DataFrame) -> tuple[Failures, ...]:
+    """Group failed designs by kind."""
+    groups = []
     for kind, count in table["failure"].value_counts().items():
         first = table[table["failure"] == kind].iloc[0]
         metric = first["failed_metric"] if isinstance(first["failed_metric"], str) else None
         share = float(count) / len(table)
-        reason, finding = str(first["reason"]), _read_diagnostic(first.get("diagnostic"))
-        found.append(Failures(str(kind), metric, int(count), share, reason, finding))
-    return tuple(found)
+        reason, diagnostic = str(first["reason"]), _read_diagnostic(first.get("diagnostic"))
+        groups.append(Failures(str(kind), metric, int(count), share, reason, diagnostic))
+    return tuple(groups)
 
 
-def _read_diagnostic(kept: object) -> Diagnostic | None:
-    """Returns the diagnostic of a cell; None where it has none, or one whose code is gone."""
+def _read_diagnostic(cell: object) -> Diagnostic | None:
+    """Return the diagnostic of a cell; None if the cell has no valid record of a known code."""
     try:
-        return from_record(orjson.loads(kept)) if isinstance(kept, str) else None
+        return from_record(orjson.loads(cell)) if isinstance(cell, str) else None
     except (KeyError, ValueError):
         return None
 
 
-def _named(source: Any) -> str:
-    """Returns a robot in a line: its base and scales, or its files' names."""
+def _format_source(source: Any) -> str:
+    """Describe a robot source in one line: its base with scales, or the names of its files."""
     if not isinstance(source, Mapping):
         return reprlib.repr(source)
     if "base" in source:
-        scales = [f"{n} {v:g}" for n, v in source.items() if n != "base" and v != 1.0]
+        scales = [
+            f"{key} {value:g}" for key, value in source.items() if key != "base" and value != 1.0
+        ]
         return ", ".join([str(source["base"]), *scales])
-    named = (source[name] for name in ("urdf", "mjcf") if name in source)
-    return ", ".join(Path(file).name for file in (*source.get("models", ()), *named))
+    paths = (source[name] for name in ("urdf", "mjcf") if name in source)
+    return ", ".join(Path(file).name for file in (*source.get("models", ()), *paths))
 
 
 OBJECTIVE_SIGNS = {"min": 1.0, "max": -1.0}
+"""Sign that turns each objective into a cost."""
 
 
 def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
-    """Returns the designs that no other beats: none is as good in all objectives, better in one.
+    """Return the designs on the Pareto front.
+
+    A design is on the front if no other design is at least as good in all objectives and better in
+    one.
 
     Args:
-        table: Of a study. Designs without a value of an objective count as beaten.
+        table: Table of a study. Designs without a value of an objective are left out.
         objectives: {column: ``"min"`` or ``"max"``}.
 
     Returns:
-        Their rows, sorted by the first objective, the best first.
+        Rows of the front, sorted by the first objective, the best first.
 
     Raises:
-        ConfigurationError: If a column is not there, or a sense is neither.
+        ConfigurationError: If a column does not exist, a sense is neither, or there are no
+            objectives.
     """
     if not hasattr(table, "columns"):
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
     check_type("objectives", objectives, Mapping[str, str])
     for name, sense in objectives.items():
         if name not in table or sense not in OBJECTIVE_SIGNS:
-            known = map(str, table.columns)
-            problem = diagnose("no-column-to-optimise", column=name, sense=sense, known=known)
+            columns_of_table = map(str, table.columns)
+            problem = diagnose(
+                "no-column-to-optimise", column=name, sense=sense, known=columns_of_table
+            )
             raise ConfigurationError("objectives", problem)
     if not objectives:
         raise ConfigurationError("objectives", diagnose("no-objectives"))
-    whole = table.dropna(subset=list(objectives))
+    complete_rows = table.dropna(subset=list(objectives))
     columns = []
     for name, sense in objectives.items():
         columns.append(
-            OBJECTIVE_SIGNS[sense] * real_array(f"column {name!r}", whole[name].to_numpy())
+            OBJECTIVE_SIGNS[sense] * real_array(f"column {name!r}", complete_rows[name].to_numpy())
         )
     costs = np.column_stack(columns)
-    best = whole[_unbeaten(costs)]
+    best = complete_rows[_find_unbeaten(costs)]
     first, sense = next(iter(objectives.items()))
     front: pd.DataFrame = best.sort_values(first, ascending=sense == "min", kind="stable")
     return front.reset_index(drop=True)
 
 
-def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tells which rows of costs (n, m) no other row beats.
+def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return True for each row of the costs (n, m) that no other row dominates.
 
-    Rows are looked at in the order of their first cost: only an earlier one can beat a later one,
-    and only one that is unbeaten itself need be looked at.
+    In lexicographic order only an earlier row can dominate a later row. Comparing with the rows of
+    the front is sufficient.
     """
     order = np.lexsort(costs.T[::-1])
     front: list[int] = []
     for index in order:
-        held = costs[front]
-        beats = (held <= costs[index]).all(axis=1) & (held < costs[index]).any(axis=1)
+        front_costs = costs[front]
+        beats = (front_costs <= costs[index]).all(axis=1) & (front_costs < costs[index]).any(axis=1)
         if not beats.any():
             front.append(int(index))
-    found = np.zeros(len(costs), bool)
-    found[front] = True
-    return found
+    is_unbeaten = np.zeros(len(costs), bool)
+    is_unbeaten[front] = True
+    return is_unbeaten
 
 
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
-"""Values of a sampled variable that are cells of their own; of more, fewest cells, and how many
-designs each has on average."""
+"""Maximum number of distinct values that are cells of their own, and of cells of equal width.
+`MIN_CELLS` is the minimum number of cells, and `DESIGNS_PER_CELL` scales their number: sqrt(n /
+`DESIGNS_PER_CELL`) for n designs. Chosen, not tuned."""
 
 ROUNDING_RTOL = 1e-9
-"""Relative: what differs by less differs by rounding."""
+"""Relative difference of two values that is attributed to rounding. Chosen, not tuned."""
 
 
-def _cells(values: Array) -> Array:
-    """Returns in which cell each value is: one per value, or evenly wide ones of many."""
+def _assign_cells(values: Array) -> Array:
+    """Return the cell of each value: its own value, or an index of cells of equal width."""
     levels = np.unique(values)
     if len(levels) <= MAX_VALUE_CELLS:
         return values
     count = int(np.clip(np.sqrt(len(values) / DESIGNS_PER_CELL), MIN_CELLS, MAX_VALUE_CELLS))
     edges = np.linspace(levels[0], levels[-1], count + 1)
-    found: Array = np.clip(np.searchsorted(edges, values, "right") - 1, 0, count - 1)
-    return found
+    cells: Array = np.clip(np.searchsorted(edges, values, "right") - 1, 0, count - 1)
+    return cells
 
 
 def find_column_unit(column: str) -> str:
-    """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
+    """Return the unit of a metric or variable; empty for ratios and factors."""
     if column.partition(":")[0] in COM_OFFSET_KINDS:
         return "m"
     if column.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS):
@@ -375,28 +397,32 @@ def find_column_unit(column: str) -> str:
 
 
 def format_column_label(column: str) -> str:
-    """Returns the name of a metric or of a number that varies, with its unit."""
+    """Return the name of a metric or variable, with its unit."""
     unit = find_column_unit(column)
     return f"{column} ({unit})" if unit else column
 
 
 def measure_span(low: float, high: float) -> float:
-    """Returns how far apart two values are; 0 if they are the same but for rounding."""
+    """Return high - low; 0 if the difference is within rounding."""
     return high - low if high - low > ROUNDING_RTOL * max(abs(low), abs(high)) else 0.0
 
 
 def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Returns the columns of a study's table with metrics, of which something was measured."""
-    given = (*variables, "design", *FAILURE_COLUMNS)
-    return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
+    """Return the columns of metrics with at least one value."""
+    other_columns = (*variables, "design", *FAILURE_COLUMNS)
+    return [
+        str(name)
+        for name in table.columns
+        if name not in other_columns and table[name].notna().any()
+    ]
 
 
 def list_spread_variables(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Returns the variables with several values in a table, those of most values first."""
-    several = [name for name in variables if name in table and table[name].nunique() > 1]
-    return sorted(several, key=lambda name: -table[name].nunique())
+    """Return the variables with several values in a table, those with the most values first."""
+    spread = [name for name in variables if name in table and table[name].nunique() > 1]
+    return sorted(spread, key=lambda name: -table[name].nunique())
 
 
 def select_standing_designs(table: pd.DataFrame) -> pd.DataFrame:
-    """Returns the designs that stay up, or all where that was not measured."""
+    """Return the designs that stand; all designs if ``stands`` was not measured."""
     return table[table["stands"] == 1] if "stands" in table else table

@@ -1,4 +1,4 @@
-"""Factors on a robot's numbers and offsets of them, by name, in its URDF and its MJCF alike."""
+"""Factors and offsets on the numbers of a robot, applied to the URDF and the MJCF."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ from pupper_analysis.tools.study.lengths import stretch_links
 
 Array = NDArray[np.float64]
 
-# Names of factors on a robot's numbers, and the joints and bodies that they mean.
+# Names of factors and offsets, and the joints and bodies that match.
 
 JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
-"""Kinds that are fields of the stance, of each joint."""
+"""Kinds that are fields of the stance with one value per joint."""
 
 LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
-"""Kinds that are fields of the stance, of what the study's own stance states."""
+"""Kinds that are fields of the stance with one value per link, for contacts that the stance of the
+study defines."""
 
 PATTERN_KINDS = {
     "mass": "mass and inertia of bodies",
@@ -55,25 +56,28 @@ PATTERN_KINDS = {
         LINK_STANCE_KINDS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"
     ),
 }
-"""What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
+"""Kinds of ``KIND:PATTERN`` with their meanings. All are factors on numbers of the files, except
+`ADDITIVE_KINDS`."""
 
 COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
-"""Kinds that are added, along these axes (m), and are no factors."""
+"""Kinds that are offsets of centres of mass [m], along x, y and z of the link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
-"""Kinds that are no factors of what the files say, and have no bounds."""
+"""Kinds that are values or offsets instead of factors; `check_variable_range` checks no bounds."""
 
 BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
+"""Kinds whose pattern selects bodies."""
 SERVO_KINDS = ("kp", "kd")
+"""Kinds that are servo gains."""
 
 
 @dataclass(frozen=True)
 class VariablePattern:
-    """A factor's name, parsed.
+    """Parsed name of a variable of the form ``KIND:PATTERN``.
 
     Attributes:
-        kind: One of ``KINDS``.
-        pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
+        kind: One of `PATTERN_KINDS`.
+        pattern: Pattern for the names of bodies or joints, with ``*`` and ``?`` as in file names.
     """
 
     kind: str
@@ -81,43 +85,49 @@ class VariablePattern:
 
     @staticmethod
     def parse(name: str) -> VariablePattern | None:
-        """Takes a name apart; None if it is of another form.
+        """Parse the name of a variable; return None if it contains no colon.
 
         Raises:
-            ConfigurationError: If there is no such kind.
+            ConfigurationError: If the kind is unknown or the pattern is empty.
         """
         kind, separator, pattern = name.partition(":")
         if not separator:
             return None
         if kind not in PATTERN_KINDS or not pattern:
-            known = [f"{one}:NAME" for one in PATTERN_KINDS]
-            finding = diagnose("no-number-of-a-model", kind=kind, known=known)
+            examples = [f"{known_kind}:NAME" for known_kind in PATTERN_KINDS]
+            finding = diagnose("no-number-of-a-model", kind=kind, known=examples)
             raise ConfigurationError(f"vary[{name!r}]", finding)
         return VariablePattern(kind, pattern)
 
 
-def match_joints(robot: Robot, named: VariablePattern) -> tuple[str, ...]:
-    """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
+def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
+    """Return the joints that match a pattern, or that move the matching bodies.
 
-    A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
+    The base is returned as ``""``. A body matches by its link name in the URDF, its body name in
+    the MJCF, or the name of its joint.
 
     Raises:
-        UnknownNameError: If none match; the message lists the names.
+        UnknownNameError: If nothing matches; the message lists the names.
     """
-    names = _names(robot, named.kind)
-    found = tuple(
-        joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
+    names = _list_names(robot, pattern.kind)
+    joints = tuple(
+        joint
+        for joint, aliases in names.items()
+        if any(fnmatchcase(alias, pattern.pattern) for alias in aliases)
     )
-    if not found:
-        kind = "body" if named.kind in BODY_KINDS else "joint"
+    if not joints:
+        kind = "body" if pattern.kind in BODY_KINDS else "joint"
         raise UnknownNameError(
-            robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
+            robot.name,
+            kind,
+            pattern.pattern,
+            dict.fromkeys(aliases[0] for aliases in names.values()),
         )
-    return found
+    return joints
 
 
-def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """Returns {joint: by which names a factor may mean it, or what it moves}."""
+def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
+    """Return {joint: names that a pattern may match} for joints, or for the bodies they move."""
     if kind not in BODY_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
@@ -126,7 +136,7 @@ def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
 
 
 def map_joint_bodies(robot: Robot) -> dict[str, str]:
-    """Returns {joint: the body that it moves in the MJCF}."""
+    """Return {joint: body of the MJCF that the joint moves}."""
     model = robot.mj_model
     return {
         joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
@@ -134,133 +144,146 @@ def map_joint_bodies(robot: Robot) -> dict[str, str]:
     }
 
 
-_TOLERANCE = 1e-9
-"""Relative, and m: two models that were given the same numbers agree to rounding."""
+_RESULT_RTOL = 1e-9
+"""Tolerance of `_check_result`: relative for masses, in m for centres of mass. Covers rounding.
+Chosen, not tuned."""
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
-    """Returns a robot with factors on its numbers, in both of its models.
+    """Return a robot with factors and offsets applied to both of its models.
 
-    Fixed links and bodies count to the body that carries them. Servos' gains are not changed here:
-    ``with_gains`` does it.
+    Links and bodies that are fixed to a matching body are scaled as well. Servo gains are ignored
+    here; see `with_gains`.
 
     Args:
-        robot: The robot.
-        factors: {``KIND:PATTERN``: factor, finite and >= 0, a mass's and an inertia's > 0; of
-            ``com_x`` and the like an offset (m), in the axes of the URDF's link}.
+        robot: Robot.
+        factors: {``KIND:PATTERN``: value}. A factor is finite and >= 0; factors of `BODY_KINDS` are
+            > 0. The value of ``com_x``, ``com_y`` and ``com_z`` is an offset [m] in the axes of the
+            URDF's link.
 
     Raises:
-        ConfigurationError: If a factor is none.
+        ConfigurationError: If a value is out of range.
         UnknownNameError: If a pattern matches nothing.
-        ModelError: If a model cannot be built.
+        ModelError: If a model cannot be built, or does not have the requested masses.
     """
-    wanted: dict[str, dict[str, float]] = {}
+    factors_by_kind: dict[str, dict[str, float]] = {}
     offsets: dict[str, Array] = {}
     for name, factor in factors.items():
-        named = VariablePattern.parse(name)
-        assert named is not None
-        if named.kind in COM_OFFSET_KINDS:
-            _add_offsets(offsets, robot, name, named, factor)
+        pattern = VariablePattern.parse(name)
+        assert pattern is not None
+        if pattern.kind in COM_OFFSET_KINDS:
+            _add_offsets(offsets, robot, name, pattern, factor)
             continue
-        least = "> 0" if named.kind in (*BODY_KINDS, *SERVO_KINDS) else ">= 0"
-        if not math.isfinite(factor) or factor < 0 or (factor == 0 and least == "> 0"):
+        bound = "> 0" if pattern.kind in (*BODY_KINDS, *SERVO_KINDS) else ">= 0"
+        if not math.isfinite(factor) or factor < 0 or (factor == 0 and bound == "> 0"):
             raise ConfigurationError(
-                name, diagnose("factor-out-of-range", factor=factor, least=least)
+                name, diagnose("factor-out-of-range", factor=factor, least=bound)
             )
-        if named.kind not in SERVO_KINDS:
-            for joint in match_joints(robot, named):
-                own = wanted.setdefault(named.kind, {})
-                own[joint] = own.get(joint, 1.0) * factor
-    if not wanted and not offsets:
+        if pattern.kind not in SERVO_KINDS:
+            for joint in match_joints(robot, pattern):
+                joint_factors = factors_by_kind.setdefault(pattern.kind, {})
+                joint_factors[joint] = joint_factors.get(joint, 1.0) * factor
+    if not factors_by_kind and not offsets:
         return robot
     urdf, mjcf = robot.description.trees()
     sides: tuple[tuple[ModelTree, str], ...] = ((urdf, robot.base), (mjcf, robot.mj_base))
-    lengths = wanted.pop("length", {})
-    for kind, joints in wanted.items():
+    lengths = factors_by_kind.pop("length", {})
+    for kind, joints in factors_by_kind.items():
         for joint, factor in joints.items():
             for tree, base in sides:
-                _scale(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
+                _scale_value(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
     if offsets:
         move_coms(robot, (urdf, mjcf), offsets)
     height = stretch_links(robot, (urdf, mjcf), lengths) if lengths else robot.stand_height
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     built = replace(built, stand_height=height)
-    masses = dict(wanted.get("mass", {}))
+    masses = dict(factors_by_kind.get("mass", {}))
     for joint, factor in lengths.items():
         masses[joint] = masses.get(joint, 1.0) * factor
-    _check(robot, built, masses, {} if lengths else offsets)  # which move coms, too
+    _check_result(
+        robot, built, masses, {} if lengths else offsets
+    )  # stretching moves centres of mass as well
     return built
 
 
 def _add_offsets(
-    offsets: dict[str, Array], robot: Robot, name: str, named: VariablePattern, offset: float
+    offsets: dict[str, Array], robot: Robot, name: str, pattern: VariablePattern, offset: float
 ) -> None:
+    """Add the offset of one variable [m] to the offsets of all matching bodies."""
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
-    for joint in match_joints(robot, named):
+    for joint in match_joints(robot, pattern):
         if not joint and not robot.floating:
             raise ConfigurationError(name, diagnose("com-of-fixed-base"))
-        offsets.setdefault(joint, np.zeros(3))[COM_OFFSET_KINDS.index(named.kind)] += offset
+        offsets.setdefault(joint, np.zeros(3))[COM_OFFSET_KINDS.index(pattern.kind)] += offset
 
 
-def _scale(tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot) -> None:
-    """Scales a number in one of a robot's files; what is fixed to a link scales with it."""
+def _scale_value(
+    tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot
+) -> None:
+    """Scale one number of a joint, or of a link with all fixed links, in one file."""
     if kind not in BODY_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
         return
-    for one in tree.fixed_group(link):
+    for member in tree.fixed_group(link):
         try:
-            (tree.scale_mass if kind == "mass" else tree.scale_inertia)(one, factor)
+            (tree.scale_mass if kind == "mass" else tree.scale_inertia)(member, factor)
         except ValueError as error:
-            finding = diagnose("inertia-follows-geoms", body=one)
+            finding = diagnose("inertia-follows-geoms", body=member)
             raise ModelError(robot.description.mjcf_source, finding) from error
 
 
-def _check(
+def _check_result(
     before: Robot, after: Robot, masses: Mapping[str, float], offsets: Mapping[str, Array]
 ) -> None:
-    """Checks that bodies weigh, in both models, what was asked for, and where.
+    """Check masses and centres of mass of the changed robot in both engines.
 
     Args:
-        before: The robot of before.
-        after: The changed one.
-        masses: {joint: factor on the mass of the body that it moves}; ``""``: the base.
-        offsets: {joint: (3,) of its centre of mass, in the axes of the URDF's link (m)}.
+        before: Robot before the change.
+        after: Changed robot.
+        masses: {joint: factor on the mass of the body that the joint moves}; ``""`` is the base.
+        offsets: {joint: offset of the centre of mass, shape (3,) [m], in the axes of the URDF's
+            link}.
 
     Raises:
-        ModelError: If not.
+        ModelError: If a mass or a centre of mass differs from the request.
     """
     config, bodies = Configuration(before, before.neutral()), map_joint_bodies(before)
     links = UrdfTree.of(before.description.urdf).moved_links
     for joint in {**masses, **offsets}:
         body, link = bodies.get(joint, before.mj_base), links.get(joint, before.base)
         factor = masses.get(joint, 1.0)
-        asked = config.frame_rotation(link) @ offsets.get(joint, np.zeros(3))
-        pairs = zip(_weights(before, joint, body), _weights(after, joint, body), strict=True)
+        expected = config.frame_rotation(link) @ offsets.get(joint, np.zeros(3))
+        pairs = zip(
+            _measure_bodies(before, joint, body), _measure_bodies(after, joint, body), strict=True
+        )
         for (old, old_com), (new, com) in pairs:
-            if abs(new - factor * old) > _TOLERANCE * abs(factor * old) + 1e-15:
+            if abs(new - factor * old) > _RESULT_RTOL * abs(factor * old) + 1e-15:
                 problem = diagnose(
                     "mass-became-another", body=body, new=new, old=old, factor=factor
                 )
-            elif joint in offsets and np.abs(com - old_com - asked).max() > _TOLERANCE:
+            elif joint in offsets and np.abs(com - old_com - expected).max() > _RESULT_RTOL:
                 moved = Vector(tuple(com - old_com), "m")
                 problem = diagnose(
-                    "com-moved-otherwise", body=body, moved=moved, asked=Vector(tuple(asked), "m")
+                    "com-moved-otherwise",
+                    body=body,
+                    moved=moved,
+                    asked=Vector(tuple(expected), "m"),
                 )
             else:
                 continue
             raise ModelError(before.description.mjcf_source, problem)
 
 
-def _weights(robot: Robot, joint: str, body: str) -> Iterator[tuple[float, Array]]:
-    """Yields what a body weighs with all that is fixed to it (kg), and its com (m), by each engine.
+def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float, Array]]:
+    """Yield mass [kg] and CoM (3,) [m] of a body with all fixed bodies, from each engine.
 
-    The com is in the world, in the pose of zeros.
+    The CoM is expressed in the world frame, with all joints at zero.
     """
     number = robot.pin_model.getJointId(joint) if joint else int(robot.floating)
-    own, data = robot.pin_model.inertias[number], robot.pin_model.createData()
+    inertia, data = robot.pin_model.inertias[number], robot.pin_model.createData()
     pin.forwardKinematics(robot.pin_model, data, robot.pin_convention.q(robot.neutral()))
-    yield float(own.mass), data.oMi[number].act(own.lever)
+    yield float(inertia.mass), data.oMi[number].act(inertia.lever)
     model, data = robot.mj_model, robot.placed()
     welded = model.body_weldid == model.body_weldid[model.body(body).id]
     mass = model.body_mass[welded]
@@ -268,22 +291,23 @@ def _weights(robot: Robot, joint: str, body: str) -> Iterator[tuple[float, Array
 
 
 def with_friction(robot: Robot, friction: float) -> Robot:
-    """Returns a robot whose feet have a coefficient of sliding friction on the ground.
+    """Return a robot with the given coefficient of sliding friction between feet and ground.
 
-    Floor and feet get the same, so that the greater of the two, or that of the higher priority, is
-    it.
+    All geoms of the feet and of the world body get the coefficient, so that it results whether
+    MuJoCo takes the larger value or that of the geom with higher priority.
 
     Raises:
-        ConfigurationError: If the coefficient is negative, or a foot's contact has no friction.
+        ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has
+            no friction.
     """
     if not 0 <= friction < math.inf:
         raise ConfigurationError("friction", diagnose("friction-not-valid", friction=friction))
-    bare = [foot for foot, one in robot.contacts.items() if one.condim == 1]
-    if bare:
-        problem = diagnose("contacts-frictionless", feet=bare)
+    frictionless = [foot for foot, contact in robot.contacts.items() if contact.condim == 1]
+    if frictionless:
+        problem = diagnose("contacts-frictionless", feet=frictionless)
         raise ConfigurationError("friction", problem)
     spec = robot.description.mjcf.copy()
-    compile_spec(spec, robot.description.mjcf_source)  # numbers the geoms
+    compile_spec(spec, robot.description.mjcf_source)  # assigns the ids of the geoms
     feet = set(robot.foot_geoms)
     for geom in spec.geoms:
         if geom.id in feet or geom.parent.name == "world":
@@ -296,26 +320,26 @@ def with_friction(robot: Robot, friction: float) -> Robot:
 def with_gains(
     robot: Robot, kp: float | None, kd: float | None, factors: Mapping[str, float]
 ) -> Robot:
-    """Returns a robot with other gains of its servos, in its MJCF and its MuJoCo model.
+    """Return a robot with other servo gains, in its MJCF and its MuJoCo model.
 
     Args:
-        robot: The robot.
-        kp: Stiffness (N m/rad); the model's own if None.
-        kd: Damping (N m s/rad); the model's own if None.
-        factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor} on these.
+        robot: Robot.
+        kp: Stiffness [N m/rad]; None for the value of the model.
+        kd: Damping [N m s/rad]; None for the value of the model.
+        factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor on the gain}.
 
     Raises:
-        ConfigurationError: If a gain is out of its range.
+        ConfigurationError: If a gain is out of range.
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a joint has no servo, and kp and kd are not both given.
     """
-    drive = model_with_servos(robot, kp, kd)
-    gains = {"kp": drive.kp.copy(), "kd": drive.kd.copy()}
+    servos = model_with_servos(robot, kp, kd)
+    gains = {"kp": servos.kp.copy(), "kd": servos.kd.copy()}
     for name, factor in factors.items():
-        named = VariablePattern.parse(name)
-        if named is not None and named.kind in SERVO_KINDS:
-            chosen = np.isin(robot.joint_names, match_joints(robot, named))
-            gains[named.kind][chosen] *= factor
+        pattern = VariablePattern.parse(name)
+        if pattern is not None and pattern.kind in SERVO_KINDS:
+            selected = np.isin(robot.joint_names, match_joints(robot, pattern))
+            gains[pattern.kind][selected] *= factor
     model = model_with_servos(robot, gains["kp"], gains["kd"]).model
     spec = robot.description.mjcf.copy()
     for index, actuator in enumerate(spec.actuators):
@@ -329,47 +353,49 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Returns a description without what is only looked at: it moves and touches alike.
+    """Return a description without visual geoms, unused meshes and textures in its MJCF.
 
-    Shapes that touch nothing go, where the body's mass is not theirs; and so do meshes that
-    nothing uses then, and textures. Models of many meshes compile several times as fast.
+    The dynamics and the contacts are unchanged: a geom that gives its body mass is kept. Models
+    with many meshes compile several times faster.
     """
     spec = description.mjcf.copy()
-    kept = {geom for geom, _ in description.foot_geoms.values()}
-    kept |= {frame for _, frame in description.contact_points.values()}
+    kept_names = {geom for geom, _ in description.foot_geoms.values()}
+    kept_names |= {frame for _, frame in description.contact_points.values()}
     for geom in list(spec.geoms):
-        touches = geom.contype or geom.conaffinity
-        pairs = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
-        if not touches and not pairs and geom.name not in kept and _weightless(geom):
+        collides = geom.contype or geom.conaffinity
+        in_pair = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
+        if not collides and not in_pair and geom.name not in kept_names and _has_no_mass(geom):
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
         if mesh.name not in used:
             spec.delete(mesh)
-    for material in spec.materials:  # which default classes may name: they stay
+    for material in spec.materials:  # default classes may reference materials, which therefore stay
         material.textures = [""] * len(material.textures)
     for texture in list(spec.textures):
         spec.delete(texture)
     return replace(description, mjcf=spec)
 
 
-def _weightless(geom: mujoco.MjsGeom) -> bool:
+def _has_no_mass(geom: mujoco.MjsGeom) -> bool:
+    """Return True if a geom contributes no mass to a moving body."""
     return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)
 
 
-# Bodies whose centres of mass are elsewhere, in a robot's URDF and its MJCF alike.
+# Offsets of centres of mass, in the URDF and in the MJCF.
 
 
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
-    """Moves centres of mass in both files, in place.
+    """Move centres of mass in both files, in place.
 
-    What is fixed to a link moves with it, each part by the same offset in the world, so that the
-    whole's centre moves by it, and no inertia about a centre of mass changes.
+    All links fixed to a link are moved by the same offset in the world, so that their common CoM
+    moves by the offset. No inertia about a centre of mass changes.
 
     Args:
-        robot: The robot of which the files are: its links are turned as its pose of zeros has them.
-        trees: Of the URDF and of the MJCF.
-        offsets: {joint: (3,) m, in the axes of the URDF's link that it moves}; ``""``: the base.
+        robot: Robot of the files. Its links have the orientations of all joints at zero.
+        trees: Trees of the URDF and of the MJCF.
+        offsets: {joint: offset, shape (3,) [m], in the axes of the URDF's link that the joint
+            moves}; ``""`` is the base.
     """
     config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, robot.neutral())
@@ -377,8 +403,8 @@ def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[s
     urdf, mjcf = trees
     for joint, offset in offsets.items():
         link = urdf.moved_by(joint) or robot.base
-        moved = config.frame_rotation(link) @ offset
-        for one in urdf.fixed_group(link):
-            urdf.move_com(one, config.frame_rotation(one).T @ moved)
-        for one in mjcf.fixed_group(mjcf.moved_by(joint) or robot.mj_base):
-            mjcf.move_com(one, data.body(one).xmat.reshape(3, 3).T @ moved)
+        offset_in_world = config.frame_rotation(link) @ offset
+        for member in urdf.fixed_group(link):
+            urdf.move_com(member, config.frame_rotation(member).T @ offset_in_world)
+        for member in mjcf.fixed_group(mjcf.moved_by(joint) or robot.mj_base):
+            mjcf.move_com(member, data.body(member).xmat.reshape(3, 3).T @ offset_in_world)

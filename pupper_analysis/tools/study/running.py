@@ -1,4 +1,8 @@
-"""Runs a study's designs on an executor, and loses nothing: not by failures, crashes or kills."""
+"""Evaluation of the designs of a study on an executor.
+
+Rows are stored at intervals. A design that raises an error, exceeds the time limit or ends its
+worker becomes a row with the reason, and the run continues.
+"""
 
 from __future__ import annotations
 
@@ -52,16 +56,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class WorkDefinition:
-    """What all designs of a study have in common, as it is sent to workers.
+    """Data that all designs of a study share, as sent to the workers.
 
     Attributes:
-        source: Of the robots.
-        metrics: Names and functions.
-        variables: The names of the numbers of a design.
-        task: The stance.
-        point: Of payloads (m); see ``robot.tool.find_place``.
-        versions: Of the one who asks.
-        limit: How long a design may take (s), where a worker can be ended; else None.
+        source: Source of the robots.
+        metrics: Names of metrics, and functions.
+        variables: Names of the variables.
+        task: Stand task.
+        point: Position of a payload [m], optionally after a frame name; see
+            `robot.tool.find_place`.
+        versions: Package versions of the machine that started the run.
+        limit: Time limit per design [s], or None.
     """
 
     source: RobotSource
@@ -75,12 +80,12 @@ class WorkDefinition:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some designs for a worker.
+    """Designs for one call of a worker.
 
     Attributes:
-        work: A pickled ``Work``.
-        names: Of the designs.
-        numbers: Of each, in the order of ``Work.variables``.
+        work: Pickled `WorkDefinition`.
+        names: Hashes of the designs.
+        numbers: Variable values of each design, in the order of ``WorkDefinition.variables``.
     """
 
     work: bytes
@@ -90,97 +95,107 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkOutcome:
-    """The results of a chunk.
+    """Results of a chunk.
 
     Attributes:
-        rows: One per design.
-        seconds: How long they took.
+        rows: One row per design.
+        seconds: Duration of the evaluation [s].
     """
 
     rows: tuple[Row, ...]
     seconds: float
 
 
-class _Ready(threading.local):
-    """What a thread has made ready: robots in PlaCo are a thread's own."""
+class _ThreadCache(threading.local):
+    """Builder and metrics of the last study, per thread.
+
+    Threads must not share PlaCo's robots.
+    """
 
     def __init__(self) -> None:
         self.made: dict[bytes, tuple[WorkDefinition, DesignBuilder, tuple[Metric, ...]]] = {}
 
-    def of(self, pickled: bytes) -> tuple[WorkDefinition, DesignBuilder, tuple[Metric, ...]]:
+    def load_work(self, pickled: bytes) -> tuple[WorkDefinition, DesignBuilder, tuple[Metric, ...]]:
+        """Return the definition, builder and metrics of a pickled `WorkDefinition`.
+
+        Raises:
+            StudyError: If package versions differ from those of the definition.
+        """
         if pickled not in self.made:
-            self.made.clear()  # of one study after the other
-            work: WorkDefinition = pickle.loads(pickled)
-            own = list_versions()
-            other = {name: own.get(name, "none") for name, version in work.versions.items()
-                     if own.get(name) != version}  # fmt: skip
-            if other:
-                finding = [
-                    diagnose("version-there", package=name, there=one, here=work.versions[name])
-                    for name, one in other.items()
+            self.made.clear()  # a thread works on one study at a time
+            definition: WorkDefinition = pickle.loads(pickled)
+            installed = list_versions()
+            differing = {
+                name: installed.get(name, "none")
+                for name, version in definition.versions.items()
+                if installed.get(name) != version
+            }
+            if differing:
+                messages = [
+                    diagnose(
+                        "version-there", package=name, there=version, here=definition.versions[name]
+                    )
+                    for name, version in differing.items()
                 ]
-                problem = diagnose("worker-of-other-versions", versions=finding)
+                problem = diagnose("worker-of-other-versions", versions=messages)
                 raise StudyError(platform.node(), problem)
-            maker = DesignBuilder(work.source, work.task, work.point)
-            self.made[pickled] = work, maker, tuple(map(make_metric, work.metrics))
+            maker = DesignBuilder(definition.source, definition.task, definition.point)
+            self.made[pickled] = definition, maker, tuple(map(make_metric, definition.metrics))
         return self.made[pickled]
 
 
-_ready = _Ready()
+_thread_cache = _ThreadCache()
 
 
 def measure_designs(chunk: Chunk) -> ChunkOutcome:
-    """Measures some designs.
+    """Evaluate the designs of a chunk.
 
     Raises:
-        StudyError: If this machine has other versions than the one that asks.
+        StudyError: If package versions differ from those of the machine that started the run.
     """
     start = time.perf_counter()
-    work, maker, metrics = _ready.of(chunk.work)
+    definition, builder, metrics = _thread_cache.load_work(chunk.work)
     rows = []
     for name, values in zip(chunk.names, chunk.numbers, strict=True):
-        numbers = dict(zip(work.variables, values, strict=True))
-        with _time_limit(work.limit):
-            row = measure_design(maker, numbers, metrics)
+        numbers = dict(zip(definition.variables, values, strict=True))
+        with _time_limit(definition.limit):
+            row = measure_design(builder, numbers, metrics)
         rows.append({"design": name, **numbers, **row})
     return ChunkOutcome(tuple(rows), time.perf_counter() - start)
 
 
-_alone = threading.Lock()
+_time_limit_lock = threading.Lock()
 
 
 @contextmanager
 def _time_limit(limit: float | None) -> Iterator[None]:
-    """Ends the process if the block takes longer (s), even where it never comes back to Python.
+    """End the process if the block exceeds the limit [s], even in native code.
 
-    Only a process that was started to do work, and one thread of it at a time.
+    Applies only in processes that another process started, and to a single thread at a time.
     """
-    if limit is None or parent_process() is None or not _alone.acquire(blocking=False):
+    if limit is None or parent_process() is None or not _time_limit_lock.acquire(blocking=False):
         yield
         return
     try:
-        with open(os.devnull, "w") as nowhere:  # noqa: PTH123 - a device
-            faulthandler.dump_traceback_later(limit, exit=True, file=nowhere)
+        with open(os.devnull, "w") as null_device:  # noqa: PTH123 - a device
+            faulthandler.dump_traceback_later(limit, exit=True, file=null_device)
             try:
                 yield
             finally:
                 faulthandler.cancel_dump_traceback_later()
     finally:
-        _alone.release()
+        _time_limit_lock.release()
 
 
 _worker_context: Final = contextlib.ExitStack()
-"""Holds what lasts as long as a worker process."""
+"""Context managers that remain entered until the worker process ends."""
 
 
 def initialise_worker() -> None:
-    """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone.
-
-    MuJoCo writes no log file in it.
-    """
+    """Prepare a worker process: ignore Ctrl-C, write no MuJoCo log file, end with the parent."""
     _worker_context.enter_context(no_mujoco_log())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):  # it was kept back so far
+    if hasattr(signal, "pthread_sigmask"):  # the parent blocked it during the start
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     parent = parent_process()
 
@@ -193,57 +208,61 @@ def initialise_worker() -> None:
 
 
 def confirm_ready() -> bool:
-    """Shows that a worker works."""
+    """Return True, to show that a worker process has started."""
     return True
 
 
 def split_chunks(
     work: bytes, names: Sequence[str], numbers: Sequence[tuple[float, ...]], size: int
 ) -> Iterator[Chunk]:
-    """Yields designs in chunks of a size."""
+    """Yield designs in chunks of the given size."""
     for start in range(0, len(names), size):
         part = slice(start, start + size)
         yield Chunk(work, tuple(names[part]), tuple(numbers[part]))
 
 
 CHUNK_SECONDS = 0.5
-"""s: so long a chunk of designs should take; what it costs to send one is a part in a hundred."""
+"""Intended duration of a chunk [s]. Sending a chunk takes about 1 % of this time."""
 
 MAX_CHUNK_DESIGNS = 256
-"""Designs in a chunk: rows that are lost if a worker is."""
+"""Maximum number of designs per chunk: number of rows that are lost with a worker."""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
-"""A shard is written when there are so many rows, or when so much time has passed."""
+"""Number of rows, and time [s] since the last shard, after which a shard is written."""
 
 FIRST_SHARD_SECONDS = 0.5
-"""s after which the first is written, so that a kill soon after the start loses little. Later ones
-come after a fifth of the time that has passed, so that a long run has few."""
+"""Time [s] until the first shard, so that a run that ends early loses little. Later shards follow
+after a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a long run has few shards."""
 
 MAX_CRASHES = 2
-"""A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
+"""Number of crashes, evaluated alone, after which a design is recorded as crashed. The first crash
+may be due to the machine."""
 
 DESIGNS_PER_PROCESS = 4000
-"""Designs after which a process is begun anew: engines keep memory (PlaCo 0.4 MB of each robot that
-it reads from a file), which goes with the process; its start takes as long as fifty designs."""
+"""Number of designs per worker after which all processes are replaced, to free memory that engines
+do not release (PlaCo: 0.4 MB for each robot read from a file). A start takes as long as about 50
+designs."""
 
 EXIT_WAIT_SECONDS = 5.0
-"""s in which a process that has ended must be gone."""
+"""Maximum time [s] to wait for the end of a process of a broken pool, to read its exit code.
+Chosen, not tuned."""
 
 TIME_LIMIT_EXIT_CODE = 1
-"""What ``faulthandler`` ends a process with; one that is killed has the signal, negative."""
+"""Exit code of a process that `faulthandler` ended. A killed process has the negative number of the
+signal."""
 
 
 @dataclass
 class Progress:
-    """How far a run has come.
+    """Progress of a run.
 
     Attributes:
-        total: Designs of the study.
-        there: Of these, how many were there when it began.
-        done: How many this run has added.
-        failures: {kind: how many of these failed}.
-        seconds: Since it began.
-        work: s that workers have spent on designs.
+        total: Number of designs of the study.
+        there: Number of designs that were stored before the run.
+        done: Number of designs that this run has evaluated.
+        failures: {failure kind: number of designs of this run}.
+        seconds: Elapsed time [s].
+        work: Time that workers spent on designs [s].
     """
 
     total: int
@@ -260,63 +279,65 @@ class Progress:
 
     @property
     def left(self) -> float:
-        """How long it will go on (s); infinite while nothing is done."""
+        """Estimated remaining time [s]; infinite until the first design is done."""
         rest = self.total - self.there - self.done
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 
 
 class WorkerPool:
-    """The workers: an executor that was given, or processes that are begun anew when one is lost.
+    """Executor of the caller, or worker processes that are replaced if one ends.
 
     Args:
-        executor: The given one.
-        workers: How many processes, or how many the given executor has.
+        executor: Executor of the caller, or None.
+        workers: Number of processes, or of workers of the executor; None for the number that the
+            executor reports, or one per core.
     """
 
     def __init__(self, executor: Executor | None, workers: int | None) -> None:
-        self._given = executor
-        self.workers = workers or _size(executor) or os.cpu_count() or 1
+        self._given_executor = executor
+        self.workers = workers or _count_workers(executor) or os.cpu_count() or 1
         self._executor = executor
-        self._taken = 0
+        self._num_submitted = 0
 
     @property
     def renewable(self) -> bool:
-        """Whether lost processes can be replaced."""
-        return self._given is None
+        """True if the pool can replace processes: no executor was given."""
+        return self._given_executor is None
 
     @property
-    def worn(self) -> bool:
-        """Whether the processes have done so much that new ones shall go on."""
-        return self.renewable and self._taken >= DESIGNS_PER_PROCESS * self.workers
+    def needs_renewal(self) -> bool:
+        """True if the processes have evaluated enough designs to be replaced."""
+        return self.renewable and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
-        """Ends the processes, which do nothing, and begins others."""
+        """End the idle processes and start others."""
         self.end()
-        self.check()  # that the time of the next design is not that of its worker's start
+        self.check()  # wait for the start, so that it does not count for the next design
 
     def submit(self, chunk: Chunk) -> Future[ChunkOutcome]:
-        """Hands a chunk over."""
-        self._taken += len(chunk.names)
-        with self._beginning():
-            return self._now().submit(measure_designs, chunk)
+        """Submit a chunk."""
+        self._num_submitted += len(chunk.names)
+        with self._block_interrupts():
+            return self._get_executor().submit(measure_designs, chunk)
 
     def check(self) -> None:
-        """Finds out whether processes can be begun at all.
+        """Check that worker processes can start.
 
         Raises:
-            StudyError: If not.
+            StudyError: If a process ends during its start.
         """
-        if self._given is None:
+        if self._given_executor is None:
             try:
-                with self._beginning():
-                    begun = self._now().submit(confirm_ready)
-                begun.result()
+                with self._block_interrupts():
+                    ready = self._get_executor().submit(confirm_ready)
+                ready.result()
             except BrokenExecutor as error:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
 
-    def _now(self) -> Executor:
+    def _get_executor(self) -> Executor:
+        """Return the executor; create the processes if there are none."""
         if self._executor is None:
-            # Spawned: a fork would copy locks that other threads of the parent hold.
+            # Spawn, because a fork copies locks that other threads of the parent hold.
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(
                 self.workers, context, initializer=initialise_worker
@@ -324,43 +345,44 @@ class WorkerPool:
         return self._executor
 
     @contextlib.contextmanager
-    def _beginning(self) -> Iterator[None]:
-        """Keeps Ctrl-C from processes that are begun, until they ignore it: see `begin`."""
-        if self._given is not None or not hasattr(signal, "pthread_sigmask"):
+    def _block_interrupts(self) -> Iterator[None]:
+        """Block Ctrl-C in processes that are started, until `initialise_worker` ignores it."""
+        if self._given_executor is not None or not hasattr(signal, "pthread_sigmask"):
             yield
             return
-        resource_tracker.ensure_running()  # which, as it begins, lets signals through again
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        resource_tracker.ensure_running()  # its start unblocks signals
+        old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             yield
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
 
-    def _processes(self) -> list[BaseProcess]:
+    def _list_processes(self) -> list[BaseProcess]:
+        """Return the processes of the executor."""
         return list((getattr(self._executor, "_processes", None) or {}).values())
 
-    def gave_up(self) -> bool:
-        """Whether a process that was begun here has ended itself, as the time limit does it."""
-        if self._given is not None:
+    def exceeded_time_limit(self) -> bool:
+        """Return True if a process of the pool has ended because of the time limit."""
+        if self._given_executor is not None:
             return False
-        for process in self._processes():
+        for process in self._list_processes():
             process.join(EXIT_WAIT_SECONDS)
-        return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes())
+        return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._list_processes())
 
     def end(self) -> None:
-        """Ends the processes that were begun here."""
-        if self._given is None and self._executor is not None:
-            pool, processes = self._executor, self._processes()
+        """End the processes of the pool. A given executor is not changed."""
+        if self._given_executor is None and self._executor is not None:
+            pool, processes = self._executor, self._list_processes()
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.terminate()
             for process in processes:
                 process.join()
-            self._executor, self._taken = None, 0
+            self._executor, self._num_submitted = None, 0
 
 
-def _size(executor: Executor | None) -> int | None:
-    """Returns how many workers an executor has, if it says so."""
+def _count_workers(executor: Executor | None) -> int | None:
+    """Return the number of workers that an executor reports, or None."""
     size = getattr(executor, "_max_workers", None)
     return size if isinstance(size, int) else None
 
@@ -369,12 +391,12 @@ class StudyRun:
     """One run of a study.
 
     Args:
-        work: A pickled ``Work``.
-        variables: The names of the numbers of a design.
-        limit: How long a design may take (s).
-        store: Where results go.
-        total: How many designs there are.
-        tell: Called with the progress.
+        work: Pickled `WorkDefinition`.
+        variables: Names of the variables.
+        limit: Time limit per design [s], or None.
+        store: Folder of the results.
+        total: Number of designs.
+        report: Function that is called with the progress.
     """
 
     def __init__(
@@ -384,173 +406,193 @@ class StudyRun:
         limit: float | None,
         store: Store,
         total: int,
-        tell: Callable[[Progress], None],
+        report: Callable[[Progress], None],
     ) -> None:
         self.work, self.variables, self.limit = work, variables, limit
-        self.store, self.tell = store, tell
+        self.store, self.report = store, report
         self.progress = Progress(total)
         self._rows: list[Row] = []
-        self._begun = self._written = time.monotonic()
-        self._tries: Counter[str] = Counter()
+        self._start_time = self._last_write_time = time.monotonic()
+        self._crashes: Counter[str] = Counter()
         self._suspects: deque[Chunk] = deque()
-        self._flying: dict[Future[ChunkOutcome], tuple[Chunk, float]] = {}
+        self._in_flight: dict[Future[ChunkOutcome], tuple[Chunk, float]] = {}
 
-    def all(
+    def measure_missing(
         self,
         blocks: Iterable[tuple[list[str], Array]],
         executor: Executor | None,
         workers: int | None,
     ) -> Progress:
-        """Measures all designs that are not there."""
-        crew = WorkerPool(executor, workers)
-        source = self._chunks(self._missing(blocks))
+        """Evaluate all designs that are not stored.
+
+        Args:
+            blocks: Hashes and variable values (n, variables) of the designs.
+            executor: Executor of the caller, or None.
+            workers: Number of workers, or None.
+        """
+        pool = WorkerPool(executor, workers)
+        source = self._make_chunks(self._find_missing(blocks))
         try:
             first = next(source, None)
             if first is not None:
-                crew.check()
-                self._fly(crew, first, source)
+                pool.check()
+                self._run_chunks(pool, first, source)
         finally:
             try:
-                self._flush()
+                self._write_shard()
             finally:
-                for future in self._flying:
+                for future in self._in_flight:
                     future.cancel()
-                crew.end()
-        self.tell(self._timed())
+                pool.end()
+        self.report(self._update_progress())
         return self.progress
 
-    def _missing(
+    def _find_missing(
         self, blocks: Iterable[tuple[list[str], Array]]
     ) -> Iterator[tuple[list[str], Array]]:
-        """Yields what is not there, block by block, designs of one robot beside each other."""
-        done = self.store.designs()
+        """Yield the designs of each block that are not stored.
+
+        The designs are sorted by all variables except servo gains, so that neighbours share a
+        robot.
+        """
+        stored_keys = self.store.designs()
         for names, numbers in blocks:
-            own = make_design_keys(names)
-            _, first = np.unique(own, return_index=True)
-            once = np.zeros(len(own), bool)
-            once[first] = True  # a list's values may come together more than once
-            there = np.isin(own, done)
-            self.progress.there += int(there.sum())
-            self.progress.total -= int((~once & ~there).sum())
-            new = np.flatnonzero(once & ~there)
-            done = np.union1d(done, own)
-            rank = [index for index, name in enumerate(self.variables)
+            keys = make_design_keys(names)
+            _, first = np.unique(keys, return_index=True)
+            is_first = np.zeros(len(keys), bool)
+            is_first[first] = True  # a design may occur more than once
+            is_stored = np.isin(keys, stored_keys)
+            self.progress.there += int(is_stored.sum())
+            self.progress.total -= int((~is_first & ~is_stored).sum())
+            new = np.flatnonzero(is_first & ~is_stored)
+            stored_keys = np.union1d(stored_keys, keys)
+            robot_columns = [index for index, name in enumerate(self.variables)
                     if not is_servo_variable(name)]  # fmt: skip
-            if len(new) and rank:
-                new = new[np.lexsort(numbers[new][:, rank[::-1]].T)]
+            if len(new) and robot_columns:
+                new = new[np.lexsort(numbers[new][:, robot_columns[::-1]].T)]
             if len(new):
                 yield [names[index] for index in new], numbers[new]
 
-    def _chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
+    def _make_chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
+        """Yield the designs in chunks."""
         for names, numbers in blocks:
             start = 0
             while start < len(names):
-                part = slice(start, start + self._size())
+                part = slice(start, start + self._choose_chunk_size())
                 start = part.stop
                 rows = tuple(map(tuple, numbers[part].tolist()))
                 yield Chunk(self.work, tuple(names[part]), rows)
 
-    def _size(self) -> int:
-        """Returns how many designs make a chunk of about ``TASK`` seconds."""
+    def _choose_chunk_size(self) -> int:
+        """Return the number of designs that take about `CHUNK_SECONDS`; at first 1."""
         if not self.progress.done:
             return 1
-        each = self.progress.work / self.progress.done
-        return int(np.clip(CHUNK_SECONDS / max(each, 1e-6), 1, MAX_CHUNK_DESIGNS))
+        seconds_per_design = self.progress.work / self.progress.done
+        return int(np.clip(CHUNK_SECONDS / max(seconds_per_design, 1e-6), 1, MAX_CHUNK_DESIGNS))
 
-    def _fly(self, crew: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
-        """Keeps the workers busy until all is done."""
+    def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
+        """Submit chunks and collect results until all designs are done."""
         waiting: Chunk | None = first
-        while waiting is not None or self._flying or self._suspects:
-            if self._suspects:  # one at a time, so that it is known who ends a worker
-                if not self._flying:
-                    self._submit(crew, self._suspects.popleft())
-            elif waiting is not None and crew.worn:
-                if not self._flying:
-                    crew.renew()
+        while waiting is not None or self._in_flight or self._suspects:
+            if self._suspects:  # one at a time, to find the design that ends a worker
+                if not self._in_flight:
+                    self._submit_chunk(pool, self._suspects.popleft())
+            elif waiting is not None and pool.needs_renewal:
+                if not self._in_flight:
+                    pool.renew()
                     continue
             else:
-                while waiting is not None and len(self._flying) < 2 * crew.workers + 1:
-                    self._submit(crew, waiting)
+                while waiting is not None and len(self._in_flight) < 2 * pool.workers + 1:
+                    self._submit_chunk(pool, waiting)
                     waiting = next(source, None)
-            finished, _ = wait(self._flying, timeout=1.0, return_when=FIRST_COMPLETED)
+            finished, _ = wait(self._in_flight, timeout=1.0, return_when=FIRST_COMPLETED)
             for future in finished:
-                if future in self._flying:
-                    self._land(crew, future)
-            self.tell(self._timed())
+                if future in self._in_flight:
+                    self._collect_chunk(pool, future)
+            self.report(self._update_progress())
             now = time.monotonic()
-            every = min(SHARD_SECONDS, max(FIRST_SHARD_SECONDS, (now - self._begun) / 5))
-            if len(self._rows) >= SHARD_ROWS or now - self._written >= every:
-                self._flush()
+            period = min(SHARD_SECONDS, max(FIRST_SHARD_SECONDS, (now - self._start_time) / 5))
+            if len(self._rows) >= SHARD_ROWS or now - self._last_write_time >= period:
+                self._write_shard()
 
-    def _submit(self, crew: WorkerPool, chunk: Chunk) -> None:
+    def _submit_chunk(self, pool: WorkerPool, chunk: Chunk) -> None:
+        """Submit a chunk; if the executor is broken, restart the workers."""
         try:
-            self._flying[crew.submit(chunk)] = chunk, time.monotonic()
+            self._in_flight[pool.submit(chunk)] = chunk, time.monotonic()
         except BrokenExecutor:
             self._suspects.append(chunk)
-            self._lost(crew, None)
+            self._restart_workers(pool, None)
 
-    def _land(self, crew: WorkerPool, future: Future[ChunkOutcome]) -> None:
-        chunk, begun = self._flying.pop(future)
+    def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
+        """Store the rows of a finished chunk, or handle the loss of its worker."""
+        chunk, start = self._in_flight.pop(future)
         try:
-            found = future.result()
+            outcome = future.result()
         except PupperAnalysisError:
             raise
         except (Exception, CancelledError) as error:
             if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
-                self._blame(crew, chunk, time.monotonic() - begun)
+                self._retry_alone(pool, chunk, time.monotonic() - start)
                 if isinstance(error, BrokenExecutor):
-                    self._lost(crew, error)
+                    self._restart_workers(pool, error)
                 return
             finding = diagnose("workers-lost", error=type(error).__name__)
             raise StudyError(self.store.folder, finding) from error
-        self.progress.work += found.seconds
-        self._keep(found.rows)
+        self.progress.work += outcome.seconds
+        self._store_rows(outcome.rows)
 
-    def _lost(self, crew: WorkerPool, error: BaseException | None) -> None:
-        """Begins processes anew; what was in flight is tried again, design by design."""
-        for chunk, _ in self._flying.values():
-            self._suspects.extend(_singly(chunk))
-        self._flying.clear()
-        if not crew.renewable:
+    def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
+        """Restart the workers. Designs in flight will be evaluated again, separately."""
+        for chunk, _ in self._in_flight.values():
+            self._suspects.extend(_split_singly(chunk))
+        self._in_flight.clear()
+        if not pool.renewable:
             raise StudyError(self.store.folder, diagnose("executor-broken")) from error
-        crew.renew()
+        pool.renew()
 
-    def _blame(self, crew: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Tries the designs of a chunk whose worker ended again, alone; or marks the one it was."""
-        (name, *others) = chunk.names
-        alone = not others and not self._flying
-        if not alone:
-            self._suspects.extend(_singly(chunk))
+    def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
+        """Evaluate the designs of a chunk whose worker ended again, separately.
+
+        A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
+        """
+        (name, *other_names) = chunk.names
+        is_alone = not other_names and not self._in_flight
+        if not is_alone:
+            self._suspects.extend(_split_singly(chunk))
             return
-        self._tries[name] += 1
+        self._crashes[name] += 1
         limit = self.limit
-        # Of a given executor it is not known how long the worker had been at it, nor how it ended.
-        slow = limit is not None and seconds >= limit and crew.gave_up()
-        if self._tries[name] < MAX_CRASHES and not slow:
+        # A given executor reports neither the run time of the worker nor its exit code.
+        timed_out = limit is not None and seconds >= limit and pool.exceeded_time_limit()
+        if self._crashes[name] < MAX_CRASHES and not timed_out:
             self._suspects.append(chunk)
             return
         values = dict(zip(self.variables, chunk.numbers[0], strict=True))
-        if slow:
-            failed = make_failure_columns("timed out", diagnose("design-took-longer", limit=limit))
+        if timed_out:
+            columns = make_failure_columns("timed out", diagnose("design-took-longer", limit=limit))
         else:
-            failed = make_failure_columns("crashed", diagnose("design-ended-its-worker"))
-        self._keep(({"design": name, **values, **failed},))
+            columns = make_failure_columns("crashed", diagnose("design-ended-its-worker"))
+        self._store_rows(({"design": name, **values, **columns},))
 
-    def _keep(self, rows: Iterable[Row]) -> None:
+    def _store_rows(self, rows: Iterable[Row]) -> None:
+        """Add rows to the next shard and count failures."""
         for row in rows:
             self._rows.append(row)
             self.progress.done += 1
             if row["failure"] is not None:
                 self.progress.failures[row["failure"]] += 1
 
-    def _flush(self) -> None:
+    def _write_shard(self) -> None:
+        """Write the collected rows as a shard."""
         self.store.write(self._rows)
-        self._rows, self._written = [], time.monotonic()
+        self._rows, self._last_write_time = [], time.monotonic()
 
-    def _timed(self) -> Progress:
-        self.progress.seconds = time.monotonic() - self._begun
+    def _update_progress(self) -> Progress:
+        """Return the progress with the elapsed time."""
+        self.progress.seconds = time.monotonic() - self._start_time
         return self.progress
 
 
-def _singly(chunk: Chunk) -> Iterator[Chunk]:
+def _split_singly(chunk: Chunk) -> Iterator[Chunk]:
+    """Yield the designs of a chunk as chunks of one design."""
     return split_chunks(chunk.work, chunk.names, chunk.numbers, 1)

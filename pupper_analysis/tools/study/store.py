@@ -1,4 +1,4 @@
-"""A study's folder: what was asked, shards that are there whole or not at all, and a lock."""
+"""Folder of a study: its definition, a lock, and shards of rows that are written atomically."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FOLDER_FORMAT = 1
-"""Of the folder; a later one may differ."""
+"""Format number of the folder. Folders with another number are refused."""
 
 
 def require_library(library: str) -> None:
-    """Checks that a library of the extra ``study`` is there.
+    """Check that a library of the extra ``study`` is installed.
 
     Raises:
-        MissingPackageError: If not; says how to install it.
+        MissingPackageError: If the library is missing; the message contains the command to install
+            it.
     """
     import importlib.util
 
@@ -45,10 +46,14 @@ def require_library(library: str) -> None:
 
 
 class Store:
-    """The folder.
+    """Folder of a study.
 
     Args:
-        folder: Its path.
+        folder: Path of the folder.
+
+    Attributes:
+        folder: Path of the folder.
+        shards: Path of the folder with Parquet files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -56,45 +61,46 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Holds the folder for one run. A process that dies, however it dies, holds it no more.
+        """Lock the folder for one run. The operating system releases the lock if the process ends.
 
         Raises:
-            StudyError: If another run holds it.
-            OutputError: If the folder cannot be written to.
+            StudyError: If another run has locked the folder.
+            OutputError: If the folder cannot be written.
         """
         try:
             self.shards.mkdir(parents=True, exist_ok=True)
             with contextlib.ExitStack() as stack:
                 if not stack.enter_context(lock_file(self.folder / ".lock")):
                     raise StudyError(self.folder, diagnose("study-is-running"))
-                held = stack.pop_all()
+                lock = stack.pop_all()
         except OSError as error:
             raise OutputError(self.folder, error.strerror or error) from error
-        with held:
+        with lock:
             for folder in (self.folder, self.shards):
                 remove_stale_files(folder)
             yield
 
-    def write_request(self, asked: dict[str, Any]) -> None:
-        """Writes what was asked.
+    def write_request(self, request: dict[str, Any]) -> None:
+        """Write the definition of the study.
 
         Raises:
-            OutputError: If it cannot be written.
+            OutputError: If the file cannot be written.
+            StudyError: If an existing definition cannot be read.
         """
         file = self.folder / "study.json"
-        known = file.is_file() and bool(self.read_request())
-        content = orjson.dumps({"format": FOLDER_FORMAT, **asked}, option=orjson.OPT_INDENT_2)
-        write_all([Writing(file, content + b"\n", EDITED if known else MODEL)])
+        is_rerun = file.is_file() and bool(self.read_request())
+        content = orjson.dumps({"format": FOLDER_FORMAT, **request}, option=orjson.OPT_INDENT_2)
+        write_all([Writing(file, content + b"\n", EDITED if is_rerun else MODEL)])
 
     def read_request(self) -> dict[str, Any]:
-        """Reads what was asked.
+        """Read the definition of the study.
 
         Raises:
-            StudyError: If it is no study's folder, or of a later version.
+            StudyError: If the folder contains no definition, or its format differs.
         """
         path = self.folder / "study.json"
         try:
-            found: dict[str, Any] = orjson.loads(read_input(path, MAX_TEXT_BYTES, own=True))
+            request: dict[str, Any] = orjson.loads(read_input(path, MAX_TEXT_BYTES, own=True))
         except InputError as error:
             finding = error.cause
             if finding.code == "no-such-file":
@@ -103,44 +109,44 @@ class Store:
         except ValueError as error:
             finding = diagnose("study-not-readable", problem=str(error))
             raise StudyError(self.folder, finding) from error
-        if not isinstance(found, dict) or found.get("format") != FOLDER_FORMAT:
+        if not isinstance(request, dict) or request.get("format") != FOLDER_FORMAT:
             raise StudyError(self.folder, diagnose("study-of-another-format", format=FOLDER_FORMAT))
-        return found
+        return request
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Writes a shard; its name follows from its designs.
+        """Write rows as one shard. The name of the shard is a hash of its designs.
 
         Raises:
-            OutputError: If it cannot be written; the folder is as it was.
+            OutputError: If the shard cannot be written; the folder is then unchanged.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         if not rows:
             return
-        # A design that failed has fewer columns: those of one that has all are in their order.
-        whole = sorted(rows, key=len, reverse=True)
-        columns = dict.fromkeys(name for row in whole for name in row)
-        fields = [pa.field(name, _kind(pa, name)) for name in columns]
+        # A failed design has fewer columns: the longest row determines the order.
+        by_length = sorted(rows, key=len, reverse=True)
+        columns = dict.fromkeys(name for row in by_length for name in row)
+        fields = [pa.field(name, _column_type(pa, name)) for name in columns]
         table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
-        named = "".join(sorted(row["design"] for row in rows))
-        name = hashlib.sha256(named.encode()).hexdigest()[:24]
+        all_names = "".join(sorted(row["design"] for row in rows))
+        name = hashlib.sha256(all_names.encode()).hexdigest()[:24]
         with write_atomically(self.shards / f"{name}.parquet", OWN) as file:
             pq.write_table(table, file)
 
     def designs(self) -> NDArray[np.uint64]:
-        """Returns the keys (n,) of the designs that are done, sorted.
+        """Return the sorted keys (n,) of all stored designs; see `make_design_keys`.
 
         Raises:
             StudyError: If a shard cannot be read.
         """
         parts = [np.zeros(0, np.uint64)]
-        for table in self._tables(["design"]):
+        for table in self._read_tables(["design"]):
             parts.append(make_design_keys(table.column("design").to_pylist()))
         return np.unique(np.concatenate(parts))
 
     def table(self) -> pd.DataFrame:
-        """Returns all rows, each design once, sorted by design.
+        """Return all stored rows, one per design, sorted by design.
 
         Raises:
             StudyError: If a shard cannot be read.
@@ -148,20 +154,21 @@ class Store:
         import pandas as pd
         import pyarrow as pa
 
-        tables = sorted(self._tables(None), key=lambda table: -table.num_columns)
+        tables = sorted(self._read_tables(None), key=lambda table: -table.num_columns)
         if not tables:
             return pd.DataFrame({"design": pd.Series(dtype=str)})
         joined = pa.concat_tables(tables, promote_options="default")
         frame: pd.DataFrame = joined.to_pandas().drop_duplicates("design")
         return frame.sort_values("design").reset_index(drop=True)
 
-    def _tables(self, columns: list[str] | None) -> Iterator[Any]:
+    def _read_tables(self, columns: list[str] | None) -> Iterator[Any]:
+        """Yield the Parquet tables; all columns if ``columns`` is None."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         for path in sorted(self.shards.glob("*.parquet")):
             try:
-                # Into memory: a mapped file would be held open.
+                # A memory-mapped file would stay open.
                 yield pq.read_table(path, columns=columns, memory_map=False)
             except (OSError, pa.ArrowException) as error:
                 finding = diagnose("shard-damaged", file=path.name, problem=str(error))
@@ -169,13 +176,14 @@ class Store:
 
 
 def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
-    """Returns the first 64 bits of designs' hashes (n,): a million of them are 8 MB.
+    """Return the first 64 bits of the hashes of designs, shape (n,): 8 MB for a million designs.
 
-    That two of a million share them has a probability of 3e-8.
+    The probability of a collision among a million designs is 3e-8.
     """
-    found = bytes.fromhex("".join(design[:16] for design in designs))
-    return np.frombuffer(found, ">u8").astype(np.uint64)
+    key_bytes = bytes.fromhex("".join(design[:16] for design in designs))
+    return np.frombuffer(key_bytes, ">u8").astype(np.uint64)
 
 
-def _kind(pa: Any, name: str) -> Any:
+def _column_type(pa: Any, name: str) -> Any:
+    """Return the Parquet type of a column: text for the design and for failures, else float64."""
     return pa.string() if name in ("design", *FAILURE_COLUMNS) else pa.float64()

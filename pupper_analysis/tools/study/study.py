@@ -1,4 +1,4 @@
-"""A study: what varies, how many designs, what is measured; said in Python or as a file."""
+"""A study: variables, designs and metrics, defined in Python or by a TOML file."""
 
 from __future__ import annotations
 
@@ -68,19 +68,20 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STUDY_KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
-"""What a study's file may say."""
+"""Valid keys of a study file."""
 
 
 class Study:
-    """Designs of a robot that are measured alike.
+    """Designs of one robot, and the metrics that are evaluated for each design.
 
     Attributes:
-        source: Where the robots come from.
-        variables: {name: what it varies over}.
-        sampling: The designs.
-        metrics: What is measured.
-        task: The stance, where a design does not say otherwise.
-        time_limit: Of one design (s).
+        source: Source of the robots.
+        variables: {name: variable}.
+        task: Stand task; variables of the stance take precedence.
+        sampling: Designs.
+        metrics: Metrics.
+        point: Position of a payload [m], optionally after a frame name.
+        time_limit: Time limit per design [s], or None.
     """
 
     def __init__(
@@ -95,28 +96,29 @@ class Study:
         payload_point: Sequence[float] | Sequence[str | float] = (0.0, 0.0, 0.0),
         time_limit: float | None = 60.0,
     ) -> None:
-        """Checks all that can be checked before anything runs.
+        """Check all arguments that can be checked before a design is evaluated.
 
         Args:
-            robot: A file, two files with a plus between them, a variant's name, a ``VariantSpec``,
-                {``base``, ``leg_scale``, ``torso_mass_scale``}, where ``base`` may be files as
-                well, with other arguments of ``load_robot``, or {``urdf``: path, ``mjcf``: path,
-                and these}. Of variants ``leg_scale`` and ``torso_mass_scale`` can be varied, too.
-            vary: {name of a number: a list, a ``linspace``, a distribution, a number}.
+            robot: A file, two files joined by a plus, the name of a variant, a ``VariantSpec``,
+                {``base``, ``leg_scale``, ``torso_mass_scale``}, or {``urdf``: path, ``mjcf``: path}
+                with other arguments of `load_robot`. ``base`` may also name files. ``leg_scale``
+                and ``torso_mass_scale`` can be varied for variants only.
+            vary: {name of a variable: a list, a ``linspace``, a distribution, or a number}.
             measure: Names of ``METRICS``, or functions of (robot, stand).
-            samples: How many designs, where there is a distribution; otherwise they are the product
-                of all lists.
-            seed: Of the samples.
-            stand: The stance, where the designs do not say otherwise.
-            payload_point: (3,) where a payload is, in the base's frame (m), or (frame, x, y, z) in
-                that of a link, site or body.
-            time_limit: Of one design (s); None: none. It ends the worker's process, and so holds
-                for processes and Dask, not for threads.
+            samples: Number of designs, required if a variable has a distribution. Otherwise the
+                designs are the product of all lists.
+            seed: Seed of the samples.
+            stand: Stand task; variables of the stance take precedence.
+            payload_point: Position of a payload, shape (3,) [m] in the frame of the base, or
+                (frame, x, y, z) in the frame of a link, site or body.
+            time_limit: Time limit per design [s]; None for no limit. A design that exceeds the
+                limit ends the process of its worker, so that the limit applies to processes and
+                Dask, not to threads.
 
         Raises:
-            ConfigurationError: If an argument makes no sense; says what would.
-            UnknownNameError: If a name's pattern matches nothing in the robot.
-            ModelError: If the robot's files cannot be used.
+            ConfigurationError: If an argument is not valid; the message lists valid values.
+            UnknownNameError: If the pattern of a variable matches nothing in the robot.
+            ModelError: If the files of the robot cannot be used.
         """
         check_type("vary", vary, Mapping[str, Any])
         check_type("measure", measure, Sequence[str | MetricFunction])
@@ -124,15 +126,15 @@ class Study:
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
         self.source = make_robot_source(robot)
-        given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
-        for name in given:
+        variables = {str(name): make_variable(str(name), metric) for name, metric in vary.items()}
+        for name in variables:
             check_variable_name(name, self.source)
-        self.variables = given
+        self.variables = variables
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
-        self.metrics = tuple(make_metric(one) for one in measure)
-        self._given = tuple(measure)
+        self.metrics = tuple(make_metric(metric) for metric in measure)
+        self._requested_metrics = tuple(measure)
         frame, point = split_place(payload_point)
         self.point = (*filter(None, (frame,)), *check_point(point).tolist())
         find_place(self.base, self.point)
@@ -142,54 +144,63 @@ class Study:
             raise ConfigurationError("time_limit", finding)
         if not self.metrics:
             raise ConfigurationError("measure", diagnose("nothing-to-measure"))
-        named = [one.name for one in self.metrics]
-        twice = next((name for name in named if named.count(name) > 1), None)
-        if twice is not None:
-            raise ConfigurationError("measure", diagnose("there-twice", name=twice))
+        metric_names = [metric.name for metric in self.metrics]
+        repeated = next((name for name in metric_names if metric_names.count(name) > 1), None)
+        if repeated is not None:
+            raise ConfigurationError("measure", diagnose("there-twice", name=repeated))
 
     def whole_source(self) -> RobotSource:
-        """Returns the source of the same robots with all that is only looked at."""
+        """Return the source of the same robots, with visual geoms and meshes."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
         return Variants(self.source.spec, whole=True)
 
     def _check_variables(self) -> None:
-        moved = (name for name in self.variables if name in STANCE_VARIABLES)
-        offset = next((name for name in moved if STANCE_VARIABLES[name][0].name == "offset"), None)
+        """Check the ranges and patterns of all variables against the robot and the stand task."""
+        stance_variables = (name for name in self.variables if name in STANCE_VARIABLES)
+        offset = next(
+            (name for name in stance_variables if STANCE_VARIABLES[name][0].name == "offset"), None
+        )
         if offset is not None and self.task.com not in (None, "centre"):
             raise ConfigurationError(f"vary[{offset!r}]", diagnose("offset-and-com"))
-        for name, one in self.variables.items():
-            check_variable_range(name, *one.range)
-            named = VariablePattern.parse(name)
-            if named is not None and named.kind in LINK_STANCE_KINDS:
-                known = tuple(of for of, one in self.task.contacts.items() if one.plane is not None)
-                if named.pattern not in known:
-                    raise UnknownNameError(self.base.name, "contact", named.pattern, known)
-            elif named is not None:
-                match_joints(self.base, named)
-            if named is not None and named.kind in JOINT_STANCE_KINDS:
-                placed_joints(self.base, {named.pattern: 0.0})
-        servos = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
-        if servos:
+        for name, variable in self.variables.items():
+            check_variable_range(name, *variable.range)
+            pattern = VariablePattern.parse(name)
+            if pattern is not None and pattern.kind in LINK_STANCE_KINDS:
+                contact_links = tuple(
+                    link
+                    for link, variable in self.task.contacts.items()
+                    if variable.plane is not None
+                )
+                if pattern.pattern not in contact_links:
+                    raise UnknownNameError(
+                        self.base.name, "contact", pattern.pattern, contact_links
+                    )
+            elif pattern is not None:
+                match_joints(self.base, pattern)
+            if pattern is not None and pattern.kind in JOINT_STANCE_KINDS:
+                placed_joints(self.base, {pattern.pattern: 0.0})
+        servo_kinds = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
+        if servo_kinds:
             from pupper_analysis.robot.servos import servo_gains
 
-            given = {name: 1.0 if name in self.variables else None for name in SERVO_KINDS}
-            servo_gains(self.base, given["kp"], given["kd"])
+            gains = {name: 1.0 if name in self.variables else None for name in SERVO_KINDS}
+            servo_gains(self.base, gains["kp"], gains["kd"])
 
     @cached_property
     def base(self) -> Robot:
-        """The robot with nothing changed."""
+        """Robot without changes."""
         return self.source.robot({})
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the robot's files, of the stance, the metrics and the versions."""
+        """Hash of robot, stand task, payload position, metrics and package versions."""
         parts = {
             "robot": hash_description(self.base.description),
             "source": repr(self.source.asked()) if self.source.scales else "",
-            "stand": {one.name: repr(getattr(self.task, one.name)) for one in fields(self.task)},
+            "stand": {item.name: repr(getattr(self.task, item.name)) for item in fields(self.task)},
             "point": self.point,
-            "measures": sorted(fingerprint_metric(one) for one in self.metrics),
+            "measures": sorted(fingerprint_metric(item) for item in self.metrics),
             "revision": METRICS_REVISION,
             "versions": list_versions(),
         }
@@ -200,15 +211,15 @@ class Study:
         return len(self.sampling)
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
-        """Yields designs block by block: their hashes, and their numbers (n, variables)."""
+        """Yield the designs in blocks: hashes (n) and variable values (n, variables)."""
         for block in self.sampling.blocks():
             yield hash_designs(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
-        """Returns what workers need to know, pickled."""
+        """Return the pickled `WorkDefinition` for the workers."""
         work = WorkDefinition(
             source=self.source,
-            metrics=self._given,
+            metrics=self._requested_metrics,
             variables=tuple(self.variables),
             task=self.task,
             point=self.point,
@@ -218,11 +229,11 @@ class Study:
         return pickle.dumps(work)
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the study as plain data, from which ``Study.of`` makes it again."""
-        given: dict[str, Any] = {
+        """Return the study as plain data; `Study.of` is the inverse."""
+        data: dict[str, Any] = {
             "robot": self.source.asked(),
-            "vary": {name: one.to_dict() for name, one in self.variables.items()},
-            "measure": [format_metric(one) for one in self.metrics],
+            "vary": {name: item.to_dict() for name, item in self.variables.items()},
+            "measure": [format_metric(item) for item in self.metrics],
             "seed": self.sampling.seed,
             "payload_point": list(self.point),
             "stand": {
@@ -232,25 +243,25 @@ class Study:
             },
         }
         if self.sampling.samples is not None:
-            given["samples"] = self.sampling.samples
+            data["samples"] = self.sampling.samples
         if self.time_limit is not None:
-            given["time_limit"] = self.time_limit
-        return given
+            data["time_limit"] = self.time_limit
+        return data
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Study:
-        """Makes a study of plain data, as a TOML file has it.
+    def of(cls, data: Mapping[str, Any]) -> Study:
+        """Create a study from plain data, as a TOML file contains.
 
         Raises:
-            ConfigurationError: If a key is missing or unknown, or as the constructor does.
+            ConfigurationError: If a key is missing or unknown, or an argument is not valid.
         """
-        unknown = [key for key in given if key not in STUDY_KEYS]
+        unknown = [key for key in data if key not in STUDY_KEYS]
         if unknown:
             raise ConfigurationError(unknown[0], diagnose("study-key-unknown", known=STUDY_KEYS))
         for key in ("robot", "vary", "measure"):
-            if key not in given:
+            if key not in data:
                 raise ConfigurationError(key, diagnose("study-must-say"))
-        options = dict(given)
+        options = dict(data)
         stand = options.pop("stand", {})
         check_type("stand", stand, Mapping[str, Any])
         task = StandTask.of(stand)
@@ -260,30 +271,33 @@ class Study:
 
     @classmethod
     def read(cls, path: str | Path) -> Study:
-        """Reads a study from a TOML file; paths in it are looked for beside it.
+        """Read a study from a TOML file.
+
+        Relative paths of existing files are relative to the folder of the study file.
 
         Raises:
-            ConfigurationError: If it cannot be read, or makes no sense.
+            ConfigurationError: If the file cannot be read, or the study is not valid.
+            VariantError: If the variant of the robot is not valid.
         """
         path = Path(path)
         try:
-            _, given = read_toml(path)
+            _, data = read_toml(path)
         except InputError as error:
             raise ConfigurationError(str(path), error.cause) from error
-        robot = given.get("robot")
+        robot = data.get("robot")
         if isinstance(robot, dict):
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
             if isinstance(robot.get("base"), str):
-                robot["base"] = _beside(path, robot["base"])
+                robot["base"] = _resolve_files(path, robot["base"])
         if isinstance(robot, str):
-            given["robot"] = _beside(path, robot)
-        metrics = given.get("measure")
+            data["robot"] = _resolve_files(path, robot)
+        metrics = data.get("measure")
         if isinstance(metrics, list):
-            given["measure"] = [resolve_metric_file(path.parent, one) for one in metrics]
+            data["measure"] = [resolve_metric_file(path.parent, metric) for metric in metrics]
         try:
-            return cls.of(given)
+            return cls.of(data)
         except (ConfigurationError, VariantError) as error:
             raise error.at(str(path)) from error
 
@@ -295,24 +309,24 @@ class Study:
         workers: int | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> pd.DataFrame:
-        """Measures all designs that are not there yet, and returns the whole table.
+        """Evaluate all designs that are not stored yet, and return the complete table.
 
         Args:
-            folder: Where results are kept. A run that was ended, killed or changed goes on there.
-            executor: What works: any ``concurrent.futures.Executor``, such as Dask's
-                ``client.get_executor()``; by default processes of this machine.
-            workers: How many processes; by default one per core. Of an executor that is given: how
-                many it has, where it does not say.
-            progress: Called with how far it has come.
+            folder: Folder of the results. An interrupted or changed study resumes there.
+            executor: Any `concurrent.futures.Executor`, such as Dask's ``client.get_executor()``;
+                by default processes on this machine.
+            workers: Number of processes; by default the number of cores. For an executor that does
+                not report its number of workers: this number.
+            progress: Function that is called with the progress.
 
         Returns:
-            One row per design, in the study's order: its hash, its numbers, what was measured, and
-            ``failure`` and ``reason`` of those that failed.
+            One row per design, in the order of the study: hash, variable values, measured values,
+            and the failure columns.
 
         Raises:
-            StudyError: If another run holds the folder, or the workers are lost; what was done is
-                kept.
-            OutputError: If the folder cannot be written to.
+            StudyError: If another run has locked the folder, or the workers are lost. Measured rows
+                are stored.
+            OutputError: If the folder cannot be written.
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
         return self.table(folder)
@@ -325,7 +339,10 @@ class Study:
         workers: int | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Progress:
-        """Does what ``run`` does, but for the table: memory does not grow with the designs."""
+        """Evaluate all missing designs, as `run`, but do not load the table.
+
+        Memory use does not grow with the number of designs, except 8 bytes per design.
+        """
         check_type("folder", folder, str | Path)
         check_type("executor", executor, Executor | None)
         check_type("workers", workers, int | None)
@@ -334,81 +351,92 @@ class Study:
         require_library("pyarrow")
         store = Store(Path(folder))
         with store.locked():
-            asked = {"study": self.to_dict(), "digest": self.digest, "versions": list_versions()}
-            store.write_request(asked)
-            tell, variables = progress or (lambda _: None), tuple(self.variables)
-            run = StudyRun(self.work(), variables, self.time_limit, store, len(self), tell)
-            return run.all(self.designs(), executor, workers)
+            request = {"study": self.to_dict(), "digest": self.digest, "versions": list_versions()}
+            store.write_request(request)
+            report, variables = progress or (lambda _: None), tuple(self.variables)
+            run = StudyRun(self.work(), variables, self.time_limit, store, len(self), report)
+            return run.measure_missing(self.designs(), executor, workers)
 
     def table(self, folder: str | Path) -> pd.DataFrame:
-        """Returns the rows of this study's designs that a folder has, in the study's order.
+        """Return the stored rows of the designs of this study, in the order of the study.
 
         Raises:
-            StudyError: If it is no study's folder, or damaged.
+            StudyError: If the folder contains no study, or a shard is damaged.
         """
         require_library("pandas")
         return order_rows(Store(Path(folder)).table(), (names for names, _ in self.designs()))
 
 
-def _beside(path: Path, word: str) -> str:
-    """Returns files that are beside a study's with their folder; what is none is a name."""
-    there = [(path.parent / part, part) for part in word.split("+")]
-    return "+".join(str(file) if is_input(file) else part for file, part in there)
+def _resolve_files(path: Path, word: str) -> str:
+    """Return file names with the folder of the study file; names of variants are unchanged."""
+    parts = [(path.parent / part, part) for part in word.split("+")]
+    return "+".join(str(file) if is_input(file) else part for file, part in parts)
 
 
-# A study's table: the hashes of its designs, and its rows in their order.
+# Table of a study: hashes of its designs, and order of its rows.
 
 
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
-    """Returns the hashes of designs (n, variables): of all that their results depend on.
+    """Return the hash of each design: of the study's digest, variable names and values.
 
-    The order in which a study names its variables does not count.
+    The order of the variables does not affect the hash.
+
+    Args:
+        digest: Digest of the study.
+        variables: Names of the variables.
+        block: Variable values, shape (n, variables).
     """
     order = sorted(range(len(variables)), key=lambda index: variables[index])
     head = "\0".join([digest, *(variables[index] for index in order)]).encode()
-    rows = np.ascontiguousarray(block[:, order] + 0.0, dtype="<f8")  # 0.0: -0.0 is the same number
+    rows = np.ascontiguousarray(
+        block[:, order] + 0.0, dtype="<f8"
+    )  # adding 0.0 turns -0.0 into 0.0
     return [hashlib.sha256(head + row.tobytes()).hexdigest()[:32] for row in rows]
 
 
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
-    """Returns the rows of designs, by their hashes, in their order; empty columns are left out."""
-    order = {name: place for place, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
-    kept = frame[frame["design"].isin(order.keys())]
-    placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
-    ends = [name for name in FAILURE_COLUMNS if name in placed]
-    front = [name for name in placed.columns if name not in ends]
+    """Return the rows of the given designs in the given order, without empty columns."""
+    order = {name: index for index, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
+    selected = frame[frame["design"].isin(order.keys())]
+    ordered = (
+        selected.assign(_at=selected["design"].map(order)).sort_values("_at").drop(columns="_at")
+    )
+    failure_columns = [name for name in FAILURE_COLUMNS if name in ordered]
+    columns = [name for name in ordered.columns if name not in failure_columns]
     return (
-        placed[[*front, *ends]]
+        ordered[[*columns, *failure_columns]]
         .dropna(axis="columns", how="all")
         .reset_index(drop=True)
         .pipe(
-            lambda table: table.assign(**{end: None for end in FAILURE_COLUMNS if end not in table})
+            lambda table: table.assign(
+                **{column: None for column in FAILURE_COLUMNS if column not in table}
+            )
         )
     )
 
 
 def read_study(folder: str | Path) -> pd.DataFrame:
-    """Reads the results in a study's folder.
+    """Read the results in the folder of a study.
 
     Returns:
-        One row per design, as ``Study.run`` returns it; those that are there.
+        One row per stored design, as `Study.run` returns.
 
     Raises:
-        StudyError: If it is no study's folder, or damaged.
+        StudyError: If the folder contains no study, or a shard is damaged.
     """
     check_type("folder", folder, str | Path)
     require_library("pandas")
     store = Store(Path(folder))
-    stored = store.read_request()
+    request = store.read_request()
     try:
-        study, digest = stored["study"], str(stored["digest"])
-        variables = {name: make_variable(name, given) for name, given in study["vary"].items()}
+        study, digest = request["study"], str(request["digest"])
+        variables = {name: make_variable(name, values) for name, values in study["vary"].items()}
         check_type("seed", study["seed"], int)
         sampling = Sampling(variables, study.get("samples"), study["seed"])
     except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
-        what = getattr(error, "diagnostic", str(error))
+        problem = getattr(error, "diagnostic", str(error))
         if isinstance(error, KeyError):
-            what = diagnose("key-missing", key=str(error))
-        raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
+            problem = diagnose("key-missing", key=str(error))
+        raise StudyError(folder, diagnose("study-does-not-say", what=problem)) from error
     blocks = (hash_designs(digest, tuple(variables), block) for block in sampling.blocks())
     return order_rows(store.table(), blocks)

@@ -1,4 +1,4 @@
-"""What varies in a study: lists of values, and distributions."""
+"""Variables of a study: lists of values and probability distributions."""
 
 from __future__ import annotations
 
@@ -17,34 +17,37 @@ from pupper_analysis.base.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 
-_TAIL = 2.0**-33
-"""Half of the finest step of Sobol's sequence: shares nearer to 0 or 1 would be infinitely far."""
+_MIN_PROBABILITY = 2.0**-33
+"""Lower bound of a probability and of its complement: half of the finest step of the Sobol
+sequence. At 0 and 1 the normal quantile is infinite."""
 
 
-def _normal(mean: float, deviation: float, shares: Array) -> Array:
+def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:
+    """Return quantiles (n,) of a normal distribution."""
     from scipy.special import ndtri
 
-    spread: Array = mean + deviation * ndtri(np.clip(shares, _TAIL, 1 - _TAIL))
-    return spread
+    quantiles: Array = mean + deviation * ndtri(
+        np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+    )
+    return quantiles
 
 
-_QUANTILES: Mapping[str, Callable[[float, float, Array], Array]] = {
-    "uniform": lambda low, high, shares: low + (high - low) * shares,
-    "log_uniform": lambda low, high, shares: low * (high / low) ** shares,
-    "normal": _normal,
+_QUANTILE_FUNCTIONS: Mapping[str, Callable[[float, float, Array], Array]] = {
+    "uniform": lambda low, high, probability: low + (high - low) * probability,
+    "log_uniform": lambda low, high, probability: low * (high / low) ** probability,
+    "normal": _evaluate_normal,
 }
-"""{kind of a distribution: its inverse}; a log-uniform one is as likely within each factor of 2."""
+"""Quantile function of each distribution: {kind: function of two parameters and probabilities}."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """Values that one number of a design takes.
+    """Values of one variable of a study.
 
     Attributes:
-        kind: ``values``, each as likely as the others; ``linspace``; or a distribution: ``uniform``
-            or ``log_uniform``, of the least and the greatest value; ``normal``, of the mean and the
-            standard deviation.
-        numbers: As a study's file has them.
+        kind: ``values`` (all equally likely), ``linspace``, or a distribution: ``uniform`` or
+            ``log_uniform`` with lower and upper bound, ``normal`` with mean and standard deviation.
+        numbers: Parameters, as in the study file.
     """
 
     kind: str
@@ -52,7 +55,7 @@ class Variable:
 
     @property
     def levels(self) -> tuple[float, ...] | None:
-        """The values, if they are finitely many; None of a distribution."""
+        """Values of a list or of ``linspace``; None for a distribution."""
         if self.kind == "linspace":
             low, high, count = self.numbers
             return tuple(np.linspace(low, high, int(count)).tolist())
@@ -60,41 +63,42 @@ class Variable:
 
     @property
     def range(self) -> tuple[float, float]:
-        """The least and the greatest value; infinite where there is none."""
+        """Smallest and largest value; infinite for a normal distribution."""
         if self.kind == "normal":
             return -math.inf, math.inf
         listed = self.levels or self.numbers
         return min(listed), max(listed)
 
-    def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,) between 0 and 1: the inverse distribution."""
+    def at(self, probabilities: Array) -> Array:
+        """Return the quantiles (n,) of probabilities (n,) between 0 and 1."""
         if self.levels is None:
-            return _QUANTILES[self.kind](self.numbers[0], self.numbers[1], shares)
-        index = np.minimum((shares * len(self.levels)).astype(int), len(self.levels) - 1)
-        found: Array = np.array(self.levels)[index]
-        return found
+            return _QUANTILE_FUNCTIONS[self.kind](self.numbers[0], self.numbers[1], probabilities)
+        index = np.minimum((probabilities * len(self.levels)).astype(int), len(self.levels) - 1)
+        quantiles: Array = np.array(self.levels)[index]
+        return quantiles
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns it as a study's file has it: {kind: its numbers}."""
+        """Return the variable as in a study file: {kind: parameters}."""
         return {self.kind: list(self.numbers)}
 
 
 MAX_LEVELS = 1_000_000
-"""Of one variable: a longer list is a distribution."""
+"""Maximum number of values of one variable. Longer lists should be a distribution. Chosen, not
+tuned."""
 
 
 def linspace(low: float, high: float, count: int) -> Variable:
-    """Makes evenly spaced values.
+    """Create a variable with evenly spaced values.
 
     Args:
-        low: The first.
-        high: The last.
-        count: How many, at least 2.
+        low: First value.
+        high: Last value, above `low`.
+        count: Number of values, 2 to `MAX_LEVELS`.
 
     Raises:
-        ConfigurationError: If they are none.
+        ConfigurationError: If the interval is empty or the count is out of range.
     """
-    first, last = _ordered("linspace", low, high)
+    first, last = _check_interval("linspace", low, high)
     check_type("count", count, int)
     if not 2 <= count <= MAX_LEVELS:
         problem = diagnose(
@@ -105,10 +109,11 @@ def linspace(low: float, high: float, count: int) -> Variable:
 
 
 def values(numbers: Sequence[float]) -> Variable:
-    """Makes a variable of a list of values.
+    """Create a variable from a list of values.
 
     Raises:
-        ConfigurationError: If it is empty, or a value is no finite number or there twice.
+        ConfigurationError: If the list is empty or too long, or a value is not finite or occurs
+            twice.
     """
     check_type("values", numbers, Sequence[float])
     listed = tuple(check_finite("values", value) for value in numbers)
@@ -121,31 +126,35 @@ def values(numbers: Sequence[float]) -> Variable:
 
 
 def uniform(low: float, high: float) -> Variable:
-    """Makes a uniform distribution.
+    """Create a variable with a uniform distribution.
 
     Raises:
-        ConfigurationError: If its range is empty.
+        ConfigurationError: If the interval is empty.
     """
-    return Variable("uniform", _ordered("uniform", low, high))
+    return Variable("uniform", _check_interval("uniform", low, high))
 
 
 def log_uniform(low: float, high: float) -> Variable:
-    """Makes a distribution whose logarithm is uniform.
+    """Create a variable whose logarithm is distributed uniformly.
 
     Raises:
-        ConfigurationError: If its range is empty, or not above 0.
+        ConfigurationError: If the interval is empty, or its lower bound is not positive.
     """
-    first, last = _ordered("log_uniform", low, high)
+    first, last = _check_interval("log_uniform", low, high)
     if first <= 0:
         raise ConfigurationError("log_uniform", diagnose("logarithm-of-negative", low=first))
     return Variable("log_uniform", (first, last))
 
 
 def normal(mean: float, deviation: float) -> Variable:
-    """Makes a normal distribution of a mean and a standard deviation.
+    """Create a variable with a normal distribution.
+
+    Args:
+        mean: Mean.
+        deviation: Standard deviation.
 
     Raises:
-        ConfigurationError: If the deviation is not above 0.
+        ConfigurationError: If the standard deviation is not positive.
     """
     spread = check_finite("normal", deviation)
     if spread <= 0:
@@ -160,83 +169,85 @@ VARIABLE_MAKERS: Mapping[str, Callable[..., Variable]] = {
     "normal": normal,
     "log_uniform": log_uniform,
 }
-"""How a study's file says each kind."""
+"""Function that creates a variable from the parameters in a study file, for each kind."""
 
 
-def make_variable(name: str, given: object) -> Variable:
-    """Makes a variable of what a study gives: a number, a list, {kind: numbers}, or a variable.
+def make_variable(name: str, requested: object) -> Variable:
+    """Create a variable from a number, a list, {kind: parameters}, or a variable.
 
     Args:
-        name: The varied number's, for messages.
-        given: What was given.
+        name: Name of the variable, for messages.
+        requested: Value from the study.
 
     Raises:
-        ConfigurationError: If it is none of these.
+        ConfigurationError: If the value has none of these forms, or the parameters are not valid.
     """
     try:
-        if isinstance(given, Variable):
-            return given
-        if isinstance(given, Mapping):
-            ((kind, numbers),) = given.items() if len(given) == 1 else (("", ()),)
+        if isinstance(requested, Variable):
+            return requested
+        if isinstance(requested, Mapping):
+            ((kind, numbers),) = requested.items() if len(requested) == 1 else (("", ()),)
             if kind == "grid":
-                raise ConfigurationError("grid", _ambiguous(numbers))
+                raise ConfigurationError("grid", _diagnose_grid(numbers))
             if (
                 kind not in VARIABLE_MAKERS
                 or not isinstance(numbers, Sequence)
                 or isinstance(numbers, str)
             ):
                 finding = diagnose(
-                    "no-kind-of-variable", given=repr(dict(given)), known=VARIABLE_MAKERS
+                    "no-kind-of-variable", given=repr(dict(requested)), known=VARIABLE_MAKERS
                 )
                 raise ConfigurationError("kind", finding)
             return VARIABLE_MAKERS[kind](*numbers)
-        if isinstance(given, Sequence | np.ndarray):
-            return values(given)  # type: ignore[arg-type]
-        return values([given])  # type: ignore[list-item]
+        if isinstance(requested, Sequence | np.ndarray):
+            return values(requested)  # type: ignore[arg-type]
+        return values([requested])  # type: ignore[list-item]
     except ConfigurationError as error:
         raise ConfigurationError(f"vary[{name!r}]", error.diagnostic) from error
     except TypeError as error:
-        problem = diagnose("numbers-of-variable", given=repr(given))
+        problem = diagnose("numbers-of-variable", given=repr(requested))
         raise ConfigurationError(f"vary[{name!r}]", problem) from error
 
 
-def _ambiguous(numbers: Any) -> Diagnostic:
-    """Returns what the two things are that ``grid`` could mean."""
+def _diagnose_grid(numbers: Any) -> Diagnostic:
+    """Return the diagnostic for ``grid``, which has two possible meanings."""
     listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
     return diagnose("grid-is-ambiguous", listed=listed)
 
 
-def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
+def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
+    """Return the bounds of an interval; raise ConfigurationError if it is empty."""
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))
     return first, last
 
 
-# Which designs a study has: the product of lists, or Sobol's sequence.
+# Designs of a study: product of lists, or Sobol sequence.
 
 
 BLOCK_SIZE = 4096
-"""Designs that are made at a time: a power of 2, as Sobol's sequence is even over such."""
+"""Number of designs per block: a power of 2, because the Sobol sequence is balanced over powers of
+2."""
 
 MAX_SAMPLES = 2**30
-"""What Sobol's sequence has."""
+"""Maximum number of samples: the length of scipy's Sobol sequence with 30 bits."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """The designs of a study, made block by block, so that none need be kept.
+    """Designs of a study, generated block by block, so that memory does not grow with their number.
 
-    Where all variables have finitely many values the designs are their product, the last variable
-    changing first. Where there is a distribution they are a scrambled Sobol sequence: the first n
-    of more samples are the n of fewer, so that a study can grow.
+    If all variables are lists, the designs are the product of the lists, with the last variable
+    changing fastest. If a variable has a distribution, the designs are a scrambled Sobol sequence.
+    Its first n samples do not depend on the number of samples, so that a study can be extended.
 
     Source: Sobol, "On the distribution of points in a cube", 1967; Owen's scrambling (scipy.stats).
 
     Attributes:
-        variables: {name: its values}.
-        samples: How many, of a sequence; None for a product.
-        seed: Of the sequence's scrambling.
+        variables: {name: variable}.
+        samples: Number of samples of the sequence; None for a product.
+        seed: Seed of the scrambling.
     """
 
     variables: Mapping[str, Variable]
@@ -244,10 +255,10 @@ class Sampling:
     seed: int
 
     def __post_init__(self) -> None:
-        spread = [name for name, variable in self.variables.items() if variable.levels is None]
-        if spread and self.samples is None:
-            raise ConfigurationError("samples", diagnose("samples-missing", name=spread[0]))
-        if not spread and self.samples is not None:
+        continuous = [name for name, variable in self.variables.items() if variable.levels is None]
+        if continuous and self.samples is None:
+            raise ConfigurationError("samples", diagnose("samples-missing", name=continuous[0]))
+        if not continuous and self.samples is not None:
             finding = diagnose("samples-of-lists", product=self.product)
             raise ConfigurationError("samples", finding)
         if self.samples is not None and not 1 <= self.samples <= MAX_SAMPLES:
@@ -258,31 +269,36 @@ class Sampling:
 
     @property
     def product(self) -> int:
-        """How many designs the product of all lists has."""
+        """Number of designs in the product of all lists; 0 if a variable has a distribution."""
         return math.prod(len(variable.levels or ()) for variable in self.variables.values())
 
     def __len__(self) -> int:
         return self.product if self.samples is None else self.samples
 
     def blocks(self) -> Iterator[Array]:
-        """Yields the designs, (n, variables) at a time."""
+        """Yield the designs in blocks of shape (n, variables)."""
         columns = list(self.variables.values())
         if self.samples is None:
             levels = [np.array(column.levels or ()) for column in columns]
-            sizes = [len(listed) for listed in levels]
+            sizes = [len(level_values) for level_values in levels]
             for start in range(0, self.product, BLOCK_SIZE):
                 numbers = np.arange(start, min(start + BLOCK_SIZE, self.product))
                 index = np.unravel_index(numbers, sizes) if sizes else ()
                 block = np.zeros((len(numbers), len(columns)))
-                for place, (listed, at) in enumerate(zip(levels, index, strict=True)):
-                    block[:, place] = listed[at]
+                for column_index, (level_values, level_index) in enumerate(
+                    zip(levels, index, strict=True)
+                ):
+                    block[:, column_index] = level_values[level_index]
                 yield block
             return
         from scipy.stats import qmc
 
         sequence = qmc.Sobol(len(columns), scramble=True, rng=np.random.default_rng(self.seed))
         for start in range(0, self.samples, BLOCK_SIZE):
-            shares = sequence.random(BLOCK_SIZE)[: self.samples - start]
+            probabilities = sequence.random(BLOCK_SIZE)[: self.samples - start]
             yield np.column_stack(
-                [one.at(share) for one, share in zip(columns, shares.T, strict=True)]
+                [
+                    variable.at(probability)
+                    for variable, probability in zip(columns, probabilities.T, strict=True)
+                ]
             )

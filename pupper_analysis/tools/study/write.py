@@ -1,4 +1,4 @@
-"""Writes a study's design as URDF, MJCF with its gains and stance, and measures these anew."""
+"""Writing a design as URDF, MJCF and stance, and evaluating its metrics again from these files."""
 
 from __future__ import annotations
 
@@ -37,27 +37,28 @@ from pupper_analysis.tools.study.measures import Design
 from pupper_analysis.tools.study.store import require_library
 from pupper_analysis.tools.study.study import Study
 
-_TOLERANCE = 1e-6
-"""Relative: files have all digits, and what is left are the tolerances of iterative solvers."""
+_METRIC_RTOL = 1e-6
+"""Relative tolerance between the metrics of the study and of the written files. The files contain
+all digits; iterative solvers differ within their tolerances. Chosen, not tuned."""
 
-_MESHES = "meshes"
-"""Folder of the meshes, beside the models."""
+_MESH_FOLDER = "meshes"
+"""Folder of the meshes, relative to the models."""
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenDesign(Result):
-    """A design as files, and what is measured of them.
+    """A design as files, with its metrics before and after writing.
 
     Attributes:
-        number: Which row of the study's table it is, from 1.
-        urdf: Its URDF.
-        mjcf: Its MJCF.
-        stance: Its stance, for ``--stance``.
-        numbers: {parameter: its value}.
-        measured: {metric: what the study measured of the design}.
-        found: {metric: what is measured of the files, read again}.
-        command: Which command gives the numbers of its stand.
-        failures: Metrics in which the two differ.
+        number: Row of the design in the table of the study, from 1.
+        urdf: URDF of the design.
+        mjcf: MJCF of the design.
+        stance: Stance of the design, for ``--stance``.
+        numbers: {variable: value}.
+        measured: {metric: value in the study}.
+        found: {metric: value from the written files}.
+        command: Command that computes the stand from the written files.
+        failures: Metrics whose values differ.
     """
 
     number: int
@@ -72,25 +73,25 @@ class WrittenDesign(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the files give the study's numbers."""
+        """True if the written files have the metrics of the study."""
         return not self.failures
 
 
 def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign:
-    """Writes a measured design of a study to ``design-NUMBER`` in the study's folder.
+    """Write an evaluated design of a study to ``design-NUMBER`` in the folder of the study.
 
-    The URDF, the MJCF with the design's servo gains, the meshes of both, and the stance as options
-    of commands. The files are read again, and the study's metrics are measured of them.
+    The URDF, the MJCF with the servo gains, the meshes of both, and the stance as a file of options
+    are written. The files are then loaded, and the metrics of the study are evaluated again.
 
     Args:
-        study: The study.
-        number: The row of its table, from 1.
-        folder: The study's folder, as ``run`` has filled it.
+        study: Study.
+        number: Row of the table, from 1.
+        folder: Folder of the results of the study.
 
     Raises:
-        ConfigurationError: If there is no such design, or it makes no robot.
-        StudyError: If it is no study's folder, or damaged.
-        OutputError: If a file cannot be written, or is there with another content.
+        ConfigurationError: If the row does not exist, or the robot of the design cannot be built.
+        StudyError: If the folder contains no study, or a shard is damaged.
+        OutputError: If a file cannot be written, or exists with other content.
     """
     check_type("study", study, Study)
     check_type("number", number, int)
@@ -102,32 +103,34 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
     numbers = {name: float(row[name]) for name in study.variables}
-    maker = DesignBuilder(study.whole_source(), study.task, study.point)
+    builder = DesignBuilder(study.whole_source(), study.task, study.point)
     try:
-        design = maker.design(numbers)
+        design = builder.design(numbers)
     except PupperAnalysisError as error:
         finding = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
         raise ConfigurationError("number", finding) from error
-    into = Path(folder) / f"design-{number}"
+    design_folder = Path(folder) / f"design-{number}"
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
-    contents = dict(_contents(design.robot.description, packages))
+    contents = dict(_make_files(design.robot.description, packages))
     contents[Path("stance.toml")] = format_stance(design.stand.task).encode()
     write_all(
         [
-            Writing(into / place, content, MODEL)
+            Writing(design_folder / place, content, MODEL)
             for place, content in contents.items()
-            if not _holds(into / place, content)
+            if not _has_content(design_folder / place, content)
         ]
     )
-    urdf, mjcf = (into / place for place in contents if place.suffix in (".urdf", ".xml"))
-    loaded, words = _read_again(design.robot, urdf, mjcf)
+    urdf, mjcf = (design_folder / place for place in contents if place.suffix in (".urdf", ".xml"))
+    loaded, options = _reload_files(design.robot, urdf, mjcf)
     stand = solve_stand(loaded, design.stand.task)
-    again = Design(loaded, stand, own_servos=design.own_servos, point=design.point)
-    found = measure_columns(again, study.metrics)
-    measured = {name: float(row[name]) for name in found if name in row and _is_number(row[name])}
-    found = {name: value for name, value in found.items() if name in measured}
-    stance = into / "stance.toml"
-    words = ["pupper-analysis", "stand", str(urdf), str(mjcf), *words, "--stance", str(stance)]
+    reloaded = Design(loaded, stand, own_servos=design.own_servos, point=design.point)
+    remeasured = measure_columns(reloaded, study.metrics)
+    measured = {
+        name: float(row[name]) for name in remeasured if name in row and _is_number(row[name])
+    }
+    remeasured = {name: value for name, value in remeasured.items() if name in measured}
+    stance = design_folder / "stance.toml"
+    options = ["pupper-analysis", "stand", str(urdf), str(mjcf), *options, "--stance", str(stance)]
     return WrittenDesign(
         number=number,
         urdf=urdf,
@@ -135,39 +138,42 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         stance=stance,
         numbers=numbers,
         measured=measured,
-        found=found,
-        command=shlex.join(words),
+        found=remeasured,
+        command=shlex.join(options),
         failures=tuple(
             diagnose(
-                "written-design-differs", number=number, metric=name, found=value, measured=old
+                "written-design-differs", number=number, metric=name, found=value, measured=expected
             )
-            for name, value in found.items()
-            if not abs(value - (old := measured[name])) <= _TOLERANCE * max(abs(old), _TOLERANCE)
+            for name, value in remeasured.items()
+            if not abs(value - (expected := measured[name]))
+            <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
         ),
     )
 
 
 def _is_number(value: Any) -> bool:
+    """Return True for a finite number."""
     return value is not None and bool(np.isfinite(float(value)))
 
 
-def _holds(path: Path, content: bytes) -> bool:
+def _has_content(path: Path, content: bytes) -> bool:
+    """Return True if the file exists with this content."""
     return path.is_file() and path.read_bytes() == content
 
 
-def _read_again(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
-    """Loads the written files; returns also the options that name the design's feet."""
+def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
+    """Load the written files; return the robot and the options that specify its feet."""
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
-    own = any(link not in robot.description.made_frames for link, _ in feet.values())
-    if not own or loaded.description.contact_points == feet:
+    has_own_frames = any(link not in robot.description.made_frames for link, _ in feet.values())
+    if not has_own_frames or loaded.description.contact_points == feet:
         return loaded, []
-    words = [f"--foot={name}={link}:{frame}" for name, (link, frame) in feet.items()]
-    return load_robot(urdf, mjcf, feet=dict(feet)), words
+    options = [f"--foot={name}={link}:{frame}" for name, (link, frame) in feet.items()]
+    return load_robot(urdf, mjcf, feet=dict(feet)), options
 
 
 def format_stance(task: StandTask) -> str:
-    """Returns a stance as TOML, as ``--stance`` takes it."""
+    """Format a stand task as TOML for ``--stance``."""
     lines, tables = [], []
     for name, value in task.values().items():
         field = FIELDS[name]
@@ -175,25 +181,27 @@ def format_stance(task: StandTask) -> str:
             continue
         if field.per:
             tables += [
-                f"{field.option}.{json.dumps(of)} = {_typed(one)}" for of, one in value.items()
+                f"{field.option}.{json.dumps(element)} = {_format_value(item)}"
+                for element, item in value.items()
             ]
         else:
-            lines.append(f"{field.option} = {_typed(value, field.unit)}")
+            lines.append(f"{field.option} = {_format_value(value, field.unit)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
 
 
-def _typed(value: Any, unit: str = "") -> str:
+def _format_value(value: Any, unit: str = "") -> str:
+    """Format a value of the stance as TOML, lengths and angles with their unit."""
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_typed, value))}]"
+        return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, str | Contact | Weld):
         return json.dumps(str(value))
     return json.dumps(f"{value!r}{unit}" if unit in ("m", "rad") else value)
 
 
-def _contents(
+def _make_files(
     description: Description, packages: Mapping[str, Path] | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yields {place: content} of a description's two files, and of what they need."""
+    """Yield (path, content) of both models and of the meshes and textures that they need."""
     description = _without_made_frames(description)
     taken: dict[str, tuple[Path | None, bytes]] = {}
     urdf = urdf_from(
@@ -203,15 +211,15 @@ def _contents(
         name = element.get("filename") or ""
         file = urdf.resolve_mesh(name) if name else None
         if file is not None:
-            element.set("filename", _place(taken, file, read_input(file, MAX_FILE_BYTES)))
+            element.set("filename", _choose_path(taken, file, read_input(file, MAX_FILE_BYTES)))
     name = description.name.replace("/", "_")
     yield Path(f"{name}.urdf"), to_text(urdf.root).encode()
-    yield Path(f"{name}.xml"), _mjcf_text(description, partial(_place, taken)).encode()
+    yield Path(f"{name}.xml"), _render_mjcf(description, partial(_choose_path, taken)).encode()
     yield from ((Path(place), content) for place, (_, content) in taken.items())
 
 
 def _without_made_frames(description: Description) -> Description:
-    """Returns it without the frames that feet were given in memory, which reading gives again."""
+    """Return the description without foot frames that loading added and will add again."""
     tree, spec = UrdfTree.of(description.urdf), description.mjcf.copy()
     for frame in description.made_frames:
         tree.remove_subtree(frame)
@@ -219,47 +227,49 @@ def _without_made_frames(description: Description) -> Description:
     return replace(description, urdf=to_text(tree.root), mjcf=spec)
 
 
-def _place(taken: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
-    """Returns where a mesh goes; two of one name and another content get a number."""
+def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
+    """Return the path of a mesh; a file of the same name with other content gets a number."""
     number = 0
     while True:
-        place = f"{_MESHES}/{file.stem}{f'_{number}' if number else ''}{file.suffix}"
-        if taken.setdefault(place, (file, content))[1] == content:
+        place = f"{_MESH_FOLDER}/{file.stem}{f'_{number}' if number else ''}{file.suffix}"
+        if contents.setdefault(place, (file, content))[1] == content:
             return place
         number += 1
 
 
-def _mjcf_text(description: Description, place: Any) -> str:
-    """Returns the MJCF with all that it names in the folder of meshes."""
+def _render_mjcf(description: Description, choose_path: Any) -> str:
+    """Render the MJCF with all file references in the folder of meshes."""
     spec = description.mjcf.copy()
-    top = description.mjcf_source.parent
-    named: dict[str, str] = {}
+    source_folder = description.mjcf_source.parent
+    path_of_file: dict[str, str] = {}
 
-    def found(name: str, folder: str) -> Path | None:
+    def find_file(name: str, folder: str) -> Path | None:
         if not name:
             return None
         name = Path(name).name if spec.strippath else name
-        return existing_file(top / folder / name)
+        return existing_file(source_folder / folder / name)
 
-    def moved(name: str, folder: str) -> str:
-        """Returns the file's full path, by which its place is known in what MuJoCo writes."""
-        file = found(name, folder)
+    def register_file(name: str, folder: str) -> str:
+        """Register a file; return its absolute path, to be replaced in the rendered XML."""
+        file = find_file(name, folder)
         if file is None:
             return name
         full = str(file.absolute())
-        named[full] = place(file, read_input(file, MAX_FILE_BYTES))
+        path_of_file[full] = choose_path(file, read_input(file, MAX_FILE_BYTES))
         return full
 
     for element in (*spec.meshes, *spec.hfields, *spec.skins):
-        element.file = moved(element.file, element.compiler.meshdir)
+        element.file = register_file(element.file, element.compiler.meshdir)
     for texture in spec.textures:
-        texture.file = moved(texture.file, texture.compiler.texturedir)
-        texture.cubefiles = [moved(file, texture.compiler.texturedir) for file in texture.cubefiles]
+        texture.file = register_file(texture.file, texture.compiler.texturedir)
+        texture.cubefiles = [
+            register_file(file, texture.compiler.texturedir) for file in texture.cubefiles
+        ]
     spec.compiler.meshdir = spec.compiler.texturedir = ""
     spec.strippath = False
     root = ElementTree.fromstring(to_xml(spec))
     for node in root.iter():
-        for word, value in node.attrib.items():
-            if value in named:
-                node.set(word, named[value])
+        for attribute, value in node.attrib.items():
+            if value in path_of_file:
+                node.set(attribute, path_of_file[value])
     return ElementTree.tostring(root, encoding="unicode") + "\n"
