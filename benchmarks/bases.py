@@ -16,7 +16,11 @@ from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.robot.servos import command_lead, model_with_servos, own_servos
+from pupper_analysis.robot.servos import (
+    compute_command_lead,
+    list_position_servos,
+    model_with_servos,
+)
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
 from tests.robots.test_wheels import wheeled
@@ -180,7 +184,7 @@ def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
         root.remove(tag)
     section = etree.SubElement(root, "actuator")
     for (joint, (kp, kd)), limit in zip(
-        own_servos(robot).items(), robot.effort_limits.tolist(), strict=True
+        list_position_servos(robot).items(), robot.effort_limits.tolist(), strict=True
     ):
         motor = etree.SubElement(section, "position", name=joint, joint=joint)
         motor.set("kp", f"{kp:.6g}")
@@ -194,7 +198,7 @@ def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
     """Returns a keyframe in which it stands, with the commands that keep it there."""
     stand = solve_stand_as_simulated(robot, pa.solve_stand(robot))
     held = model_with_servos(robot)
-    ahead = command_lead(stand_statics(robot, stand).joint_torques, held.kp)
+    ahead = compute_command_lead(stand_statics(robot, stand).joint_torques, held.kp)
     model = mujoco.MjModel.from_xml_string(etree.tostring(root).decode())
     data = mujoco.MjData(model)
     joints = dict(zip(robot.joint_names, stand.joint_positions(robot).tolist(), strict=True))

@@ -34,7 +34,7 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, servo_gains
+from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
 from pupper_analysis.tools.fit.parameters import KINDS, list_bodies
 from pupper_analysis.tools.fit.stands.fit import (
@@ -92,7 +92,9 @@ class Planted:
 def offset_of(robot: Robot) -> float:
     """Returns the standard deviation of encoders' zeros (rad)."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    return min(OFFSET, STIFF * weight * robot.stand_height / float(servo_gains(robot).kp.mean()))
+    return min(
+        OFFSET, STIFF * weight * robot.stand_height / float(resolve_servo_gains(robot).kp.mean())
+    )
 
 
 def plant(robot: Robot, rng: np.random.Generator) -> Planted:
@@ -105,7 +107,7 @@ def plant(robot: Robot, rng: np.random.Generator) -> Planted:
         for axis, stated, off in zip("xyz", body.lever, moved, strict=True):
             factors[f"com_{axis}:{link}"], truth[f"com.{axis} {link}"] = off, stated + off
     common, own = rng.normal(), rng.normal(size=robot.nu)
-    stiffness = servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
+    stiffness = resolve_servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
     rng.normal(size=robot.nu)  # of friction, once: seeds are of the same robots still
     offsets = offset_of(robot) * rng.normal(size=robot.nu)
     for kind, values in (("kp", stiffness), ("offset", offsets)):
@@ -245,7 +247,7 @@ class Rig:
         self.robot, self.planted = true, planted
         self.kp = planted.kp.copy()
         self.kp[last_joints(stated)[-1]] *= other.soft
-        drive = model_with_servos(true, self.kp, servo_gains(stated, self.kp, None).kd)
+        drive = model_with_servos(true, self.kp, resolve_servo_gains(stated, self.kp, None).kd)
         self.model = drive.model
         at = true.mj_convention
         self.qpos, self.dofs = at.qpos_index[7:], at.qvel_index[6:]
@@ -515,9 +517,9 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
             planted = plant(robot, rng)
             if kp is not None:  # and not that of servos which were added
-                planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
+                planted = replace(planted, kp=planted.kp * kp / resolve_servo_gains(robot).kp)
             if given.drawn:
-                planted, other = drawn(planted, servo_gains(robot, kp).kp, seed)
+                planted, other = drawn(planted, resolve_servo_gains(robot, kp).kp, seed)
             rig = Rig(planted, replace(other, seconds=max(other.seconds, given.seconds)))
             stands = kept_stands(name, title, seed, rig, partial(plan, other.added), given.keep)
             if stands is None:
@@ -543,7 +545,7 @@ def fitted(
     except pa.PupperAnalysisError as error:
         code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
         return Row(name, title, seed, len(stands), "refused", code)
-    stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    stated = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
     factor = float(np.exp(np.log(rig.kp / stated).mean()))
     carried = truth["mass"] / robot.total_mass * (1 + truth["load scale"])
     truth["kp over mass"] = factor / carried

@@ -26,7 +26,7 @@ from fit_disturbed import PLAIN, Planted, Rig, kept_stands, plant
 import pupper_analysis as pa
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.fit.write import write_fit
@@ -93,9 +93,9 @@ def row(
 ) -> Row | None:
     """Returns what is found with one robot; None if it does not stand."""
     planted = plant(robot, np.random.default_rng([seed, zlib.crc32(name.encode())]))
-    stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    stated = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
     if kp is not None:
-        planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
+        planted = replace(planted, kp=planted.kp * kp / resolve_servo_gains(robot).kp)
     rig = Rig(planted, PLAIN)
     taken = kept_stands(name, "none", seed, rig, lambda: plan, keep)
     if taken is None:

@@ -33,7 +33,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import FitError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
+from pupper_analysis.robot.servos import Gains, model_with_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
@@ -270,7 +270,7 @@ def by_sysid(
 
 def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace) -> Row:
     """Makes a log of one kind, and fits it."""
-    joints, gains = KINDS[kind], servo_gains(robot, given.kp, given.kd)
+    joints, gains = KINDS[kind], resolve_servo_gains(robot, given.kp, given.kd)
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
     planted = plant(robot, rng, gains)
     fitted, other = (commands(robot, rng, s) for s in (given.seconds, given.seconds / 2))

@@ -28,7 +28,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
+from pupper_analysis.robot.servos import Gains, model_with_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.measurements.log import Log, read_log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
@@ -125,7 +125,11 @@ INTEGRATOR = mujoco.mjtIntegrator.mjINT_RK4.value
 def cover(name: str, given: argparse.Namespace) -> None:
     """Fits robots with planted errors, and says how often intervals hold them."""
     robot = pa.load_variant(name) if name in pa.VARIANTS else pa.load_robot(name)
-    gains, seeds, seconds = servo_gains(robot, given.kp, given.kd), given.seeds, given.seconds
+    gains, seeds, seconds = (
+        resolve_servo_gains(robot, given.kp, given.kd),
+        given.seeds,
+        given.seconds,
+    )
     held: dict[str, list[bool]] = {}
     spent, waited, explained = [], [], 0
     for seed in range(given.first, given.first + seeds):

@@ -26,7 +26,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.stance.problem import nominal_feet
+from pupper_analysis.stance.problem import nominal_foot_positions
 from pupper_analysis.tools.stand.stance import study_stance
 
 CONFIGURATIONS = 100
@@ -53,7 +53,7 @@ def stood(model: Path) -> str:
 
 def verdict_of(robot: pa.Robot, like: pa.Robot) -> str:
     """Returns the verdict of a robot on the feet of another one's nominal stand, and its peak."""
-    places, own = nominal_feet(like), nominal_feet(robot)
+    places, own = nominal_foot_positions(like), nominal_foot_positions(robot)
     nearest = {
         foot: min(places.values(), key=lambda p: math.dist(p, at)) for foot, at in own.items()
     }

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.stability import (
-    LASTING,
+    HOLD_DURATION,
     Mode,
     Stability,
     step_stability,
@@ -36,7 +36,7 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
     simulate,
 )
-from pupper_analysis.simulation.stability import LEFT, NUDGE, measure_response
+from pupper_analysis.simulation.stability import LEFT, NUDGE_SPEED, measure_response
 
 Array = NDArray[np.float64]
 
@@ -49,8 +49,8 @@ long, if that is longer than 12 s."""
 HARD = 0.3
 """Of a push beyond dry friction (m/s, rad/s), which frees what that holds."""
 
-SLOW = DOUBLINGS * LASTING
-"""Longer is not waited (s): what buckles more slowly than in ``LASTING`` is not refused."""
+SLOW = DOUBLINGS * HOLD_DURATION
+"""Longer is not waited (s): what buckles more slowly than in ``HOLD_DURATION`` is not refused."""
 
 
 @dataclass
@@ -144,11 +144,11 @@ def judged(case: Case) -> tuple[Stability, float]:
 
 def waited(mode: Mode) -> float:
     """Returns for how long a stand is simulated that a mode is said to take away (s)."""
-    return min(max(LASTING, DOUBLINGS * (mode.doubling_time or 0.0)), SLOW)
+    return min(max(HOLD_DURATION, DOUBLINGS * (mode.doubling_time or 0.0)), SLOW)
 
 
 def seen(
-    case: Case, duration: float, speed: float = NUDGE, *, enough: float = float("inf")
+    case: Case, duration: float, speed: float = NUDGE_SPEED, *, enough: float = float("inf")
 ) -> Seen:
     """Simulates what nudges do to a case.
 
@@ -168,7 +168,7 @@ def seen(
         states = simulate(model, start, np.tile(case.ctrl, (steps, 1)))
         whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
         nudge = measure_response(model, settled, states)
-        way = nudge.moved if speed > NUDGE else nudge.farthest
+        way = nudge.moved if speed > NUDGE_SPEED else nudge.farthest
         found.way = max(found.way, way if whole else np.inf)
         found.goes_on |= not nudge.decayed
         if found.way > enough:
@@ -178,12 +178,12 @@ def seen(
 
 def tried(case: Case, leaving: tuple[Mode, ...]) -> Seen:
     """Simulates nudges of a case; longer, and harder, if modes are said to take it away."""
-    found = seen(case, LASTING)
+    found = seen(case, HOLD_DURATION)
     if not leaving or found.word == "leaves" or (found.goes_on and leaving[0].shakes):
         return found
     longer = waited(leaving[0])
-    found = seen(case, longer, enough=LEFT) if longer > LASTING else found
-    return found if found.word != "stays" else seen(case, LASTING, HARD)
+    found = seen(case, longer, enough=LEFT) if longer > HOLD_DURATION else found
+    return found if found.word != "stays" else seen(case, HOLD_DURATION, HARD)
 
 
 def main() -> None:
@@ -197,7 +197,7 @@ def main() -> None:
     for case in (*variants(given.count, given.seed), *files(given.files)):
         found, took = judged(case)
         spent.append(took)
-        leaving = found.leaving() if found.at_rest else ()
+        leaving = found.modes_growing_within() if found.at_rest else ()
         if not found.at_rest:
             says = "not at rest"
         elif not leaving:

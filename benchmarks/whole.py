@@ -18,7 +18,7 @@ from rich.console import Console
 
 import pupper_analysis as pa
 from pupper_analysis.present.terminal import print_document
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.tools.analyze.analysis import analyze_variant, leg_lengths
 from pupper_analysis.tools.analyze.document import analysis_document
 
@@ -150,7 +150,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
     stage(
         "verification, fed forward and not",
         lambda: [
-            pa.verify_stand(*pair, feedforward=message, duration=LASTING)
+            pa.verify_stand(*pair, feedforward=message, duration=HOLD_DURATION)
             for pair in pairs
             for message in (True, False)
         ],

@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-_FORMULA: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+_FORMULA_START: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """First characters of cells that spreadsheets may execute, with their full-width forms (OWASP, CSV
 Injection)."""
 
-_GUARD: Final = "'"
+_TEXT_MARK: Final = "'"
 """Prefix by which spreadsheets take a cell as text."""
 
 
@@ -34,14 +34,14 @@ def _line(row: Iterable[object]) -> str:
 
 def cell_text(cell: str) -> str:
     """Return the text of a cell that ``csv_text`` wrote: without the apostrophe that it added."""
-    if cell.startswith(_GUARD) and _FORMULA.match(cell, len(_GUARD)):
-        return cell[len(_GUARD) :]
+    if cell.startswith(_TEXT_MARK) and _FORMULA_START.match(cell, len(_TEXT_MARK)):
+        return cell[len(_TEXT_MARK) :]
     return cell
 
 
 def _guard(cell: object) -> object:
-    if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell):
-        return _GUARD + cell
+    if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_number(cell):
+        return _TEXT_MARK + cell
     return cell
 
 

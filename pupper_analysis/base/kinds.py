@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import BinaryIO, Final
 
-GENERATOR: Final = "pupper-analysis"
+GENERATOR_NAME: Final = "pupper-analysis"
 """Name of the generator, written before the version in JSON, pages and figures."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
@@ -78,7 +78,7 @@ def _is_page(file: BinaryIO) -> bool:
 
 def _is_picture(file: BinaryIO) -> bool:
     head = file.read(NUM_HEAD_BYTES)
-    return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR} ".encode() in head
+    return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR_NAME} ".encode() in head
 
 
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
@@ -113,20 +113,20 @@ def _has_measurements(file: BinaryIO) -> bool:
     return bool(_read_measured_cells(file))
 
 
-RESULTS: Final = Kind(
-    "JSON result", match_prefix(f'{{\n  "generator": "{GENERATOR} '), suffixes=(".json",)
+RESULTS_KIND: Final = Kind(
+    "JSON result", match_prefix(f'{{\n  "generator": "{GENERATOR_NAME} '), suffixes=(".json",)
 )
-PAGE: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
-PICTURE: Final = Kind("figure", _is_picture, suffixes=(".png",))
+PAGE_KIND: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
+PICTURE_KIND: Final = Kind("figure", _is_picture, suffixes=(".png",))
 STAND_TABLE: Final = Kind(
     "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )
-PLAN: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
-RECORD: Final = Kind(
+PLAN_KIND: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
+RECORD_KIND: Final = Kind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )
-OFFSETS: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
-MODEL: Final = Kind("model")
+OFFSETS_KIND: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
+MODEL_KIND: Final = Kind("model")
 """Model file. Users edit models, so an existing model is replaced only with ``force``."""
 
 
@@ -139,24 +139,24 @@ def generated_model_kind(known: str | None) -> Kind:
     """Return the kind of a generated model. Without ``force``, only an unedited file is replaced.
 
     Args:
-        known: SHA-256 of the generated file. If None, the result is ``MODEL``.
+        known: SHA-256 of the generated file. If None, the result is ``MODEL_KIND``.
     """
     if known is None:
-        return MODEL
+        return MODEL_KIND
     return Kind("model as a fit has written it", lambda file: hash_content(file.read()) == known)
 
 
-OWN: Final = Kind("model", _match_any)
+OWN_KIND: Final = Kind("model", _match_any)
 """Model file whose name is derived from the content, so that each existing file may be replaced."""
-EDITED: Final = Kind("model", _match_any, edits=True)
+EDITED_KIND: Final = Kind("model", _match_any, edits=True)
 """Model file that the run reads and writes in place."""
 
-SAMPLES: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
+SAMPLES_KIND: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
 FIT_FOLDER: Final = Folder(
     {
-        "fit.json": RESULTS,
-        "offsets.csv": OFFSETS,
-        "samples.csv": SAMPLES,
+        "fit.json": RESULTS_KIND,
+        "offsets.csv": OFFSETS_KIND,
+        "samples.csv": SAMPLES_KIND,
     }
 )
 """Files that ``fit -o`` writes in addition to models."""

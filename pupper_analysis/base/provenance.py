@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.base.kinds import GENERATOR
+from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.results import to_json, to_plain
 from pupper_analysis.base.runs import current_run
 from pupper_analysis.base.units import units_of
 
-LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
+RECORDED_LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
 """Distributions that affect results, and whose versions are recorded."""
 
 
@@ -60,9 +60,9 @@ class Provenance:
 
 @lru_cache(maxsize=1)
 def list_versions() -> dict[str, str]:
-    """Return the versions of ``LIBRARIES``, the Python version and the processor type."""
+    """Return the versions of ``RECORDED_LIBRARIES``, the Python version and the processor type."""
     versions = {"machine": platform.machine(), "python": platform.python_version()}
-    for library in LIBRARIES:
+    for library in RECORDED_LIBRARIES:
         try:
             versions[library] = metadata.version(library)
         except metadata.PackageNotFoundError:
@@ -107,7 +107,7 @@ def to_marked_json(content: object) -> str:
         for name, alternatives in sorted(units_by_field.items())
     }
     origin = {**to_plain(collect_provenance()), "units": units}
-    marks = {"generator": f"{GENERATOR} {__version__}", "provenance": origin}
+    marks = {"generator": f"{GENERATOR_NAME} {__version__}", "provenance": origin}
     return f"{to_json({**marks, **plain})}\n"
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-GROUP = "pupper_analysis.tools"
+TOOLS_GROUP = "pupper_analysis.tools"
 """Group of entry points for tools of other distributions: ``name = "its_package"``."""
 
 FORMATS_GROUP = "pupper_analysis.formats"
@@ -29,12 +29,12 @@ FORMATS_GROUP = "pupper_analysis.formats"
 
 _TOOLS_FOLDER = Path(__file__).parents[1] / "tools"
 
-HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools")
+HELP_HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools")
 """Headings in the order of ``--help``. A tool with another heading, or none, is listed under the
 last."""
 
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
-_HEADING = re.compile(r'^HEADING = "(.+)"$', re.MULTILINE)
+_HEADING_PATTERN = re.compile(r'^HEADING = "(.+)"$', re.MULTILINE)
 
 
 class Tool(NamedTuple):
@@ -56,9 +56,9 @@ class Tool(NamedTuple):
 
     @property
     def heading(self) -> str:
-        """Heading in ``--help``, one of ``HEADINGS``."""
-        found = _HEADING.search(self._source_text)
-        return found[1] if found and found[1] in HEADINGS else HEADINGS[-1]
+        """Heading in ``--help``, one of ``HELP_HEADINGS``."""
+        found = _HEADING_PATTERN.search(self._source_text)
+        return found[1] if found and found[1] in HELP_HEADINGS else HELP_HEADINGS[-1]
 
     @property
     def _source_text(self) -> str:
@@ -93,7 +93,7 @@ def other_tools() -> Mapping[str, Tool]:
 
     Tools with the name of an own tool, and tools without a package folder, are left out.
     """
-    return _find_others(GROUP, "command.py")
+    return _find_others(TOOLS_GROUP, "command.py")
 
 
 def find_tool_modules(module: str) -> Mapping[str, str]:
@@ -163,7 +163,7 @@ _COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
 def _find_own(mark: str) -> Mapping[str, Tool]:
     paths = sorted(_TOOLS_FOLDER.glob(f"*/{mark}"))
     return MappingProxyType(
-        {path.parent.name: Tool(f"{GROUP}.{path.parent.name}", path.parent) for path in paths}
+        {path.parent.name: Tool(f"{TOOLS_GROUP}.{path.parent.name}", path.parent) for path in paths}
     )
 
 

@@ -11,16 +11,16 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Final
 
-EARTH = 9.81
+EARTH_GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]: the default of MuJoCo and of Pinocchio's URDF import."""
 
-DOWN = (0.0, 0.0, -EARTH)
+DOWNWARD_GRAVITY = (0.0, 0.0, -EARTH_GRAVITY)
 """Gravitational acceleration, shape (3,) [m/s^2], expressed in the world frame."""
 
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
-UNITS: Mapping[str, Mapping[str, float]] = {
+UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     "angle": _ANGLES,
     "length": _LENGTHS,
     "direction": _LENGTHS,  # a vector whose length does not count
@@ -55,10 +55,10 @@ class Position(float):
         return position
 
 
-DIMENSIONLESS: Final = "1"
+DIMENSIONLESS_UNIT: Final = "1"
 """Unit in the metadata of a field that is a ratio, a direction or a count."""
 
-VARIES: Final = "varies"
+VARYING_UNIT: Final = "varies"
 """Unit in the metadata of a field whose unit another field, or the key of the value, states."""
 
 
@@ -70,5 +70,9 @@ def units_of(kind: type) -> dict[str, str]:
     """
     if not is_dataclass(kind):
         return {}
-    stated = {field.name: field.metadata.get("unit", DIMENSIONLESS) for field in fields(kind)}
-    return {name: unit for name, unit in stated.items() if unit not in {DIMENSIONLESS, VARIES}}
+    stated = {field.name: field.metadata.get("unit", DIMENSIONLESS_UNIT) for field in fields(kind)}
+    return {
+        name: unit
+        for name, unit in stated.items()
+        if unit not in {DIMENSIONLESS_UNIT, VARYING_UNIT}
+    }

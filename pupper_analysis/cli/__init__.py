@@ -17,9 +17,9 @@ import click
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.inputs import discard_standard_input
-from pupper_analysis.base.kinds import GENERATOR
+from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.runs import ensure_run
-from pupper_analysis.base.tools import HEADINGS, find_tool_modules, other_tools, own_tools
+from pupper_analysis.base.tools import HELP_HEADINGS, find_tool_modules, other_tools, own_tools
 from pupper_analysis.cli.process import (
     Ended,
     ending_signals,
@@ -86,7 +86,7 @@ class LazyGroup(click.Group):
         """Writes the list of all commands under their headings, and imports none."""
         tools = {**own_tools(), **other_tools()}
         width = max(map(len, tools))  # of one column in all lists
-        for heading in HEADINGS:
+        for heading in HELP_HEADINGS:
             listed = [name for name in sorted(tools) if tools[name].heading == heading]
             if listed:
                 with formatter.section(heading):
@@ -144,7 +144,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
     """Runs a command; says what went wrong, and returns the exit status."""
     try:
         with ensure_run() as run:  # from here, as options read files, too
-            run.command = (GENERATOR, *arguments)
+            run.command = (GENERATOR_NAME, *arguments)
             return command.main(args=arguments, standalone_mode=False) or VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)

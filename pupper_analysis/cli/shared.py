@@ -19,7 +19,7 @@ from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.base.kinds import Folder, Kind
 from pupper_analysis.base.runs import ensure_run, register_input
-from pupper_analysis.base.units import UNITS, Position
+from pupper_analysis.base.units import UNIT_FACTORS, Position
 
 if TYPE_CHECKING:
     from pupper_analysis.base.results import Result
@@ -133,7 +133,7 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
     Raises:
         UsageError: If there are such words.
     """
-    known = {unit for units in UNITS.values() for unit in units}
+    known = {unit for units in UNIT_FACTORS.values() for unit in units}
     for number, unit in pairwise(words):
         if unit in known and not Path(unit).exists():
             with suppress(ValueError):
@@ -233,17 +233,17 @@ def output_option(
 json_option = output_option(
     "--json",
     "json_path",
-    holds=kinds.RESULTS,
+    holds=kinds.RESULTS_KIND,
     help="Write all results as JSON to this file, or to standard output (-).",
 )
 report_option = output_option(
     "--report",
     "report_path",
-    holds=kinds.PAGE,
+    holds=kinds.PAGE_KIND,
     help="Write an HTML report with tables, plots and a 3-D view to this file.",
 )
 figure_option = output_option(
-    "--figure", holds=kinds.PICTURE, help="Draw the result to this PNG file."
+    "--figure", holds=kinds.PICTURE_KIND, help="Draw the result to this PNG file."
 )
 format_option = click.option(
     "--format",
@@ -340,11 +340,11 @@ def parse_quantity(kind: str, text: str) -> float:
     Raises:
         ValueError: If it is no number, or has another unit, or a length is probably in mm.
     """
-    for unit, size in sorted(UNITS[kind].items(), key=lambda item: -len(item[0])):
+    for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
             value = float(text.removesuffix(unit)) * size
             if kind == "position":
-                return Position(value, "rad" if unit in UNITS["angle"] else "m")
+                return Position(value, "rad" if unit in UNIT_FACTORS["angle"] else "m")
             return value
     value = float(text)
     if is_millimetres(kind, value):
@@ -385,7 +385,7 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
 
     Args:
         option: Its name.
-        kind: A key of ``units.UNITS``.
+        kind: A key of ``units.UNIT_FACTORS``.
         text: What was typed.
         given: In what: the whole of the option's value.
     """
@@ -406,7 +406,7 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
 
 
 def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
-    units = tuple(UNITS[kind])
+    units = tuple(UNIT_FACTORS[kind])
     with suppress(ValueError):
         if is_millimetres(kind, float(text)):
             return diagnose("length-without-unit", length=text)
@@ -479,7 +479,7 @@ def write_json(path: Path | None, content: object) -> None:
 
     go_on()
     if path is not None:
-        with write_atomically(path, kinds.RESULTS) as file:
+        with write_atomically(path, kinds.RESULTS_KIND) as file:
             file.write(to_marked_json(content).encode())
         confirm_written(path)
 

@@ -14,7 +14,7 @@ import click
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.base.inputs import read_toml
-from pupper_analysis.base.units import UNITS
+from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
 
@@ -39,10 +39,10 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     elif point:
         frame = "[FRAME,]" if field.frame else ""
         options |= {"metavar": frame + ",".join(field.axes or "xy").upper()}
-    elif field.kind in UNITS:
-        options |= {"type": shared.QuantityType(field.kind), "default": field.usual}
+    elif field.kind in UNIT_FACTORS:
+        options |= {"type": shared.QuantityType(field.kind), "default": field.default_value}
     else:
-        options |= {"type": float, "metavar": field.unit.upper(), "default": field.usual}
+        options |= {"type": float, "metavar": field.unit.upper(), "default": field.default_value}
     return click.option(f"--{field.option}", field.name, **options)
 
 
@@ -63,7 +63,7 @@ def task_of(values: Mapping[str, Any]) -> StandTask:
     """
     from pupper_analysis.stance.task import StandTask
 
-    return StandTask().having(
+    return StandTask().with_values(
         {name: to_task_value(TYPED[name], value) for name, value in values.items()}
     )
 

@@ -28,7 +28,7 @@ from pupper_analysis.base.arrays import (
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.places import one_line
@@ -285,7 +285,7 @@ def _add_joint(
         joint_model(np.array(model.jnt_axis[index])),
         placement * at_zero,
         name,
-        np.array([effort_limit(model, index)]),
+        np.array([find_max_effort(model, index)]),
         np.array([np.inf]),
         np.array([lower]),
         np.array([upper]),

@@ -152,7 +152,7 @@ class EffortLimit(Result):
         return max(0.0, min(-self.lower, self.upper))
 
 
-def effort_of(
+def resolve_effort_limit(
     model: mujoco.MjModel,
     joint: int,
     effort: float | None = None,
@@ -195,10 +195,10 @@ def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[Ef
 
     Several actuators at a joint add up: what bounds their sum is one statement.
     """
-    found = stated_by_joint(model, joint)
+    found = read_joint_effort(model, joint)
     if len(drives) == 1:
-        return found + stated_by_actuator(model, drives[0])
-    each = [stated_by_actuator(model, actuator) for actuator in drives]
+        return found + read_actuator_efforts(model, drives[0])
+    each = [read_actuator_efforts(model, actuator) for actuator in drives]
     if drives and all(each):
         lower = sum(max(one.lower for one in own) for own in each)
         upper = sum(min(one.upper for one in own) for own in each)
@@ -260,7 +260,7 @@ def _is_empty(
     return low > high or file.stated(kind, name, (attribute,)) is not None
 
 
-def stated_by_joint(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
+def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Returns what a joint's own attribute states."""
     unknown = model.jnt_actfrcrange[joint, 1] >= UNSTATED  # MuJoCo's import of such a URDF
     if unknown or not model.jnt_actfrclimited[joint]:
@@ -269,13 +269,13 @@ def stated_by_joint(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     return [EffortStatement.of("MJCF", "joint", name, "actuatorfrcrange", range_)]
 
 
-def effort_limit(model: mujoco.MjModel, joint: int) -> float:
+def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
     """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited."""
-    limit = effort_of(model, joint)
+    limit = resolve_effort_limit(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
 
 
-def stated_by_actuator(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
+def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Returns what an actuator's own attributes state."""
     found, name = [], str(model.actuator(actuator).name)
     gear = float(actuator_gear(model, actuator)[0])
@@ -301,16 +301,16 @@ def stated_by_actuator(model: mujoco.MjModel, actuator: int) -> list[EffortState
     return found
 
 
-MOST_OF_MOTOR = 250.0
+MAX_TORQUE_PER_LINK_MASS = 250.0
 """N m that no motor with its gear gives for each of its kg: the best give 150. Of 1500 joints in
 use none is above 117 that has a motor in one of the two links it joins; tendons may come from afar.
 """
 
-MOST_OF_ROBOT = 90.0
+MAX_TORQUE_PER_ROBOT_MASS = 90.0
 """N m that all motors of a robot give together for each kg of it: 150 each, and motors are not more
 than six tenths of it. Robots in use have 2 to 55."""
 
-QUICKEST = 1e5
+MAX_ROTOR_ACCELERATION = 1e5
 """rad/s^2 that no motor gives its own rotor, effort / armature: 100 rad/s within 1 ms. Robots in
 use have 350 to 25,000."""
 
@@ -352,10 +352,10 @@ def placeholder_efforts(
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[Motor]] = {}
     for one in stated:
-        weighed = one.mass > 1e-3 * total and one.effort > MOST_OF_MOTOR * one.mass
+        weighed = one.mass > 1e-3 * total and one.effort > MAX_TORQUE_PER_LINK_MASS * one.mass
         if weighed and _is_round(one.effort):
             found.setdefault(("effort-beyond-links", one.effort), []).append(one)
-        elif one.armature > 0 and one.effort > QUICKEST * one.armature:
+        elif one.armature > 0 and one.effort > MAX_ROTOR_ACCELERATION * one.armature:
             found.setdefault(("effort-beyond-armature", one.effort), []).append(one)
     for (code, effort), several in found.items():
         names, limit = tuple(one.joint for one in several), Quantity(effort, "N m")
@@ -375,7 +375,7 @@ def placeholder_efforts(
     named = {one.joint for several in found.values() for one in several}
     rest = [one for one in stated if one.joint not in named]
     share = sum(one.effort for one in rest) / total if total > 0 else 0.0
-    if share > MOST_OF_ROBOT:
+    if share > MAX_TORQUE_PER_ROBOT_MASS:
         rest.sort(key=lambda one: -one.effort / max(one.mass, 1e-3 * total))
         efforts = [one.effort for one in rest]
         names = tuple(one.joint for one in rest)

@@ -35,11 +35,11 @@ from pupper_analysis.models.transmission import (
     list_joint_actuators,
     read_actuator_law,
 )
-from pupper_analysis.robot.fall import began_anew
+from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.floor import disable_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
-    command_elsewhere,
+    make_neutral_commands,
     model_with_servos,
     write_position_servos,
 )
@@ -364,7 +364,7 @@ def hold_of(
     """
     model = bare.model
     at_joints = np.setdiff1d(np.arange(model.nactuator), other_motors(model))
-    ctrl = command_elsewhere(model, data.qpos, at_joints)
+    ctrl = make_neutral_commands(model, data.qpos, at_joints)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}
@@ -447,7 +447,7 @@ def simulate_published(
     with silence_mujoco():
         at_once = 0 if len(dofs) else steps - last  # with nothing to be done between steps
         for begin in range(0, at_once, _STEPS):
-            if not began_anew(data):
+            if not was_reset_by_mujoco(data):
                 mujoco.mj_step(model, data, nstep=min(_STEPS, at_once - begin))
         for step in range(at_once, steps):
             if len(dofs):
@@ -461,7 +461,7 @@ def simulate_published(
                         outside[dof] = wanted
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
-            lost = began_anew(data)
+            lost = was_reset_by_mujoco(data)
             if lost or step >= steps - last:
                 given = data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
                 np.minimum(low, given, out=low)

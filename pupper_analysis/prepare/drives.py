@@ -34,7 +34,7 @@ from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_ga
 from pupper_analysis.prepare.touching import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.simulation.settling import comes_to_rest
 from pupper_analysis.simulation.verify import ANOTHER_ROBOT, StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
@@ -100,7 +100,7 @@ def add_position_servos(
         (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and in how many ways it comes to
         rest: 2 with feed-forward and without, 1 with feed-forward alone, or 0.
     """
-    own = own_servos(robot)
+    own = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
     stated = {limit.joint: limit for limit in robot.efforts}
 
@@ -314,7 +314,7 @@ def servos_of(
         own: Joints that have one; by default those with a servo in the robot's model.
     """
     idle = {robot.joint_names[joint] for joint in following_joints(robot)}
-    left = {*(own_servos(robot) if own is None else own), *idle}
+    left = {*(list_position_servos(robot) if own is None else own), *idle}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
     stiffness = describe_span(kp[missing], "N m/rad")
     message = diagnose(

@@ -22,7 +22,7 @@ from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.build import report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.trial import (
     NUDGE,
     NudgeTrial,
@@ -73,7 +73,7 @@ def judge(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     robot = stand.check(robot)
-    servos, loaded = servos_used(robot, kp, kd), as_loaded(robot)
+    servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
     own = own_run_explained(robot)
     if not (loaded.floating or stand.stance_feet):
         own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])

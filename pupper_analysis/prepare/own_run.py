@@ -41,11 +41,11 @@ from pupper_analysis.robot.as_published import (
     OwnRun,
 )
 from pupper_analysis.robot.fall import (
-    body_moved,
-    held_motion,
     initial_height,
+    measure_motion,
     nudge_velocity,
-    own_motion,
+    simulate_held_keyframe,
+    simulate_keyframe,
 )
 from pupper_analysis.robot.robot import Robot
 
@@ -161,7 +161,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
         return False
     initial = initial_height(bare.model, start, bare.base, bare.ground or 0.0)
-    motion = body_moved(bare.model, start, data, bare.base, _SETTLING_TIME, initial)
+    motion = measure_motion(bare.model, start, data, bare.base, _SETTLING_TIME, initial)
     return not motion.collapses
 
 
@@ -352,9 +352,9 @@ def _simulate_commands(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold
         simulate_published(bare, state, hold, seconds)
 
     if robot.floating:
-        motion, end = own_motion(bare.model, start, bare.base, bare.ground or 0.0, advance)
+        motion, end = simulate_keyframe(bare.model, start, bare.base, bare.ground or 0.0, advance)
     else:
-        motion, end = held_motion(bare.model, start, advance)
+        motion, end = simulate_held_keyframe(bare.model, start, advance)
     joints = _joint_deviations(bare, robot, start, end, hold.ctrl)
     unheld = _unheld_joints(robot, joints)
     imported = robot.published is not None and robot.published.imported is not None

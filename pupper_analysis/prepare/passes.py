@@ -68,7 +68,7 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
@@ -470,7 +470,7 @@ def _tell_what_follows(draft: Draft) -> Made:
 def _add_servos(draft: Draft) -> Made:
     robot = draft.robot
     idle = {robot.joint_names[joint] for joint in drives.following_joints(robot)}
-    if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
+    if not set(robot.joint_names) <= list_position_servos(robot).keys() | idle:
         add = drives.with_added_servos if robot.floating else drives.with_held_servos
         robot, made = add(robot, draft.mjcf)
         return replace(draft, built=robot), made

@@ -56,9 +56,9 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.fall import InitialHeight, body_moved, nudge_velocity
+from pupper_analysis.robot.fall import InitialHeight, measure_motion, nudge_velocity
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos, servo_gains
+from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
 from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
@@ -252,7 +252,7 @@ def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
     found = [Predicted(True, held.qpos, torques, held.joint_positions(robot))]
     made = robot.description.made_servos
     replaced = any(servo.instead_of is Drive.SERVO for servo in made)
-    if len(own_servos(robot)) < robot.nu or replaced:
+    if len(list_position_servos(robot)) < robot.nu or replaced:
         return found  # it sags otherwise on its own than on those that were added
     with contextlib.suppress(PupperAnalysisError):
         # Feet that are predicted pinned creep, by fractions of a millimetre, to where these are.
@@ -295,12 +295,12 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     if robot.floating:
         com = float(start.subtree_com[bare.base][2])
         predicted = InitialHeight(com, 0.0, bare.ground or 0.0)
-        motion = body_moved(model, start, data, bare.base, SETTLING + NUDGED, predicted)
+        motion = measure_motion(model, start, data, bare.base, SETTLING + NUDGED, predicted)
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= SAME_HEIGHT * motion.height
     else:  # where it may stick after a nudge
         with contextlib.suppress(ModelError):
-            sticks = servo_gains(robot).kp
+            sticks = resolve_servo_gains(robot).kp
         rubbing, sticks = dry_friction(robot, sticks)
         off = np.maximum(off - rubbing[driven], 0.0)
     torque = float(off.max(initial=0.0)) / torque_scale(robot, wanted.torques)

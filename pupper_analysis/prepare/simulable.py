@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.units import EARTH
+from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.additions import Options
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -158,7 +158,7 @@ def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
         The largest of the base's three forces that is left out, in parts of the robot's weight.
     """
     # What weighs nothing is pushed with a tenth of its weight on Earth.
-    gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH
+    gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH_GRAVITY
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])
     data.xfrc_applied[base, :3] = _PUSH * weight

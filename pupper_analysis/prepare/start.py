@@ -23,7 +23,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.fall import own_motion
+from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
@@ -534,7 +534,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
         mujoco.mj_step(model, state, nstep=round(seconds / float(model.opt.timestep)))
 
     with silence_mujoco():
-        motion, end = own_motion(model, data, int(model.jnt_bodyid[free[0]]), 0.0, advance)
+        motion, end = simulate_keyframe(model, data, int(model.jnt_bodyid[free[0]]), 0.0, advance)
     if motion.collapses:
         return None
     grounded = (model.geom_bodyid[end.contact.geom] == 0).any(axis=1)

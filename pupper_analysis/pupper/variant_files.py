@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import STANDARD_INPUT, is_input
-from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
@@ -147,7 +147,7 @@ def write_variant(
         mjcf_path.parent / meshdir / mesh: (beside / mesh).read_bytes() for mesh in sorted(meshes)
     }
     contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
-    write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
+    write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path
 
 

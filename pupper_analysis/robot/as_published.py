@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.robot.fall import FALLEN_TILT, SUNKEN, BodyMotion
+from pupper_analysis.robot.fall import FALLEN_TILT, MAX_HEIGHT_LOSS_RATIO, BodyMotion
 
 
 class ServoSource(StrEnum):
@@ -180,10 +180,10 @@ class OwnRun(BodyMotion):
 
     @property
     def lifted(self) -> bool:
-        """Whether the robot ends higher by ``SUNKEN`` of its height, and upright."""
+        """Whether the robot ends higher by ``MAX_HEIGHT_LOSS_RATIO`` of its height, and upright."""
         gain = self.end_height - self.height
         upright = not self.diverged and self.lean <= FALLEN_TILT
-        return self.standing and upright and gain > SUNKEN * self.height
+        return self.standing and upright and gain > MAX_HEIGHT_LOSS_RATIO * self.height
 
     @property
     def tilted(self) -> bool:
@@ -219,9 +219,9 @@ class PublishedRun:
             predicted torque.
         height_error: Final minus predicted height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation (rad).
-        collapses: Whether the robot has fallen, sunk by ``robot.fall.SUNKEN`` of its height,
-            travelled by its height, or diverged. For a fixed base, whether a joint has left the
-            posture.
+        collapses: Whether the robot has fallen, sunk by ``robot.fall.MAX_HEIGHT_LOSS_RATIO`` of its
+            height, travelled by its height, or diverged. For a fixed base, whether a joint has
+            left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
     """

@@ -25,7 +25,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
-from pupper_analysis.base.units import DOWN
+from pupper_analysis.base.units import DOWNWARD_GRAVITY
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.additions import Addition
 from pupper_analysis.models.attributes import BY_KIND
@@ -419,7 +419,7 @@ _REPORTED_FLAGS = (
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth."""
     gravity = acting_gravity(model)
-    if float(np.linalg.norm(gravity - DOWN)) > _GRAVITY_ATOL:
+    if float(np.linalg.norm(gravity - DOWNWARD_GRAVITY)) > _GRAVITY_ATOL:
         yield diagnose("gravity-not-the-earths", gravity=gravity)
     for bit, word in _REPORTED_FLAGS:
         if model.opt.disableflags & bit.value:

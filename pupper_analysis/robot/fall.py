@@ -23,18 +23,18 @@ Array = NDArray[np.float64]
 FALLEN_TILT = 0.5
 """A base that leans by more than this against its task has fallen over (rad)."""
 
-SUNKEN = 0.3
+MAX_HEIGHT_LOSS_RATIO = 0.3
 """What has lost this share of its height has collapsed: what sags on servos that carry it
 loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half. One that has gained it was thrown
 up."""
 
 
-def lean_between(one: Array, other: Array) -> float:
+def tilt_between(one: Array, other: Array) -> float:
     """Returns the angle between the verticals of two rotations (3, 3) (rad)."""
     return math.acos(min(1.0, max(-1.0, float(one[2] @ other[2]))))
 
 
-OWN_SECONDS = 5.0
+MAX_KEYFRAME_DURATION = 5.0
 """Of a run from a keyframe (s): it drops by a few centimetres, servos catch it, and what gives way
 slowly (a knee whose servo has no force: 2 cm/s after 2 s) has done so."""
 
@@ -44,11 +44,11 @@ _MOST_STEPS = 5000
 _LEAST_SECONDS = 2.0
 """... this (s), in which what falls from its own height lies."""
 
-GONE = 1.0
+MAX_TRAVEL_RATIO = 1.0
 """Heights that what stands does not travel: on feet that stay where they are, no robot
 gets so far; what slides, rolls or flies does. (Gravity that is sideways moves it 20 m in 2 s.)"""
 
-NUDGE = 1e-3
+NUDGE_SPEED = 1e-3
 """Greatest speed in a nudge, of each coordinate (m/s, rad/s). Equilibria that shake to pieces at
 the next touch have basins of 1e-7, and survive 1e-9; those that stand forget 1e-2."""
 
@@ -75,16 +75,16 @@ _LOST = (
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
-    """Returns velocities (nv,) that nudge everything, base and joints, by ``NUDGE`` at most."""
+    """Return random velocities of base and joints, shape (nv,), of at most ``NUDGE_SPEED``."""
     # Seeded: the same robot is nudged alike. No mode is orthogonal to what is random.
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
-    return np.asarray(NUDGE * nudge / np.abs(nudge).max(initial=0.5))
+    return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
 
 
-def own_seconds(model: mujoco.MjModel) -> float:
+def keyframe_duration(model: mujoco.MjModel) -> float:
     """Returns for how long a run from a keyframe is simulated (s)."""
     affordable = _MOST_STEPS * float(model.opt.timestep)
-    return min(OWN_SECONDS, max(_LEAST_SECONDS, affordable))
+    return min(MAX_KEYFRAME_DURATION, max(_LEAST_SECONDS, affordable))
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,14 @@ class BodyMotion:
         return has_collapsed(self.lean, size - self.end_height, away, size)
 
 
-def own_motion(
+def simulate_keyframe(
     model: mujoco.MjModel,
     start: mujoco.MjData,
     base: int,
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulates a keyframe for ``own_seconds``: nudged, nudged the other way, and not at all.
+    """Simulates a keyframe for ``keyframe_duration``: nudged, nudged the other way, and not at all.
 
     What a drop leaves on an edge between two falls, or a fall and a stand, goes to one of them by a
     nudge of one sign, and to the other by one of the other: the first run that collapses counts.
@@ -151,7 +151,7 @@ def own_motion(
     Returns:
         What became of the robot, and the data at the end.
     """
-    seconds, before, runs = own_seconds(model), _placed(model, start), []
+    seconds, before, runs = keyframe_duration(model), _placed(model, start), []
     initial = initial_height(model, start, base, ground)
     for sign in (1.0, -1.0, 0.0):
         data, diverged = copy.copy(start), False
@@ -160,7 +160,7 @@ def own_motion(
             advance(data, seconds)
         except mujoco.FatalError:  # a contact of shapes without directions, say
             diverged = True
-        moved = body_moved(model, before, data, base, seconds, initial)
+        moved = measure_motion(model, before, data, base, seconds, initial)
         lies = _lies(model, data, base)
         runs.append((replace(moved, diverged=moved.diverged or diverged, lies=lies), data))
         if runs[-1][0].collapses:
@@ -168,23 +168,23 @@ def own_motion(
     return runs[0]
 
 
-def held_motion(
+def simulate_held_keyframe(
     model: mujoco.MjModel,
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulates what is held in the world, nudged, for ``own_seconds``: it cannot fall."""
-    data, seconds = copy.copy(start), own_seconds(model)
+    """Simulates what is held in the world, nudged, for ``keyframe_duration``: it cannot fall."""
+    data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
     diverged = False
     try:
         advance(data, seconds)
     except mujoco.FatalError:
         diverged = True
-    return BodyMotion(seconds, 0.0, 0.0, 0.0, 0.0, diverged or began_anew(data)), data
+    return BodyMotion(seconds, 0.0, 0.0, 0.0, 0.0, diverged or was_reset_by_mujoco(data)), data
 
 
-def began_anew(data: mujoco.MjData) -> bool:
+def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
     """Tells whether MuJoCo reset a state on its way, as it does where numbers are no longer any.
 
     It counts that; the time tells nothing of one that was lost in its first step.
@@ -200,7 +200,7 @@ def _placed(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     return placed
 
 
-def body_moved(
+def measure_motion(
     model: mujoco.MjModel,
     start: mujoco.MjData,
     end: mujoco.MjData,
@@ -225,9 +225,9 @@ def body_moved(
         height=initial.com - initial.clearance - initial.ground,
         end_height=float(here[2]) - initial.ground,
         clearance=initial.clearance,
-        lean=lean_between(first.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3)),
+        lean=tilt_between(first.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3)),
         away=horizontal_distance(there, here),
-        diverged=began_anew(end),
+        diverged=was_reset_by_mujoco(end),
     )
 
 
@@ -345,5 +345,5 @@ def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool
         away: How far it has travelled, as seen from above (m).
         size: The height of its centre of mass, where it stood, above what carries it (m).
     """
-    upright = abs(lost) <= SUNKEN * size and leaning <= FALLEN_TILT
-    return not (upright and away <= GONE * size)
+    upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT
+    return not (upright and away <= MAX_TRAVEL_RATIO * size)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.units import READ_IN, UNITS
+from pupper_analysis.base.units import READ_IN, UNIT_FACTORS
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -367,7 +367,7 @@ def _make_formatter(spec: str) -> Callable[..., str]:
 def _format_exact_angle(angle: float) -> str:
     """Return the shortest text of an angle that is read without loss, in degrees if possible."""
     candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
-    radians_per_degree = UNITS["angle"]["deg"]
+    radians_per_degree = UNIT_FACTORS["angle"]["deg"]
     return next(
         (f"{text}deg" for text in candidates if float(text) * radians_per_degree == angle),
         f"{angle!r}rad",

@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.units import EARTH
+from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
     EffortLimit,
     EffortStatement,
-    effort_of,
+    resolve_effort_limit,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import group_actuators_by_joint
@@ -72,7 +72,7 @@ def efforts_of(
     for name, effort in zip(joint_names, urdf, strict=True):
         joint, original = int(mj_model.joint(name).id), original_limits.get(name)
         drives = actuators_by_joint.get(joint, ())
-        limit = effort_of(mj_model, joint, effort, drives=drives, null=null.get(name))
+        limit = resolve_effort_limit(mj_model, joint, effort, drives=drives, null=null.get(name))
         is_equal = original is not None and _are_equal_efforts(original.lower, limit.lower)
         is_equal = (
             is_equal and original is not None and _are_equal_efforts(original.upper, limit.upper)
@@ -387,7 +387,7 @@ class Robot:
     @property
     def usual_weight(self) -> float:
         """Weight [N], or the weight on Earth if gravity is zero; a scale for relative errors."""
-        return self.weight or self.total_mass * EARTH
+        return self.weight or self.total_mass * EARTH_GRAVITY
 
     @cached_property
     def structure(self) -> Structure:

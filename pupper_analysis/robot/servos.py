@@ -21,7 +21,7 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-INTEGRATORS = {
+INTEGRATOR_TYPES = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
@@ -29,7 +29,7 @@ INTEGRATORS = {
 }
 """MuJoCo's integrators, as MJCF names them."""
 
-CONES = {
+CONE_TYPES = {
     "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
     "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
 }
@@ -79,18 +79,20 @@ class Servos:
         """
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros((*positions.shape[:-1], self.model.nu))
-        target = positions if torques is None else positions + command_lead(torques, self.kp)
+        target = (
+            positions if torques is None else positions + compute_command_lead(torques, self.kp)
+        )
         if _servos_elsewhere(self.model, actuators[driven]).size:
             data = mujoco.MjData(self.model)
             for row in np.ndindex(positions.shape[:-1]):
                 data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions[row]
-                ctrl[row] = command_elsewhere(self.model, data.qpos, actuators[driven])
+                ctrl[row] = make_neutral_commands(self.model, data.qpos, actuators[driven])
         places = self.model.actuator_ctrladr[actuators[driven]]
         ctrl[..., places] = (self.gear * target)[..., driven]
         return ctrl
 
 
-def command_elsewhere(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
+def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
     """Returns the ctrl (model.nu,) with which servos at tendons and sites exert nothing.
 
     Args:
@@ -127,7 +129,7 @@ def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArra
     return np.setdiff1d(np.flatnonzero(servo), known)
 
 
-def command_lead(torques: Array, kp: Array) -> Array:
+def compute_command_lead(torques: Array, kp: Array) -> Array:
     """Returns by how much (..., nu) a command is beyond a pose for torques (..., nu) to be given.
 
     Nothing where there is no servo, at joints that follow others.
@@ -156,7 +158,7 @@ def model_with_servos(
             both given.
     """
     model = copy.copy(robot.mj_model)
-    wanted = servo_gains(robot, kp, kd)
+    wanted = resolve_servo_gains(robot, kp, kd)
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
     if kp is not None or kd is not None:
@@ -164,9 +166,9 @@ def model_with_servos(
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
     _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
-        model.opt.integrator = _value_of("integrator", integrator, INTEGRATORS)
+        model.opt.integrator = _value_of("integrator", integrator, INTEGRATOR_TYPES)
     used = next(
-        (name for name, kind in INTEGRATORS.items() if kind.value == model.opt.integrator),
+        (name for name, kind in INTEGRATOR_TYPES.items() if kind.value == model.opt.integrator),
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
     )
     return Servos(model, wanted.kp, wanted.kd, wanted.gear, used)
@@ -230,14 +232,16 @@ def _limit(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ran
     model.actuator_forcerange[actuators[chosen]] = wanted[chosen]
 
 
-STIFFEST = 1e9
+MAX_GAIN = 1e9
 """N m/rad (kd: N m s/rad): more than any machine's; what overflows is far beyond."""
 
-SOFTEST = 1e-9
+MIN_STIFFNESS = 1e-9
 """N m/rad: commands are the torque divided by kp, and overflow far below."""
 
 
-def servo_gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None) -> Gains:
+def resolve_servo_gains(
+    robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> Gains:
     """Returns what ``model_with_servos`` works out, without a model that has it.
 
     Raises:
@@ -266,8 +270,8 @@ def servo_gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None 
         raise ModelError(robot.description.mjcf_source, problem)
     stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
     damping = damped if kd is None else _gain("kd", kd, robot.nu)
-    if kp is not None and (stiffness[~following] < SOFTEST).any():
-        problem = diagnose("stiffness-too-small", kp=stiffness.min(), least=SOFTEST)
+    if kp is not None and (stiffness[~following] < MIN_STIFFNESS).any():
+        problem = diagnose("stiffness-too-small", kp=stiffness.min(), least=MIN_STIFFNESS)
         raise ConfigurationError("kp", problem)
     stiffness[following], damping[following] = 0.0, 0.0
     return Gains(stiffness, damping, gear, servo)
@@ -290,7 +294,7 @@ def command_ranges(robot: Robot) -> Array:
     return ranges
 
 
-def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
+def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     """Returns the joints whose motor is a position servo in the robot's model.
 
     Returns:
@@ -306,7 +310,7 @@ def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     }
 
 
-def servos_used(
+def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
     """Tells where the gains of a robot's servos are from.
@@ -320,7 +324,7 @@ def servos_used(
         ConfigurationError: As ``model_with_servos``.
         ModelError: Likewise.
     """
-    found, made = servo_gains(robot, kp, kd), robot.description.made_servos
+    found, made = resolve_servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}
     chosen = np.array([name in joints for name in robot.joint_names])
     if kp is not None or kd is not None:
@@ -365,8 +369,8 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
     except ValueError as error:
         raise ConfigurationError(name, diagnose("no-numbers", count=size)) from error
     for one in gain.tolist():
-        if not 0 <= one <= STIFFEST:
-            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one, most=STIFFEST))
+        if not 0 <= one <= MAX_GAIN:
+            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one, most=MAX_GAIN))
     return gain
 
 
@@ -399,9 +403,9 @@ def with_options(
     """
     asked: dict[str, Any] = {}
     if integrator is not None:
-        asked["integrator"] = _value_of("integrator", integrator, INTEGRATORS)
+        asked["integrator"] = _value_of("integrator", integrator, INTEGRATOR_TYPES)
     if cone is not None:
-        asked["cone"] = _value_of("cone", cone, CONES)
+        asked["cone"] = _value_of("cone", cone, CONE_TYPES)
     if impratio is not None:
         if not 0 < impratio < math.inf:
             raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))

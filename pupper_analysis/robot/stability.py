@@ -23,13 +23,13 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 
 Array = NDArray[np.float64]
 
-STEP = 1e-7
+DIFFERENCE_STEP = 1e-7
 """Step of the centred differences (m, rad, and their rates). Contacts are curved over 1e-5; the
 error of the eigenvalues is 1e-9 with this step, and as much with 1e-6."""
 
 SECOND_STEP = 3e-8
 """Step with which a mode that grows must be found again. Two public MJCFs with dry friction have a
-spectral radius of 1.041 with ``STEP``, and of 1.000 with this step."""
+spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this step."""
 
 _RATE_TOLERANCE = 0.3
 """Relative difference of the growth per step up to which both steps agree on a mode."""
@@ -40,7 +40,7 @@ earlier on one side of a difference, and an element is off by 0.03. A copy of th
 meshes of a humanoid, takes longer than all else."""
 
 
-SLEEP = mujoco.mjtEnableBit.mjENBL_SLEEP.value
+SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
 """``<flag sleep="enable"/>``."""
 
 
@@ -59,7 +59,9 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     return own
 
 
-def step_derivative(model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP) -> Array:
+def step_derivative(
+    model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
+) -> Array:
     """Compute the derivative of a step by the state, shape (2 nv + na, 2 nv + na).
 
     Args:
@@ -72,8 +74,8 @@ def step_derivative(model: mujoco.MjModel, data: mujoco.MjData, difference: floa
     flags = int(model.opt.enableflags)
     model.opt.tolerance = min(tolerance, _TOLERANCE)
     # What sleeps has no derivative: a change of its state wakes it, or is forgotten.
-    model.opt.enableflags = flags & ~SLEEP
-    if flags & SLEEP:
+    model.opt.enableflags = flags & ~SLEEP_FLAG
+    if flags & SLEEP_FLAG:
         data = copy_data(model, data)
     try:
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
@@ -85,7 +87,7 @@ def step_derivative(model: mujoco.MjModel, data: mujoco.MjData, difference: floa
 
 
 def _differences(
-    model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = STEP
+    model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
     """Fill in centred differences of whole steps."""
     own, nv = copy_data(model, data), model.nv
@@ -107,17 +109,17 @@ def _differences(
     return matrix
 
 
-LASTING = 12.0
+HOLD_DURATION = 12.0
 """How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by
 it buckles slowly: v3's payload limit doubles a deviation in 30 s."""
 
-SETTLE = 0.5
+SETTLING_TIME = 0.5
 """Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
 and a mode that doubles in a second has multiplied rounding by 1.4."""
 
 _LONGEST_DOUBLING = 600.0  # s: what is simulated at most, as of a stand
 
-_EDGE = 10 * STEP
+_EDGE = 10 * DIFFERENCE_STEP
 """So near to its limit a joint is at it (rad, m): differences would be taken half inside, half
 outside, and their mean is the motion of neither. ANYmal at a hard limit of its knees was said to
 shake at 9 Hz, and forgot each nudge."""
@@ -199,7 +201,7 @@ class Mode(Result):
         What takes longer for a swing than a stand is to last is no shaking, but creep.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
-        return swings and self.frequency * LASTING > 1
+        return swings and self.frequency * HOLD_DURATION > 1
 
     def grows_within(self, duration: float) -> bool:
         """Tells whether it leaves the state in that time (s).
@@ -220,7 +222,7 @@ class Stability(Result):
         timestep: s.
         radius: The greatest absolute eigenvalue of a step, with dry friction.
         unstable: The modes that grow, the fastest first. After ``confirm_growth`` those that would
-            leave the state within ``LASTING`` are confirmed by a simulation.
+            leave the state within ``HOLD_DURATION`` are confirmed by a simulation.
         least_damped: The mode with the least damping ratio of those that swing and decay, with dry
             friction or once that is overcome.
         speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
@@ -260,19 +262,19 @@ class Stability(Result):
         swinging += [self.least_damped] if self.least_damped is not None else []
         return min((mode.damping_ratio for mode in swinging), default=1.0)
 
-    def leaving(self, duration: float = LASTING) -> tuple[Mode, ...]:
+    def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
         """Returns the modes with which it does not stay for that time (s); see ``grows_within``."""
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
         return tuple(mode for mode in growing if mode.shakes or not self.sticks)
 
-    def lasts(self, duration: float = LASTING) -> bool:
+    def lasts(self, duration: float = HOLD_DURATION) -> bool:
         """Tells whether it stays for that time (s) when it is nudged."""
-        return not self.leaving(duration)
+        return not self.modes_growing_within(duration)
 
 
 @check_arguments
 def step_stability(
-    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
+    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
     """Judges the stability of a state, by the eigenvalues of one of MuJoCo's steps.
 
@@ -282,8 +284,8 @@ def step_stability(
     shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
 
     Dry friction of joints and tendons, which MuJoCo makes viscous if nothing slides, hides a mode
-    until a push overcomes it. So the modes that leave within ``LASTING`` without it are returned,
-    too (``Mode.freed``). Contacts keep their friction.
+    until a push overcomes it. So the modes that leave within ``HOLD_DURATION`` without it are
+    returned, too (``Mode.freed``). Contacts keep their friction.
 
     Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
     state survives a harder push, a simulation tells.
@@ -350,7 +352,9 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     finally:
         for values, before in zip(rubbing, kept, strict=True):
             values[:] = before
-    freed = [replace(mode, freed=True) for mode in free.unstable if mode.grows_within(LASTING)]
+    freed = [
+        replace(mode, freed=True) for mode in free.unstable if mode.grows_within(HOLD_DURATION)
+    ]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
     damped = [found.least_damped] if found.least_damped is not None else []
     damped += [replace(free.least_damped, freed=True)] if free.least_damped is not None else []
@@ -360,7 +364,7 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 
 def _repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
     """Mark the leaving modes that the spectrum with ``SECOND_STEP`` does not have."""
-    if not found.leaving():
+    if not found.modes_growing_within():
         return found
     second = _judged_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
@@ -374,7 +378,7 @@ def _repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> S
 
 
 def _judged_at_limits(
-    model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP
+    model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Stability:
     """Judge a state; if joints are at their limits, on both sides of these: the worse counts."""
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
@@ -406,7 +410,7 @@ class _Modes:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, difference: float = STEP
+        self, model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
     ) -> None:
         self._model, self._data = model, data
         matrix = step_derivative(model, data, difference)
@@ -453,7 +457,7 @@ class _Modes:
             damping_ratio=self._damping(mode),
             time_constant=constant,
             doubling_time=math.log(2) * constant if self._grows[mode] else None,
-            joints=most_moving(self._joints(mode)),
+            joints=select_most_moving(self._joints(mode)),
             _direction=self._direction(mode),
         )
 
@@ -474,7 +478,7 @@ class _Modes:
         }
 
 
-def most_moving(shares: dict[str, float]) -> tuple[str, ...]:
+def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
     """Return the few names with the greatest shares, the greatest first."""
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _NAMED_SHARE * shares[names[0]] if names else 0.0

@@ -42,7 +42,7 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
         stability: Of where it settled; what still moves there is not judged by it.
         nudge: What became of the nudge, if it was given.
     """
-    leaving = stability.leaving() if stability.at_rest else ()
+    leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
     quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
     if nudge is not None and not nudge.decayed and not quiet and not messages:

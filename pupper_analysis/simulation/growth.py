@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.robot.fall import nudge_velocity
-from pupper_analysis.robot.stability import LASTING, Mode, Stability, most_moving
+from pupper_analysis.robot.stability import HOLD_DURATION, Mode, Stability, select_most_moving
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE, full_state, roll_out
 
@@ -46,9 +46,9 @@ FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
 """The same for modes that dry friction hides from a small nudge (``Mode.freed``). Dry friction of
 0.01 N m holds a servo of 5 N m/rad within 2e-3 rad."""
 
-LONGEST_TRIAL = (DOUBLINGS + 1) * LASTING
-"""Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``LASTING``, and one more
-``LASTING`` for the decay of other motion."""
+LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
+"""Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one
+more ``HOLD_DURATION`` for the decay of other motion."""
 
 _CHUNK = 2.0
 """Simulated time (s) after which growth and decay are evaluated."""
@@ -56,9 +56,9 @@ _CHUNK = 2.0
 _DECAYED = 1e-2
 """Share of the initial deviation below which the modes are refuted at once."""
 
-_HALF_TIME, _HALF_GROWTH = 1.5 * LASTING, 1.5
+_HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Time (s) after which the modes are refuted if D is less than this factor above its least value;
-an exponential with T = ``LASTING`` has a factor of 2.8."""
+an exponential with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
 _SLOWING = 1.6
 """Largest ratio of the times of the last doubling and the doubling before. It is 1 for exponential
@@ -108,7 +108,7 @@ def confirm_growth(
         The stability. A mode with the simulated doubling time takes the place of the leaving modes
         in ``unstable``; ``refuted`` has the leaving modes that do not grow in the simulation.
     """
-    leaving = stability.leaving()
+    leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
         return stability
     unstable = [mode for mode in stability.unstable if mode not in leaving]
@@ -128,7 +128,7 @@ def confirm_growth(
             refuted += modes
             continue
         unstable.append(found)
-        if unstable[-1].grows_within(LASTING):
+        if unstable[-1].grows_within(HOLD_DURATION):
             break
     unstable.sort(key=lambda mode: -mode.growth)
     return replace(stability, unstable=tuple(unstable), refuted=tuple(refuted))
@@ -190,7 +190,7 @@ def simulate_growth(
     shares = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))
     steady = time >= _HALF_TIME and any(mode.shakes for mode in modes)
     sustained = bool(steady and maxima[-1] >= _SUSTAINED * maxima[0])
-    return GrowthTrial(angle, time, doubling, most_moving(shares), sustained)
+    return GrowthTrial(angle, time, doubling, select_most_moving(shares), sustained)
 
 
 def _displacement(model: mujoco.MjModel, modes: list[Mode], angle: float, speed: float) -> Array:

@@ -21,7 +21,7 @@ from pupper_analysis.robot.fall import (
     FALLEN_TILT,
     has_collapsed,
     horizontal_distance,
-    lean_between,
+    tilt_between,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import weld_forces
@@ -227,7 +227,7 @@ def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
 def base_lean(robot: Robot, rotation: Array, state: Array) -> float:
     """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
-    return lean_between(rotation, rotation_from_quaternion(quaternion))
+    return tilt_between(rotation, rotation_from_quaternion(quaternion))
 
 
 def has_diverged(states: Array, timestep: float) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.monitor import LAST
@@ -71,7 +71,8 @@ def comes_to_rest(
     """Tells whether a robot comes to rest where it stands, and again after a nudge.
 
     It settles for as long as ``verify_stand`` lets it, or until it is at rest for sure, or lost;
-    then no mode of the step's spectrum may grow within ``LASTING``, and a nudge must be forgotten.
+    then no mode of the step's spectrum may grow within ``HOLD_DURATION``, and a nudge must
+    be forgotten.
 
     Args:
         robot: The robot.
@@ -96,7 +97,9 @@ def comes_to_rest(
         return False
     slowest = judged.least_damped
     forgotten = _FORGOTTEN * (0.0 if slowest is None else slowest.time_constant)
-    later = simulate_nudge(model, state, held.ctrl, min(max(forgotten, _BRIEF), NUDGED * LASTING))
+    later = simulate_nudge(
+        model, state, held.ctrl, min(max(forgotten, _BRIEF), NUDGED * HOLD_DURATION)
+    )
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, later, last)
@@ -113,7 +116,7 @@ def _settled(held: Standing, upright: monitor.Upright) -> Array | None:
     ctrl = np.tile(held.ctrl, (max(2, round(_LOOK / timestep)), 1))
     data, spans = mujoco.MjData(model), deque[tuple[Array, Array]](maxlen=round(LAST / _LOOK))
     second, last = None, math.inf
-    for _ in range(round((1 - NUDGED) * LASTING / _LOOK)):
+    for _ in range(round((1 - NUDGED) * HOLD_DURATION / _LOOK)):
         states = simulate(model, state, ctrl)
         state = states[-1]
         if monitor.has_diverged(states, timestep):

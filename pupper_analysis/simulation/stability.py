@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import scalar_joints
-from pupper_analysis.robot.fall import NUDGE, nudge_velocity
+from pupper_analysis.robot.fall import NUDGE_SPEED, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
-from pupper_analysis.robot.stability import SETTLE, Stability, judge_settled, step_stability
+from pupper_analysis.robot.stability import SETTLING_TIME, Stability, judge_settled, step_stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.rollout import (
@@ -119,7 +119,7 @@ def stability_after(
 
 
 def evaluate_stability(
-    drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE
+    drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
     """Judge a state (mjSTATE_FULLPHYSICS) under a command; see ``judge_stability``."""
     data = mujoco.MjData(drive.model)
@@ -137,7 +137,7 @@ def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
 
 
 def judge_stability(
-    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
+    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
     """Judge the stability of a state: the one rule for all commands.
 
@@ -238,9 +238,9 @@ def measure_response(
     if creep is not None:
         rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
         distances = np.maximum(distances - np.outer(states[:, 0] - before[0], rates), 0.0)
-    gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
+    gone = left <= max(_DECAYING * motion, _GONE * NUDGE_SPEED)
     return Nudge(
-        speed=NUDGE,
+        speed=NUDGE_SPEED,
         time=float(before[0]),
         duration=len(states) * timestep,
         motion=motion,

@@ -15,7 +15,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import CREEPING, creep_speeds
 from pupper_analysis.simulation.rollout import Standing, begin_stand, check_stand, roll_out
@@ -111,7 +111,7 @@ def simulate_nudges(
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
-    duration: float = LASTING,
+    duration: float = HOLD_DURATION,
 ) -> NudgeTrial:
     """Simulates a stand that begins with its base moving, in each of twelve directions.
 
@@ -245,7 +245,7 @@ def _first_event(
     recovered = True
     lower, upper = _limits(robot, stand)
     places: dict[str, Array] = {}
-    out = stand.ways_out(robot)
+    out = stand.lift_directions(robot)
     carrying = set(robot.feet_with(stand.stance_feet))
     forces = {
         foot: float(held.prediction.contact_forces[foot] @ out[foot]) for foot in stand.stance_feet

@@ -238,7 +238,9 @@ def judge_stance(
 
 def _leaving_time(stability: Stability | None) -> float:
     """Return the least doubling time of the modes that leave a state (s); infinite without any."""
-    leaving = stability.leaving() if stability is not None and stability.at_rest else ()
+    leaving = (
+        stability.modes_growing_within() if stability is not None and stability.at_rest else ()
+    )
     return min((mode.doubling_time or math.inf for mode in leaving), default=math.inf)
 
 

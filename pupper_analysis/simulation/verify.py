@@ -19,8 +19,8 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, command_lead, command_ranges
-from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.robot.servos import Servos, command_ranges, compute_command_lead
+from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import (
     describe_refuted,
@@ -182,7 +182,7 @@ def verify_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
-    duration: float = LASTING,
+    duration: float = HOLD_DURATION,
     nudged: float | None = None,
     settled: SteadyState | None = None,
 ) -> StandVerification:
@@ -196,8 +196,8 @@ def verify_stand(
     ``solve_stand_on_soft_ground`` is the stand that does hold as predicted.
 
     What it settles at is measured first. Then everything is nudged (``NUDGE``), and must come to
-    rest again; and no mode of the step's spectrum may grow within ``LASTING`` (12 s), nor shake at
-    all, so that it stands for longer than is simulated.
+    rest again; and no mode of the step's spectrum may grow within ``HOLD_DURATION`` (12 s), nor
+    shake at all, so that it stands for longer than is simulated.
 
     Args:
         robot: The robot.
@@ -228,7 +228,7 @@ def verify_stand(
     upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
     run = settle_and_nudge(drive, start, ctrl, duration - after, after, upright.has_collapsed)
     predicted = robot.per_foot(prediction.contact_forces)
-    out = stand.ways_out(robot)
+    out = stand.lift_directions(robot)
     borne = sum(force[2] for force in predicted.values())
     if robot.welds:  # which may bear more than all, and hands hold down
         borne = robot.weight
@@ -385,12 +385,12 @@ def _measured(
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0
-    contact_sag = stand.sunk(robot, drops)
+    contact_sag = stand.base_drop(robot, drops)
     joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
     joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
     off = float(np.abs(watch.torques - prediction.joint_torques).max())
     predicted = robot.per_foot(prediction.contact_forces)
-    out = stand.ways_out(robot)
+    out = stand.lift_directions(robot)
     errors = [
         abs(float((watch.forces[foot] - force) @ out[foot])) / max(float(force @ out[foot]), light)
         for foot, force in predicted.items()
@@ -518,7 +518,7 @@ def drive_limits(
     weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
     full = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)
     low, high = command_ranges(robot).T
-    command = positions + command_lead(predicted, run.kp)
+    command = positions + compute_command_lead(predicted, run.kp)
     cut = ((command < low) | (command > high)) & run.feedforward
     names, told = np.array(robot.joint_names), []
     if full.any():

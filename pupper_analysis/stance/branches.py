@@ -67,11 +67,11 @@ class Branch:
 
     Attributes:
         positions: (n,) of the limb's joints (rad).
-        miss: How far its feet are from their places (m), 0 where they are in reach.
+        foot_error: How far its feet are from their places (m), 0 where they are in reach.
     """
 
     positions: Array
-    miss: float
+    foot_error: float
 
 
 def find_limbs(robot: Robot) -> tuple[Limb, ...]:
@@ -160,7 +160,7 @@ def _in_order(
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))
         forward = data.oMi[1].rotation[:, 0]
         places = [float(forward @ data.oMi[number].translation) for number in numbers]
-        return round(branch.miss / _MISSED_ALIKE), sum(places)
+        return round(branch.foot_error / _MISSED_ALIKE), sum(places)
 
     return tuple(sorted(branches, key=key))
 
@@ -367,7 +367,7 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
     costs = []
     for limb in groups:
         away = [np.abs(branch.positions - near[limb.joints]).sum() for branch in found[limb]]
-        misses = [max(0.0, branch.miss - 1e-6) for branch in found[limb]]
+        misses = [max(0.0, branch.foot_error - 1e-6) for branch in found[limb]]
         # A micrometre weighs as much as a radian: what is in reach comes first.
         costs.append(np.array(misses) * 1e6 + np.array(away))
     grid = np.zeros(1)

@@ -103,7 +103,7 @@ class ClearanceShapes:
         self._hands = {hand: joints.get(robot.structure.parents[hand], "") for hand in robot.hands}
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
-    def at(self, qpos: ArrayLike) -> Kinematics:
+    def move_to(self, qpos: ArrayLike) -> Kinematics:
         """Takes ``kinematics`` to a configuration (nq,), and returns it."""
         self.kinematics.move(qpos)
         return self.kinematics
@@ -133,7 +133,7 @@ class ClearanceShapes:
         never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
         return _numbers(both for both in looked if links[both] not in never)
 
-    def between_links(self, qpos: Array) -> Clearance | None:
+    def closest_links(self, qpos: Array) -> Clearance | None:
         """Returns the least distance between links that are not neighbours, if there are such."""
         for pair in self.nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link
@@ -149,7 +149,7 @@ class ClearanceShapes:
 
         Balls round the shapes tell that most pairs are too far apart to be looked at.
         """
-        solids, at = [one.form.collision for one in self.shapes], self._places(self.at(qpos))
+        solids, at = [one.form.collision for one in self.shapes], self._places(self.move_to(qpos))
         centres = np.array(
             [place.transform(one.aabb_center) for place, one in zip(at, solids, strict=True)]
         )
@@ -172,7 +172,7 @@ class ClearanceShapes:
             for (turn, place), pose in links
         ]
 
-    def distance_rates(self, at: Configuration, most: int) -> Array:
+    def distance_jacobian(self, at: Configuration, most: int) -> Array:
         """Returns how the distances of ``nearest_pairs`` change (n, nv) with the robot's motion."""
         found = self.nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
@@ -183,21 +183,21 @@ class ClearanceShapes:
                 row += sign * (near.normal @ moved)
         return rates
 
-    def above_ground(
+    def lowest_part(
         self,
         at: Kinematics,
         ground: Ground,
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Returns how high the lowest part but the feet is; see ``heights``."""
-        heights = self.heights(at, ground, places, depths)
+        """Returns how high the lowest part but the feet is; see ``part_heights``."""
+        heights = self.part_heights(at, ground, places, depths)
         if not heights:
             return None
         lowest = min(heights)
         return Clearance(lowest, (self.parts[heights.index(lowest)].shape.link,))
 
-    def heights(
+    def part_heights(
         self,
         at: Kinematics,
         ground: Ground,
@@ -226,12 +226,14 @@ class ClearanceShapes:
             for height, part in zip(heights, self.parts, strict=True)
         ]
 
-    def height_rates(self, at: Configuration, ground: Ground, places: Mapping[str, Array]) -> Array:
-        """Returns how ``heights`` change (n, nv) with the robot's motion.
+    def height_jacobian(
+        self, at: Configuration, ground: Ground, places: Mapping[str, Array]
+    ) -> Array:
+        """Returns how ``part_heights`` change (n, nv) with the robot's motion.
 
         What is nearest moves as the point of the part that is there.
         """
-        there = self.at(at.qpos)
+        there = self.move_to(at.qpos)
         if self._is_floorless(ground):
             return np.zeros((0, self.robot.nv))
         if _is_plane(ground):

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 TASK_TOLERANCE = 1e-9
 """Error up to which a task counts as satisfied (m, rad)."""
 
-TOUCHING = 1e-6
+CLEARANCE_TOLERANCE = 1e-6
 """How much nearer than allowed parts may come (m): rounding. A search
 aims within half of it: at the end of reach it is all that there is."""
 
@@ -40,13 +40,14 @@ class Constraint:
 
     Attributes:
         name: As ``stance/fields.toml`` has it.
-        equal: Whether the residual shall be zero; otherwise it shall not be negative.
-        given: Whether every configuration that is tried fulfils it: the base's height and turn.
+        is_equality: Whether the residual shall be zero; otherwise it shall not be negative.
+        is_presatisfied: Whether each tested configuration fulfils the constraint (base height and
+            orientation).
     """
 
     name: ClassVar[str]
-    equal: ClassVar[bool] = False
-    given: ClassVar[bool] = False
+    is_equality: ClassVar[bool] = False
+    is_presatisfied: ClassVar[bool] = False
 
     # A stand is measured in 50 us: nothing is made here that only a search or a refusal asks for.
     def __init__(self, shapes: ClearanceShapes, goal: Goal) -> None:
@@ -61,26 +62,26 @@ class Constraint:
         """
         raise NotImplementedError
 
-    def rates(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """Returns the derivative (n, nv) of the residual by the robot's motion."""
         raise NotImplementedError
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """Returns by how much it is not fulfilled, at most (m, rad)."""
         left = self.residual(goal, at)
-        return float((np.abs(left) if self.equal else -left).max(initial=0.0))
+        return float((np.abs(left) if self.is_equality else -left).max(initial=0.0))
 
 
 class BaseHeight(Constraint):
     """The base frame is as high as it shall be."""
 
-    name, equal, given = "base-height", True, True
+    name, is_equality, is_presatisfied = "base-height", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
         return at.qpos[2:3] - goal.height
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         return abs(float(at.qpos[2]) - goal.height)
 
@@ -88,15 +89,15 @@ class BaseHeight(Constraint):
 class BaseOrientation(Constraint):
     """The base is turned as it shall be."""
 
-    name, equal, given = "base-orientation", True, True
+    name, is_equality, is_presatisfied = "base-orientation", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``: the angle that is left."""
-        return np.array([self.missed(goal, at)])
+        return np.array([self.violation(goal, at)])
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
-        return angle_between(goal.turn, at.qpos[3:7].tolist())
+        return angle_between(goal.base_quaternion, at.qpos[3:7].tolist())
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
@@ -115,7 +116,7 @@ def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
 class Footholds(Constraint):
     """The feet's centres are in their places."""
 
-    name, equal = "footholds", True
+    name, is_equality = "footholds", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``: of a sole, its points' follow from each other."""
@@ -123,14 +124,14 @@ class Footholds(Constraint):
         apart = [feet[foot] - there for foot, there in goal.targets.items()]
         return np.concatenate([*apart, np.zeros(0)])
 
-    def rates(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         jacobians = at.foot_jacobians()
         return np.concatenate(
             [*map(jacobians.__getitem__, goal.targets), np.zeros((0, at.robot.nv))]
         )
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``: the greatest distance of all contact points, pinned or not."""
         feet = at.feet
         apart = [math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()]
@@ -140,7 +141,7 @@ class Footholds(Constraint):
 class Loops(Constraint):
     """Loops and couplings of joints are closed as they are built, or as open as they give way."""
 
-    name, equal = "loops", True
+    name, is_equality = "loops", True
 
     def __init__(self, shapes: ClearanceShapes, goal: Goal, closure: Closure) -> None:
         super().__init__(shapes, goal)
@@ -151,12 +152,12 @@ class Loops(Constraint):
         left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give
 
-    def rates(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         rows = self._closure.rows(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``: infinite beyond a dead point, where loops are assembled otherwise."""
         if not self._closure.as_built(at.qpos):
             return math.inf
@@ -166,17 +167,17 @@ class Loops(Constraint):
 class PlaceConstraint(Constraint):
     """The com, or the base with an offset, is over its place."""
 
-    name, equal = "com-place", True
+    name, is_equality = "com-place", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
         return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
 
-    def rates(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
         return math.dist(here, goal.place.tolist())
@@ -199,16 +200,16 @@ class SupportMargin(Constraint):
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
-    def rates(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        rates: Array = self._sides(goal)[:, :2] @ at.com_jacobian()[:2]
-        return rates
+        jacobian: Array = self._sides(goal)[:, :2] @ at.com_jacobian()[:2]
+        return jacobian
 
     def _sides(self, goal: Goal) -> Array:
         corners = np.array(goal.corners)  # on several planes of another number, now and then
         return polygon_sides(corners, SIDES if self._begun.task.ground.planes else len(corners))
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         x, y, _ = at.com
         return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
@@ -224,13 +225,13 @@ class JointLimits(Constraint):
         joints, low, high = at.qpos[-len(goal.lower) :], *self._limited
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
-    def rates(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         each = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
         low, high = self._limited
         return np.concatenate([each[low], -each[high]])
 
-    def missed(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         joints = at.qpos[-len(goal.lower) :].tolist()  # lists: of a dozen numbers quicker
         below, above = map(sub, goal.lower.tolist(), joints), map(sub, joints, goal.upper.tolist())
@@ -248,16 +249,16 @@ class GroundClearance(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        heights = self._shapes.heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
-        return np.array(heights) - goal.task.ground_clearance + TOUCHING / 2
+        heights = self._shapes.part_heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
+        return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
-    def rates(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        return self._shapes.height_rates(at, goal.task.ground, goal.rigid_targets)
+        return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
         """Returns how high the lowest part is; None of a robot without any."""
-        return self._shapes.above_ground(at, goal.task.ground, goal.rigid_targets, goal.depths)
+        return self._shapes.lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
 
 
 class SelfClearance(Constraint):
@@ -268,16 +269,16 @@ class SelfClearance(Constraint):
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
         pairs = self._shapes.nearest_pairs(at.qpos, _PAIRS)
-        least = (goal.task.self_clearance or 0.0) - TOUCHING / 2
+        least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
-    def rates(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        return self._shapes.distance_rates(at, _PAIRS)
+        return self._shapes.distance_jacobian(at, _PAIRS)
 
     def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:
         """Returns the least distance between links; None of a robot without such pairs."""
-        return self._shapes.between_links(at.qpos)
+        return self._shapes.closest_links(at.qpos)
 
 
 def _is_in_place(goal: Goal) -> bool:
@@ -292,36 +293,37 @@ _CLEARANCES = (GroundClearance, SelfClearance)
 """Kinds: a union written where it is asked for would be made anew each time (4 us a stand)."""
 
 
-class Judgement(NamedTuple):
+class ConstraintEvaluation(NamedTuple):
     """How a configuration fulfils what a stand must.
 
     Attributes:
-        missed: {constraint: by how much it is not fulfilled} (m, rad), but for clearances and the
-            com's margin.
+        violation: {constraint name: violation} [m, rad], without clearances and CoM margin.
         com_margin: Distance of the com from the support polygon's edge (m); negative outside.
         nearest: {clearance: what is nearest}, of those that are asked for.
     """
 
-    missed: dict[str, float]
+    violation: dict[str, float]
     com_margin: float
     nearest: dict[str, Clearance | None]
 
 
-def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Judgement:
+def evaluate_constraints(
+    shapes: ClearanceShapes, goal: Goal, at: Kinematics
+) -> ConstraintEvaluation:
     """Judges where a robot is by all that a stand of a goal must fulfil."""
-    missed: dict[str, float] = {}
+    violation: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
-    for one in constraints_of(shapes, goal):
+    for one in make_constraints(shapes, goal):
         if isinstance(one, _CLEARANCES):
             near[one.name] = one.nearest(goal, at)
         elif not isinstance(one, SupportMargin):  # the com's margin is a result
-            missed[one.name] = one.missed(goal, at)
+            violation[one.name] = one.violation(goal, at)
     x, y, _ = at.com
     margin = math.inf if shapes.robot.welded else margin_of_place((x, y), goal.corners)
-    return Judgement(missed, margin, near)
+    return ConstraintEvaluation(violation, margin, near)
 
 
-def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
+def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
     """Yields what a stand of a goal must fulfil, also where its numbers become others."""
     closure = shapes.robot.closure
     yield BaseHeight(shapes, goal)

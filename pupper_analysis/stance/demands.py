@@ -20,7 +20,12 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.robot.plane import Bar, Contact, Plane, Slope, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.stance.problem import STEEP, feet_places, nominal_feet, usual_place
+from pupper_analysis.stance.problem import (
+    MIN_SUPPORT_NORMAL_Z,
+    default_contact_position,
+    foot_positions_of_task,
+    nominal_foot_positions,
+)
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -56,7 +61,7 @@ class DemandValue(NamedTuple):
     axis: str = ""
 
 
-class Numbers:
+class DemandVector:
     """The numbers of some demands of a task, as a vector (n,), and how far each may give.
 
     Margins and lifts only become less, a slope or a step as well; all else may go either way.
@@ -96,19 +101,19 @@ class Numbers:
         self.values, self.nominal, self.low, self.high, self.angles = table
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
-    def of(self, task: StandTask) -> Array:
+    def read_task(self, task: StandTask) -> Array:
         """Returns what a task with the same feet has of them (n,)."""
         has = task.values()
         found = [has[key.field][key.foot] if key.foot else has[key.field] for key in self.keys]
         parts = [{axis: number for axis, number, _ in _parts(one, one)} for one in found]
         return np.array([one[key.axis] for one, key in zip(parts, self.keys, strict=True)])
 
-    def task(self, values: Array) -> StandTask:
+    def make_task(self, values: Array) -> StandTask:
         """Returns the task with others (n,)."""
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
             changed.setdefault(field, {}).setdefault(foot, []).append(value)
-        return self._task.having(
+        return self._task.with_values(
             {
                 name: {
                     **(self._task.contacts if FIELDS[name].kind == "contact" else {}),
@@ -126,7 +131,7 @@ class Numbers:
             return contact.moved(parts)
         return parts[0] if len(parts) == 1 else tuple(parts)
 
-    def inside(self, values: Array) -> Array:
+    def clip(self, values: Array) -> Array:
         """Returns values (n,) no further than they may go."""
         inside: Array = np.clip(values, self.low, self.high)
         return inside
@@ -156,7 +161,7 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
         contact = task.contacts[foot]
         if not contact.numbers:
             return contact
-        place = usual_place(robot, foot)
+        place = default_contact_position(robot, foot)
         if isinstance(contact, Weld):
             return contact.moved(place.tolist())
         if isinstance(contact.plane, Slope):
@@ -172,7 +177,7 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
     if field.nominal == "zero":
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":
-        return nominal_feet(robot)[foot][:2]
+        return nominal_foot_positions(robot)[foot][:2]
     return _centre(robot, task) if field.nominal == "centre" else getattr(robot, field.nominal)
 
 
@@ -180,7 +185,7 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     """Returns the middle of the feet that carry, seen from above (m)."""
     stance_feet = [
         place
-        for foot, place in feet_places(robot, task).items()
+        for foot, place in foot_positions_of_task(robot, task).items()
         if foot not in task.swing and foot not in robot.hands
         for _ in robot.feet[foot]
     ]
@@ -189,7 +194,7 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _range(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Returns the least and the most that a number may become; see ``Numbers`` (m, rad)."""
+    """Returns the least and the most that a number may become; see ``DemandVector`` (m, rad)."""
     far = _FARTHEST * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _LEAST_HEIGHT * value if field.open else min(0.0, value)
@@ -199,27 +204,27 @@ def _range(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[fl
     return (_LEAST_HEIGHT * value if field.open else value - far), value + far
 
 
-def differ_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
+def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
     """Tells whether some demands are not the nominal stand's."""
-    numbers = Numbers(robot, task, demands)
+    numbers = DemandVector(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 
 
-def give_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
+def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
-    numbers = Numbers(robot, task, demands)
-    return numbers.task(numbers.inside(numbers.nominal))
+    numbers = DemandVector(robot, task, demands)
+    return numbers.make_task(numbers.clip(numbers.nominal))
 
 
-def give_further(
+def relax_further(
     robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
     """Returns a task in which some demands give more, by a share of what they give already."""
-    now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
-    return now.task(before.inside(now.values + share * (now.values - before.values)))
+    now, before = DemandVector(robot, task, demands), DemandVector(robot, asked, demands)
+    return now.make_task(before.clip(now.values + share * (now.values - before.values)))
 
 
-def round_demands(
+def round_outward(
     robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str]
 ) -> StandTask:
     """Returns a task with some demands rounded as they are reported, away from what was asked.
@@ -227,10 +232,10 @@ def round_demands(
     By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
     least.
     """
-    now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
+    now, before = DemandVector(robot, task, demands), DemandVector(robot, asked, demands)
     numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
     rounded = [_rounded(*map(float, three), angle=bool(a)) for a, *three in numbers]
-    return now.task(before.inside(np.array(rounded)))
+    return now.make_task(before.clip(np.array(rounded)))
 
 
 def _rounded(number: float, usual: float, asked: float, *, angle: bool) -> float:
@@ -269,7 +274,7 @@ def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTas
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
         feet = []
         for of, one in given.items():
-            wall = isinstance(one.plane, Plane) and abs(one.plane.normal[2]) < STEEP
+            wall = isinstance(one.plane, Plane) and abs(one.plane.normal[2]) < MIN_SUPPORT_NORMAL_Z
             low = wall and one.place is None and of not in robot.hands
             feet.append(diagnose("demanded-contact", link=of, value=f"{one:.7g}", low=low))
         return diagnose("demanded-of-feet", field=name, feet=feet)

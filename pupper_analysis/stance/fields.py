@@ -23,7 +23,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.units import Position
 
-UNITS = {
+UNIT_BY_KIND = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),
     "angle": "rad",
     "position": "rad or m",
@@ -132,7 +132,7 @@ class Field:
     @property
     def unit(self) -> str:
         """Of its numbers, in SI units."""
-        return UNITS[self.kind]
+        return UNIT_BY_KIND[self.kind]
 
     @property
     def axes(self) -> str:
@@ -145,7 +145,7 @@ class Field:
         return self.name if self.part == "task" else self.part
 
     @property
-    def usual(self) -> Any:
+    def default_value(self) -> Any:
         """Its value where nothing is asked."""
         if self.per:
             return FrozenDict()
@@ -155,7 +155,7 @@ class Field:
         """Returns what it is called in a language, ``"en"`` or ``"zh"``."""
         return self.zh if language == "zh" else self.en
 
-    def checked(self, value: Any) -> Any:
+    def check_value(self, value: Any) -> Any:
         """Returns a value as a task has it: numbers in range, points as tuples, frozen mappings.
 
         Raises:
@@ -165,11 +165,14 @@ class Field:
             return None
         if self.per:
             return FrozenDict(
-                {of: self._checked(f"{self.name}[{of}]", one) for of, one in value.items()}
+                {
+                    of: self._check_single_value(f"{self.name}[{of}]", one)
+                    for of, one in value.items()
+                }
             )
-        return self._checked(self.name, value)
+        return self._check_single_value(self.name, value)
 
-    def _checked(self, name: str, value: Any) -> Any:
+    def _check_single_value(self, name: str, value: Any) -> Any:
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)

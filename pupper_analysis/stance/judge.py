@@ -20,7 +20,11 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
-from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_constraints
+from pupper_analysis.stance.constraints import (
+    CLEARANCE_TOLERANCE,
+    TASK_TOLERANCE,
+    evaluate_constraints,
+)
 from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import gripped_places, stated_forces
@@ -120,7 +124,7 @@ class Stand(Tabular):
             "depth": [self.depths.get(foot, 0.0) for foot in feet],
         }
 
-    def ways_out(self, robot: Robot) -> dict[str, Array]:
+    def lift_directions(self, robot: Robot) -> dict[str, Array]:
         """Returns {foot, and contact point, that carries: (3,) which way it lifts}.
 
         Up, but from a plane of its own.
@@ -136,7 +140,7 @@ class Stand(Tabular):
         """Returns the centre (3,) of the feet that carry, without hands (m)."""
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
-    def sunk(self, robot: Robot, drops: Mapping[str, Array]) -> float:
+    def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:
         """Returns by how much feet that are (3,) lower than they should be lower the base (m).
 
         Those on planes of their own count only if there are no others.
@@ -163,9 +167,11 @@ class Stand(Tabular):
         """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
         return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
 
-    def of_task(self, task: StandTask) -> Stand:
+    def for_task(self, task: StandTask) -> Stand:
         """Returns the same stand as that of another task, which it satisfies as well."""
-        other = replace(self, task=task.filled(ground=self.task.ground))  # with its planes
+        other = replace(
+            self, task=task.replace_unchecked(ground=self.task.ground)
+        )  # with its planes
         other._statics.extend(self._statics)
         return other
 
@@ -173,7 +179,7 @@ class Stand(Tabular):
     def blocked(self) -> tuple[Diagnostic, ...]:
         """What comes nearer to the ground, to another link or to tipping than the task allows."""
         found = []
-        if self.com_short > TASK_TOLERANCE:
+        if self.com_shortfall > TASK_TOLERANCE:
             found.append(
                 diagnose(
                     "com-lies-inside" if self.com_margin >= 0 else "com-lies-outside",
@@ -181,7 +187,7 @@ class Stand(Tabular):
                 )
             )
         for near, least in self._clearances():
-            if near.distance < least - TOUCHING:
+            if near.distance < least - CLEARANCE_TOLERANCE:
                 found.append(_describe_clearance(near))
         return tuple(found)
 
@@ -193,7 +199,7 @@ class Stand(Tabular):
             yield self.self_clearance, self.task.self_clearance or 0.0
 
     @property
-    def com_short(self) -> float:
+    def com_shortfall(self) -> float:
         """How much nearer than asked the com is to the support polygon's edge (m).
 
         With an offset and no margin that was asked for the com is a result.
@@ -203,10 +209,10 @@ class Stand(Tabular):
         return max(0.0, self.task.com_margin - self.com_margin)
 
     @property
-    def room(self) -> float:
+    def constraint_slack(self) -> float:
         """How much nearer than allowed anything is, negative (m)."""
         rooms = (near.distance - least for near, least in self._clearances())
-        return min([-self.com_short, *rooms])
+        return min([-self.com_shortfall, *rooms])
 
     @property
     def solved(self) -> bool:
@@ -259,8 +265,8 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         ConfigurationError: If the task demands a clearance and nothing has one.
     """
     robot, task = shapes.robot, goal.task
-    at = shapes.at(qpos)
-    missed, com_margin, near = judge_constraints(shapes, goal, at)
+    at = shapes.move_to(qpos)
+    missed, com_margin, near = evaluate_constraints(shapes, goal, at)
     errors = dict.fromkeys(("foot_error", *_ERRORS.values()), 0.0)
     for constraint, by in missed.items():
         error = _ERRORS.get(constraint, "foot_error")
@@ -279,7 +285,7 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         depths=goal.depths,
         stance_feet=goal.stance_feet,
         normals=goal.normals,
-        contact_points=goal.touches,
+        contact_points=goal.contact_by_foot,
         **errors,
         com_margin=com_margin,
         ground_clearance=ground,
@@ -298,7 +304,7 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     if goal.task.ground.slope or shapes.robot.welds:
         return False
     qpos = shapes.robot.home.copy()
-    qpos[:7] = 0.0, 0.0, goal.height, *goal.turn
-    heights = shapes.heights(shapes.at(qpos), Ground(), {}, goal.depths)
+    qpos[:7] = 0.0, 0.0, goal.height, *goal.base_quaternion
+    heights = shapes.part_heights(shapes.move_to(qpos), Ground(), {}, goal.depths)
     own = [one for one, part in zip(heights, shapes.parts, strict=True) if not part.shape.joint]
-    return min(own, default=math.inf) < goal.task.ground_clearance - TOUCHING
+    return min(own, default=math.inf) < goal.task.ground_clearance - CLEARANCE_TOLERANCE

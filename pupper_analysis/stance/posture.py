@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _SLACK = 1e-3
 """Largest displacement [rad, m] of a given joint of a loop that closes the loop (rounding)."""
 
-AT_END = 1e-6
+LIMIT_TOLERANCE = 1e-6
 """What is nearer to a limit is at it (rad, m): rounding."""
 
 

@@ -130,13 +130,13 @@ class Goal:
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
         contacts: (n, 3) contact points of these.
-        touches: {foot that carries: (3,) its contact point}.
+        contact_by_foot: {foot that carries: (3,) its contact point}.
         normals: {foot that carries: (3,) out of the ground}.
         support: Where the com is in balance.
         centre: (3,) the mean of the feet's contact points, without hands and feet on walls; its
             height that of those on no slope or plane of their own, if there are any.
         height: z of the base frame.
-        turn: Its orientation, a unit quaternion (w, x, y, z).
+        base_quaternion: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
         by_base: Whether ``place`` is the base frame's.
         lower: (nu,) joint limits, less the margin; a joint in a posture has no room between them.
@@ -149,12 +149,12 @@ class Goal:
     depths: FrozenDict[str, float]
     stance_feet: tuple[str, ...]
     contacts: Array
-    touches: FrozenDict[str, Array]
+    contact_by_foot: FrozenDict[str, Array]
     normals: FrozenDict[str, Array]
     support: Support
     centre: Array
     height: float
-    turn: tuple[float, float, float, float]
+    base_quaternion: tuple[float, float, float, float]
     place: Array
     by_base: bool
     lower: Array
@@ -250,18 +250,18 @@ def _goal_of(
         task = _with_planes(robot, task)
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
-        touches, normals, deep = like.touches, like.normals, like.depths
+        contact_by_foot, normals, deep = like.contact_by_foot, like.normals, like.depths
         support, centre = like.support, like.centre
     else:
         stance_feet = _stance_feet(robot, task)
         out = ground_normals(robot, task.ground)
-        places = place_feet(robot, task)
+        places = compute_foot_targets(robot, task)
         contacts = np.array(
             [places[foot] - robot.contact_radius[foot] * out[foot] for foot in stance_feet]
         ).reshape(-1, 3)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
         targets = freeze_arrays(sink_feet(robot, places, deep, out))
-        touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
+        contact_by_foot = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
         stated = stated_forces(robot, stance_feet)
@@ -269,7 +269,7 @@ def _goal_of(
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
         if checked and not robot.welded:  # which hold any com
             _check_area(robot, np.array(support.corners), stance_feet)
-        centre = feet_centre(robot, task.ground, touches, targets)
+        centre = feet_centre(robot, task.ground, contact_by_foot, targets)
     task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
@@ -293,12 +293,12 @@ def _goal_of(
         depths=deep,
         stance_feet=stance_feet,
         contacts=contacts,
-        touches=touches,
+        contact_by_foot=contact_by_foot,
         normals=normals,
         support=support,
         centre=centre,
         height=float(centre[2]) + task.height,
-        turn=task.turn(),
+        base_quaternion=task.base_quaternion(),
         place=place,
         by_base=by_base,
         lower=lower,
@@ -307,7 +307,7 @@ def _goal_of(
 
 
 def feet_centre(
-    robot: Robot, ground: Ground, touches: Mapping[str, Array], targets: Mapping[str, Array]
+    robot: Robot, ground: Ground, contact_by_foot: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> Array:
     """Returns the centre (3,) of the feet that carry, without hands or walls; see ``Goal`` (m).
 
@@ -318,12 +318,15 @@ def feet_centre(
             return np.array([*robot.home[:2], 0.0])
         held = (point for foot in robot.welds for point in robot.feet.get(foot, ()))
         radius = robot.contact_radius
-        touches = {**touches, **{one: targets[one] - radius[one] * UP for one in held}}
-    stance_feet, contacts = [*touches], np.array([*touches.values()])
-    if not touches:  # all feet are lifted
+        contact_by_foot = {
+            **contact_by_foot,
+            **{one: targets[one] - radius[one] * UP for one in held},
+        }
+    stance_feet, contacts = [*contact_by_foot], np.array([*contact_by_foot.values()])
+    if not contact_by_foot:  # all feet are lifted
         return np.array([*np.mean([*targets.values()], axis=0)[:2], 0.0])
     centre: Array = contacts.mean(axis=0)
-    steep = [foot for foot in ground.planes if ground.normal(foot)[2] < STEEP]
+    steep = [foot for foot in ground.planes if ground.normal(foot)[2] < MIN_SUPPORT_NORMAL_Z]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
         kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
         if any(kept) and not all(kept):  # a foot high on a wall lifts no base
@@ -377,10 +380,14 @@ def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) ->
 def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open, and units."""
     if task.posture:
-        task = replace(task, posture=with_units(robot, task.posture)).filled(ground=task.ground)
+        task = replace(task, posture=with_units(robot, task.posture)).replace_unchecked(
+            ground=task.ground
+        )
     if task.height is None:
-        task = replace(task, height=robot.base_height).filled(ground=task.ground)
-    return task if task.com else task.filled(com=com if task.offset is None else "centre")
+        task = replace(task, height=robot.base_height).replace_unchecked(ground=task.ground)
+    return (
+        task if task.com else task.replace_unchecked(com=com if task.offset is None else "centre")
+    )
 
 
 def _limited_alike(one: StandTask, other: StandTask) -> bool:
@@ -443,13 +450,13 @@ def _stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
 
 _MAX_ITERATIONS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
 
-STEEP = 0.5
+MIN_SUPPORT_NORMAL_Z = 0.5
 """Vertical part of the normal of a plane that bears no weight: friction holds nothing on 60 deg."""
 
 _COINCIDENT = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
 
 
-def nominal_places(robot: Robot) -> dict[str, Array]:
+def nominal_point_positions(robot: Robot) -> dict[str, Array]:
     """Returns the contact points' centres, {point: (3,)}, where they are by default (m).
 
     Seen from above they stand there; the base is at the origin, upright.
@@ -462,9 +469,9 @@ def _nominal(robot: Robot) -> tuple[tuple[str, Array], ...]:
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
 
-def nominal_feet(robot: Robot) -> dict[str, Array]:
+def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
     """Returns each foot's place, {foot: (2,)}: the middle of its contact points (m)."""
-    places = nominal_places(robot)
+    places = nominal_point_positions(robot)
     return {
         foot: (
             np.mean([places[point][:2] for point in points], axis=0)
@@ -475,24 +482,24 @@ def nominal_feet(robot: Robot) -> dict[str, Array]:
     }
 
 
-def feet_places(robot: Robot, task: StandTask) -> dict[str, Array]:
+def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Returns where a task has each foot, seen from above, {foot: (2,)} (m)."""
-    nominal = nominal_feet(robot)
+    nominal = nominal_foot_positions(robot)
     return {
         foot: np.array(task.feet.get(foot, place)) + task.foot_offsets.get(foot, 0.0)
         for foot, place in nominal.items()
     }
 
 
-def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
+def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Returns where the contact points' centres shall be, {point: (3,)}, on rigid ground (m).
 
     A sole lies flat on the slope, turned out of its default orientation by the shortest way; a foot
     that swings is higher, and otherwise likewise.
     """
-    nominal, ground = nominal_places(robot), task.ground
+    nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
-    for foot, place in feet_places(robot, task).items():
+    for foot, place in foot_positions_of_task(robot, task).items():
         points = robot.feet[foot]
         if foot in ground.planes:
             targets |= _on_plane(robot, task, foot, place)
@@ -526,7 +533,7 @@ def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[st
     on += task.swing.get(foot, 0.0) * out
     if len(points) == 1:
         return {points[0]: on + radii[0] * out}
-    nominal = nominal_places(robot)
+    nominal = nominal_point_positions(robot)
     laid = _laid(np.array([nominal[point] for point in points]), radii, out)
     middle: Array = (laid - radii[:, None] * out).mean(axis=0)
     return dict(zip(points, laid + on - middle, strict=True))
@@ -538,8 +545,8 @@ def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Arra
     A foot that is at a place (2,), or a hand that is moved as far from where it is by default.
     """
     if task.contacts[foot].place is not None or foot in robot.hands:
-        near = np.array(task.contacts[foot].place or usual_place(robot, foot).tolist())
-        near[:2] += place - nominal_feet(robot)[foot]
+        near = np.array(task.contacts[foot].place or default_contact_position(robot, foot).tolist())
+        near[:2] += place - nominal_foot_positions(robot)[foot]
         return near
     if isinstance(bar := task.contacts[foot].plane, Bar):
         return np.array(bar.top(*place.tolist()))
@@ -549,18 +556,18 @@ def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Arra
 def _with_planes(robot: Robot, task: StandTask) -> StandTask:
     """Returns a task whose ground has the planes that feet touch, or that slopes are there."""
     planes = {}
-    for foot, place in feet_places(robot, task).items():
+    for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None
         if plane is not None:
             planes[foot] = plane.through(_asked_place(robot, task, foot, place).tolist())
-    return task.filled(ground=task.ground.with_planes(planes))
+    return task.replace_unchecked(ground=task.ground.with_planes(planes))
 
 
-def usual_place(robot: Robot, foot: str) -> Array:
+def default_contact_position(robot: Robot, foot: str) -> Array:
     """Returns where a foot touches the ground by default, or a hand is in the home pose (3,)."""
     if foot in robot.hands:
         return robot.once(_home_places)[robot.feet[foot][0]].copy()
-    return np.array((*nominal_feet(robot)[foot], 0.0))
+    return np.array((*nominal_foot_positions(robot)[foot], 0.0))
 
 
 def _home_places(robot: Robot) -> dict[str, Array]:

@@ -18,8 +18,8 @@ from scipy import linalg
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, constraints_of
-from pupper_analysis.stance.demands import Numbers
+from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, make_constraints
+from pupper_analysis.stance.demands import DemandVector
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.task import StandTask
 
@@ -63,18 +63,18 @@ class Relaxation:
         task: The task with other numbers.
         qpos: (nq,) the configuration.
         given: {demand: how much it gives} (stand heights, rad).
-        missed: By how much what is left is missed (m, rad).
+        violation: By how much what is left is missed (m, rad).
     """
 
     task: StandTask
     qpos: Array
     given: dict[str, float]
-    missed: float
+    violation: float
 
     @property
-    def met(self) -> bool:
+    def is_met(self) -> bool:
         """Whether what is left is met, but for what the search mends."""
-        return self.missed <= _MET
+        return self.violation <= _MET
 
     @property
     def slack(self) -> float:
@@ -127,7 +127,7 @@ class _Progress:
             raise _NoProgressError
 
 
-class Programme:
+class StanceProgram:
     """The problem: in the base's x and y, the joints, and how much less and more numbers become.
 
     Lengths are in stand heights, so that a robot that is scaled gives alike. The base has the
@@ -150,13 +150,13 @@ class Programme:
     ) -> None:
         robot = self._robot = shapes.robot
         self._shapes, self._goal, self._demands = shapes, goal, tuple(demands)
-        own = [one for one in constraints_of(shapes, goal) if not one.given]
+        own = [one for one in make_constraints(shapes, goal) if not one.is_presatisfied]
         if "joint_margin" not in demands:  # bounds of the joints are the same, and cost nothing
             own = [one for one in own if one.name != "joint-limits"]
         kept = [one for one in own if one.name not in without]
-        self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.equal)
+        self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.is_equality)
         self._unit = robot.stand_height
-        self._numbers = numbers = Numbers(robot, goal.task, demands)
+        self._numbers = numbers = DemandVector(robot, goal.task, demands)
         least, most = (
             (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
         )
@@ -195,7 +195,7 @@ class Programme:
         slacks = np.abs(values - numbers.values) / numbers.units
         for demand, slack in zip(numbers.demands, slacks.tolist(), strict=True):
             given[demand] += slack
-        return Relaxation(numbers.task(values), self._point(x).qpos, given, self._missed(x))
+        return Relaxation(numbers.make_task(values), self._point(x).qpos, given, self._missed(x))
 
     def nearest(self, qpos: Array) -> Array:
         """Returns where the feet are as near to their places as they can come (nq,), from a start.
@@ -282,7 +282,7 @@ class Programme:
 
     def _start(self, qpos: Array, task: StandTask | None) -> Array:
         numbers = self._numbers
-        had = numbers.values if task is None else numbers.of(task)
+        had = numbers.values if task is None else numbers.read_task(task)
         given = (had - numbers.values) / numbers.units
         parts = qpos[:2] / self._unit, qpos[7:], np.maximum(-given, 0.0), np.maximum(given, 0.0)
         start: Array = np.clip(np.concatenate(parts), self._low, self._high)
@@ -292,20 +292,20 @@ class Programme:
         """Returns the demands' numbers there (m, rad)."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
-        return numbers.inside(numbers.values + numbers.units * (more - less))
+        return numbers.clip(numbers.values + numbers.units * (more - less))
 
     def _look(self, x: Array) -> _Point:
         goal = self._goal_at(self._values(x), self._goal)
         qpos = np.empty(self._robot.nq)
-        qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.turn
+        qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion
         qpos[7:] = x[2 : 2 + self._robot.nu]
-        at = self._shapes.at(qpos)
+        at = self._shapes.move_to(qpos)
         residuals = tuple(one.residual(goal, at) for one in self._constraints)
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _goal_at(self, values: Array, like: Goal) -> Goal:
         return make_goal(
-            self._robot, self._numbers.task(values), self._goal.depths, like, checked=False
+            self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )
 
     def _point(self, x: Array) -> _Point:
@@ -337,8 +337,8 @@ class Programme:
         """
         there, values = self._point(x), self._values(x)
         config = self._configuration(x)
-        rates = [one.rates(there.goal, config) for one in self._constraints]
-        at = self._shapes.at(there.qpos)
+        rates = [one.jacobian(there.goal, config) for one in self._constraints]
+        at = self._shapes.move_to(there.qpos)
         moved = _stack(rates, self._robot.nv)
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
@@ -369,7 +369,7 @@ class Programme:
         x[2 : 2 + self._robot.nu] = random.uniform(low, np.maximum(low, high))
         residuals, whole = self._point(x).residuals, self._derivative(x)
         pairs = zip(self._constraints, residuals, strict=True)
-        equal = sum(len(one) for constraint, one in pairs if constraint.equal)
+        equal = sum(len(one) for constraint, one in pairs if constraint.is_equality)
         _, triangle, order = linalg.qr(whole[:equal].T, mode="economic", pivoting=True)
         size = np.abs(np.diag(triangle))
         kept = np.sort(order[: int((size > _DEPENDENT * size.max(initial=0.0)).sum())])
@@ -383,7 +383,7 @@ def _stack(blocks: Sequence[Array], columns: int) -> Array:
 
 def _twist(goal: Goal, other: Goal) -> Array:
     """Returns how the base moves (6,) from one goal's height and turn to another's nearby."""
-    (w, x, y, z), (a, b, c, d) = goal.turn, other.turn
+    (w, x, y, z), (a, b, c, d) = goal.base_quaternion, other.base_quaternion
     turned = (  # the vector of the first one's inverse times the second
         w * b - x * a - y * d + z * c,
         w * c - y * a - z * b + x * d,

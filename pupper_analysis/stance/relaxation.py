@@ -15,16 +15,16 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.demands import (
     DEMANDS,
-    Numbers,
+    DemandVector,
     describe_limit,
-    differ_from_nominal,
-    give_further,
-    give_up,
-    round_demands,
+    differs_from_nominal,
+    relax_further,
+    reset_to_nominal,
+    round_outward,
 )
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
-from pupper_analysis.stance.programme import Programme, Relaxation
+from pupper_analysis.stance.programme import Relaxation, StanceProgram
 from pupper_analysis.stance.search import find_missing_joints, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
@@ -149,7 +149,7 @@ class _Search:
     def found(self) -> list[_Way]:
         """Returns each demand that alone may give, or else as few as are found that together do."""
         robot, task = self.context.robot, self.goal.task
-        differing = [demand for demand in DEMANDS if differ_from_nominal(robot, task, [demand])]
+        differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
         alone = [self._stated(self._alone(demand)) for demand in differing]
         if found := [way for way in alone if way is not None]:
             return found
@@ -163,13 +163,13 @@ class _Search:
         One more is a stand without the demands, if there is one: from there they are taken as far
         as they go. Where several demands must give, that led to the best in 27 of 28 refusals.
         """
-        elastic = Programme(self.context.shapes, self.goal, demands)
+        elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
-        without = give_up(self.context.robot, self.goal.task, demands)
-        stand = search_stand(self.context, self._goal(without), plainly=True)
+        without = reset_to_nominal(self.context.robot, self.goal.task, demands)
+        stand = search_stand(self.context, self._goal(without), usual_starts_only=True)
         if stand.solved:
             basis.append(elastic.solve(stand.qpos, without))
-        return min((way for way in basis if way.met), key=lambda way: way.slack, default=None)
+        return min((way for way in basis if way.is_met), key=lambda way: way.slack, default=None)
 
     def _alone(self, demand: str) -> Relaxation | None:
         """Returns how a demand alone gives least; None if it does not help.
@@ -180,13 +180,13 @@ class _Search:
         way = self._least([demand], self.starts)
         shares = list(_LESS)
         while way is not None and shares:
-            less = give_further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
-            stand = search_stand(self.context, self._goal(less), centred=True)
+            less = relax_further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
+            stand = search_stand(self.context, self._goal(less), com_at_centre_only=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
-            better = Programme(self.context.shapes, self.goal, [demand]).solve(stand.qpos, less)
-            if not better.met or better.slack > (1 - shares[0] / 2) * way.slack:
+            better = StanceProgram(self.context.shapes, self.goal, [demand]).solve(stand.qpos, less)
+            if not better.is_met or better.slack > (1 - shares[0] / 2) * way.slack:
                 break
             way = better
         return way
@@ -227,15 +227,15 @@ class _Search:
         give as little as that leaves them.
         """
         robot, asked, task, left = self.context.robot, self.goal.task, self.goal.task, [*demands]
-        while way.met:
+        while way.is_met:
             demand = max(left, key=way.given.__getitem__)
             left.remove(demand)
-            there = give_further(robot, way.task, asked, [demand], share)
-            end = round_demands(robot, there, asked, [demand])
+            there = relax_further(robot, way.task, asked, [demand], share)
+            end = round_outward(robot, there, asked, [demand])
             task = replace(task, **{demand: getattr(end, demand)})
             if not left:
                 return task
-            elastic = Programme(self.context.shapes, self._goal(task), left)
+            elastic = StanceProgram(self.context.shapes, self._goal(task), left)
             way = elastic.solve(way.qpos, way.task)
         return None
 
@@ -257,4 +257,6 @@ class _Search:
 def _is_nothing(robot: Robot, task: StandTask, demand: str) -> bool:
     """Tells whether next to nothing is left of a demand of which that is no limit."""
     least = _NOTHING * robot.stand_height
-    return demand in _NOTHING_LEFT and bool((Numbers(robot, task, [demand]).values < least).any())
+    return demand in _NOTHING_LEFT and bool(
+        (DemandVector(robot, task, [demand]).values < least).any()
+    )

@@ -24,10 +24,10 @@ from pupper_analysis.stance.branches import (
     follow_branches,
 )
 from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.constraints import TASK_TOLERANCE, constraints_of
+from pupper_analysis.stance.constraints import TASK_TOLERANCE, make_constraints
 from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
 from pupper_analysis.stance.problem import Goal, has_spare_joints
-from pupper_analysis.stance.programme import Programme
+from pupper_analysis.stance.programme import StanceProgram
 from pupper_analysis.stance.solver import SearchContext, SolverResult
 
 Array = NDArray[np.float64]
@@ -55,12 +55,16 @@ _RANDOM = 32
 cannot be laid quite flat, and what is nearest depends on where one begins. Of 48 stands of six
 bipeds one more is found."""
 
-CLEARANCES = ("ground-clearance", "self-clearance")
+CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
 """Constraints that a stand may miss with its feet in place: then these are what is in the way."""
 
 
 def search_stand(
-    context: SearchContext, goal: Goal, *, plainly: bool = False, centred: bool = False
+    context: SearchContext,
+    goal: Goal,
+    *,
+    usual_starts_only: bool = False,
+    com_at_centre_only: bool = False,
 ) -> Stand:
     """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
 
@@ -71,8 +75,8 @@ def search_stand(
     Args:
         context: The robot's.
         goal: The goal.
-        plainly: From the usual starts alone.
-        centred: With a com that may be anywhere inside over the centre alone, which is quick.
+        usual_starts_only: From the usual starts alone.
+        com_at_centre_only: If the CoM is free, test the centre of the feet only.
 
     Returns:
         A stand that is solved, or else the best failure: with the feet as near as they came, or
@@ -80,10 +84,10 @@ def search_stand(
     """
     there = _Search(context, goal)
     found = there.quickly(posture_seeds(context.robot, goal))
-    if found is not None or plainly:
+    if found is not None or usual_starts_only:
         return found or there.result()
     found = there.in_every_branch()
-    if found is not None or centred:
+    if found is not None or com_at_centre_only:
         return found or there.result()
     return there.at_once()
 
@@ -109,7 +113,7 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
 
 def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once."""
-    there, programme = _Search(context, goal), Programme(context.shapes, goal)
+    there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
     stand = there.met(programme, qpos) or there.met_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
@@ -173,10 +177,10 @@ class _Search:
             return best
         if self.goal.com_is_free:
             reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
-            if any(branches[0].miss > reach for branches in self.found.values()):
+            if any(branches[0].foot_error > reach for branches in self.found.values()):
                 return best  # too far for the com to make up
-        without = CLEARANCES if self._in_vain else ()
-        programme = Programme(self.shapes, self.goal, without=without)
+        without = CLEARANCE_NAMES if self._in_vain else ()
+        programme = StanceProgram(self.shapes, self.goal, without=without)
         for qpos in self._seeds(best):
             stand = self.met(programme, qpos) or self.met_from_nearest(programme, qpos)
             if stand is not None and (stand.solved or self._in_vain):
@@ -213,7 +217,7 @@ class _Search:
         if closest.foot_error < _CLOSE_MISS:  # something may be in the way that elsewhere is not
             yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _SHIFTED)
 
-    def met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:
+    def met_from_nearest(self, programme: StanceProgram, qpos: Array) -> Stand | None:
         """The same as ``met`` from where the feet come nearest first: slower, and surer."""
         if not self.goal.com_is_free or self.reached:
             return None
@@ -243,10 +247,10 @@ class _Search:
         self.reached.append(stand)
         return stand if stand.solved else None
 
-    def met(self, programme: Programme, qpos: Array) -> Stand | None:
+    def met(self, programme: StanceProgram, qpos: Array) -> Stand | None:
         """Returns the stand where a programme leads, feet in place; None if it leads to none."""
         found = programme.solve(qpos)
-        return None if found.missed > NEAR_MISS else self._exactly(found.qpos)
+        return None if found.violation > NEAR_MISS else self._exactly(found.qpos)
 
     def _exactly(self, qpos: Array) -> Stand | None:
         """Returns the stand next to a configuration (nq,), if its feet are in place.
@@ -267,7 +271,7 @@ class _Search:
     def result(self) -> Stand:
         """Returns the solved stand; or that with the least in the way; or what misses least."""
         if self.reached:
-            return max(self.reached, key=lambda stand: (stand.solved, stand.room))
+            return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
         return self.closest or self._measure(self._nearest())
 
     def _measure(self, point: SolverResult, goal: Goal | None = None) -> Stand:
@@ -290,7 +294,7 @@ def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
     Parts may be in each other's way, or in the ground. PlaCo's Gauss-Newton steps, made for errors
     that vanish, stop short of that.
     """
-    feet = Programme(context.shapes, goal, without=(*CLEARANCES, "footholds"))
+    feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
 
 
@@ -420,7 +424,7 @@ def branch_seeds(
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
     likely = {
-        limb: tuple(branch for branch in branches if branch.miss <= reach + NEAR_MISS)
+        limb: tuple(branch for branch in branches if branch.foot_error <= reach + NEAR_MISS)
         for limb, branches in found.items()
     }
     yield from islice(combine_branches(likely, near), most)
@@ -452,7 +456,7 @@ def support_radius(goal: Goal) -> float:
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     """Returns the configuration (nq,) with joints (nu,) inside their limits and the com at (2,)."""
     bent = np.clip(joints, goal.lower, goal.upper)
-    qpos = np.array([0.0, 0.0, goal.height, *goal.turn, *bent])
+    qpos = np.array([0.0, 0.0, goal.height, *goal.base_quaternion, *bent])
     qpos[:2] = place - Configuration(robot, qpos).center_of_mass()[:2]
     return qpos
 
@@ -473,17 +477,17 @@ def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[
     along = np.linspace(-_ASIDE_DISTANCE, _ASIDE_DISTANCE, _ASIDE_PLACES) * robot.stand_height
     moves = np.array([(x, y, 0.0) for x in along for y in along])
     followed = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
-    constraints = [one for one in constraints_of(shapes, goal) if one.name != "footholds"]
+    constraints = [one for one in make_constraints(shapes, goal) if one.name != "footholds"]
     starts: list[tuple[float, Array]] = []
     for number, move in enumerate(moves):
         near = {
-            limb: tuple(branch for branch in branches[number] if branch.miss < _IN_REACH)
+            limb: tuple(branch for branch in branches[number] if branch.foot_error < _IN_REACH)
             for limb, branches in followed.items()
         }
         here = []
         for joints in islice(combine_branches(near, qpos[-robot.nu :]), _TRIED):
             start = np.concatenate([qpos[:3] + move, qpos[3:7], joints])
-            at = shapes.at(start)
-            here.append((sum(one.missed(goal, at) for one in constraints), start))
+            at = shapes.move_to(start)
+            here.append((sum(one.violation(goal, at) for one in constraints), start))
         starts += sorted(here, key=itemgetter(0))[:_PER_PLACE]
     yield from (start for _, start in sorted(starts, key=itemgetter(0)))

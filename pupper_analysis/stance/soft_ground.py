@@ -99,7 +99,7 @@ def solve_stand_on_soft_ground(
             # They are the softer the less they are open: by turns too much and too little.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
-            return stand.of_task(asked)
+            return stand.for_task(asked)
         least, stalled = min(least, change), stalled + 1 if change >= least else 0
         if stalled == _STALLED:
             break

@@ -93,7 +93,7 @@ class StandTask:
                 continue
             if entry.per:
                 check_type(entry.name, value, Mapping[str, Any])
-            object.__setattr__(self, entry.name, entry.checked(value))
+            object.__setattr__(self, entry.name, entry.check_value(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
         if self.ground.planes:  # of a task worked out for a robot
@@ -135,9 +135,9 @@ class StandTask:
         seed = values.pop("ik_seed", None)
         if not FIELDS.keys() >= values.keys():
             raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
-        return cls(ik_seed=seed).having(values)
+        return cls(ik_seed=seed).with_values(values)
 
-    def filled(self, **values: Any) -> StandTask:
+    def replace_unchecked(self, **values: Any) -> StandTask:
         """Returns the task with what it leaves open: a word for where the com is, the ground.
 
         Nothing is checked again: that took an eighth of a stand's time in a sequence.
@@ -151,7 +151,7 @@ class StandTask:
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 
-    def having(self, values: Mapping[str, Any]) -> StandTask:
+    def with_values(self, values: Mapping[str, Any]) -> StandTask:
         """Returns the task with other values, {field of the table: value}.
 
         Raises:
@@ -168,7 +168,7 @@ class StandTask:
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
         return rotation
 
-    def turn(self) -> tuple[float, float, float, float]:
+    def base_quaternion(self) -> tuple[float, float, float, float]:
         """Returns the base's rotation in the world as a unit quaternion (w, x, y, z)."""
         a, b, c = self.roll / 2, self.pitch / 2, self.yaw / 2
         cx, sx, cy, sy = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
@@ -182,13 +182,13 @@ class StandTask:
 
     def __str__(self) -> str:
         """Names the values, with units."""
-        return self.said("en")
+        return self.describe("en")
 
     def phrase(self) -> Phrase:
         """Returns the values with units, in both languages."""
-        return Phrase(self.said("en"), self.said("zh"))
+        return Phrase(self.describe("en"), self.describe("zh"))
 
-    def said(self, language: str) -> str:
+    def describe(self, language: str) -> str:
         """Returns the values with units, in ``"en"`` or ``"zh"``."""
         parts = []
         values = {
@@ -218,7 +218,7 @@ class StandTask:
             elif name == "com_margin":  # of a com that is where it is asked to be, it is a check
                 if inside:
                     yield field, "", value
-            elif field.always_said or value != field.usual:
+            elif field.always_said or value != field.default_value:
                 yield field, "", value
 
 

@@ -22,7 +22,7 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
-RESOLUTION = 1e-3
+BISECTION_RTOL = 1e-3
 """To what part of the step first tried a limit is found."""
 
 _COARSE = 0.4
@@ -118,7 +118,7 @@ def find_interval(
     direction: str,
     enough: float = math.inf,
     *,
-    plainly: bool = False,
+    usual_starts_only: bool = False,
 ) -> Interval:
     """Finds how far the base can go in one direction, both ways; see ``base_workspace``.
 
@@ -127,15 +127,16 @@ def find_interval(
         start: Where the search begins.
         direction: One of ``DIRECTIONS``.
         enough: How far (m, or rad) is not asked beyond: an end that is further may be any.
-        plainly: With the legs bent as the usual starts lead to: quick, and no proof that there is
-            not more.
+        usual_starts_only: Search from the usual initial guesses only, not in all IK branches.
     """
-    low, high = (_limit(robot, start, direction, way, enough, plainly) for way in (-1.0, 1.0))
+    low, high = (
+        _limit(robot, start, direction, way, enough, usual_starts_only) for way in (-1.0, 1.0)
+    )
     return Interval(low, high)
 
 
 def _limit(
-    robot: Robot, start: Stand, direction: str, sign: float, enough: float, plainly: bool
+    robot: Robot, start: Stand, direction: str, sign: float, enough: float, usual_starts_only: bool
 ) -> float:
     """Steps outwards until a stand is out of reach, then halves the step.
 
@@ -144,14 +145,14 @@ def _limit(
     """
     first, most = _FIRST_STEP[direction], _WIDEST.get(direction, math.inf)
     begin = value = _value(robot, start, direction)
-    step, least, last = first, RESOLUTION * first, start
+    step, least, last = first, BISECTION_RTOL * first, start
     shortest = _COARSE * first  # of the steps that are searched for everywhere
 
     def goes(further: float, near: Stand | None = None) -> bool:
         nonlocal value, last
         if abs(further) > most:
             return False
-        found = _reached(robot, start, direction, further, near, plainly)
+        found = _reached(robot, start, direction, further, near, usual_starts_only)
         if found is not None:
             value, last = further, found
         return found is not None
@@ -183,7 +184,12 @@ def _offset(robot: Robot, start: Stand) -> Array:
 
 
 def _reached(
-    robot: Robot, start: Stand, direction: str, value: float, near: Stand | None, plainly: bool
+    robot: Robot,
+    start: Stand,
+    direction: str,
+    value: float,
+    near: Stand | None,
+    usual_starts_only: bool,
 ) -> Stand | None:
     """Returns a stand that is reached, and can be held: from another one near it, or from all."""
     try:
@@ -192,7 +198,7 @@ def _reached(
         return None
     with lend(robot, SearchContext) as context:
         if near is None:
-            stand: Stand | None = search_stand(context, goal, plainly=plainly)
+            stand: Stand | None = search_stand(context, goal, usual_starts_only=usual_starts_only)
         else:
             stand = follow_stand(context, goal, near)
     if stand is None or not stand.solved:

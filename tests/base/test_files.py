@@ -19,7 +19,7 @@ import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.base.errors import OutputError, VariantError
 from pupper_analysis.base.files import Writing, write_all, write_atomically
-from pupper_analysis.base.kinds import EDITED, MODEL, OWN, RESULTS, Kind
+from pupper_analysis.base.kinds import EDITED_KIND, MODEL_KIND, OWN_KIND, RESULTS_KIND, Kind
 from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.runs import ensure_run, register_input
 from tests.support.commands import run_command
@@ -27,7 +27,7 @@ from tests.support.hidden_files import leave_hidden_file
 from tests.support.repository import ROOT
 
 
-def write(path: Path, kind: Kind = OWN, text: str = "all of it") -> None:
+def write(path: Path, kind: Kind = OWN_KIND, text: str = "all of it") -> None:
     with write_atomically(path, kind) as file:
         file.write(text.encode())
 
@@ -41,7 +41,7 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("old")
 
     def fail() -> None:
-        with write_atomically(path, OWN) as file:
+        with write_atomically(path, OWN_KIND) as file:
             file.write(b"half of")
             raise KeyError("stop")
 
@@ -69,7 +69,7 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
     read: list[str] = []
     reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
     reader.start()
-    files.check_writable(pipe, OWN)
+    files.check_writable(pipe, OWN_KIND)
     write(pipe)
     reader.join(10)
     assert read == ["all of it"]
@@ -82,9 +82,9 @@ def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: P
     code = (
         "import sys; from pathlib import Path\n"
         "from pupper_analysis.base.files import write_atomically\n"
-        "from pupper_analysis.base.kinds import OWN\n"
+        "from pupper_analysis.base.kinds import OWN_KIND\n"
         f"print('before', file=sys.{stream})\n"
-        "with write_atomically(Path('out'), OWN) as file: file.write(b'result\\n')\n"
+        "with write_atomically(Path('out'), OWN_KIND) as file: file.write(b'result\\n')\n"
         f"print('after', file=sys.{stream})"
     )
     with (tmp_path / "out").open("w") as out:
@@ -134,7 +134,7 @@ def test_what_cannot_be_written_is_found_before_the_work(
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=problem):
-        files.check_writable(tmp_path / name, OWN)
+        files.check_writable(tmp_path / name, OWN_KIND)
 
 
 @pytest.mark.parametrize("denied", [os.W_OK, os.X_OK])
@@ -144,11 +144,11 @@ def test_folders_without_leave_are_found_before_the_work(
     # By a stand-in: who runs the tests may be root, who may do everything.
     monkeypatch.setattr(os, "access", lambda path, how: not how & denied)
     with pytest.raises(OutputError, match="no file may be made"):
-        files.check_writable(tmp_path / "new", OWN)
+        files.check_writable(tmp_path / "new", OWN_KIND)
     if denied == os.W_OK:
         (tmp_path / "file").touch()
         with pytest.raises(OutputError, match="may not be written"):
-            files.check_writable(tmp_path / "file", OWN)
+            files.check_writable(tmp_path / "file", OWN_KIND)
         with pytest.raises(OutputError, match="may not be written"):
             write(tmp_path / "file")
 
@@ -161,7 +161,7 @@ def test_a_folder_that_cannot_be_searched_is_an_output_error(
 
     monkeypatch.setattr(Path, "stat", deny)
     with pytest.raises(OutputError, match="Permission denied"):
-        files.check_writable(tmp_path / "folder" / "new", OWN)
+        files.check_writable(tmp_path / "folder" / "new", OWN_KIND)
     with pytest.raises(OutputError, match="Permission denied"):
         files.check_folder(tmp_path / "folder" / "new")
 
@@ -198,7 +198,7 @@ def held(*a):
 os.fdopen = held
 @click.command()
 def slow():
-    with files.write_atomically(Path("out"), kinds.OWN) as file: file.write(b"x")
+    with files.write_atomically(Path("out"), kinds.OWN_KIND) as file: file.write(b"x")
 cli.run(slow, [])
 """
 """A command that is held while its temporary file is there."""
@@ -243,14 +243,14 @@ def test_what_a_run_reads_is_not_written(link: Callable[..., None] | None, tmp_p
         run.force = True
         for refuse in (files.check_writable, write):
             with pytest.raises(OutputError, match="which this run reads"):
-                refuse(other, RESULTS)
-        with write_atomically(tmp_path / "new", OWN) as file:
+                refuse(other, RESULTS_KIND)
+        with write_atomically(tmp_path / "new", OWN_KIND) as file:
             file.write(b"made here")
         register_input(tmp_path / "new")  # to prove it
         write(tmp_path / "new", text="again")
-        write(read, EDITED, "edited")
+        write(read, EDITED_KIND, "edited")
         with pytest.raises(OutputError, match="which this run reads"):
-            write(read, RESULTS)
+            write(read, RESULTS_KIND)
     assert read.read_text() == "edited"
     write(read)  # no run, no inputs
 
@@ -262,7 +262,7 @@ def test_what_is_to_be_written_is_not_read(tmp_path: Path) -> None:
     out.symlink_to(mesh)
     with ensure_run() as run:
         run.force = True
-        files.check_writable(out, RESULTS)
+        files.check_writable(out, RESULTS_KIND)
         with pytest.raises(OutputError, match=r"out\.json.*foot\.stl"):
             register_input(mesh)
 
@@ -274,15 +274,15 @@ def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
         path.write_text(before)
         for attempt in (files.check_writable, write):
             if replaced:
-                attempt(path, RESULTS)
+                attempt(path, RESULTS_KIND)
             else:
                 with pytest.raises(OutputError, match="no JSON result of this package"):
-                    attempt(path, RESULTS)
+                    attempt(path, RESULTS_KIND)
                 assert path.read_text() == before
-    write(path, MODEL, "<mujoco/>")  # the same content: nothing is lost
+    write(path, MODEL_KIND, "<mujoco/>")  # the same content: nothing is lost
     with pytest.raises(OutputError, match="it exists"):
-        write(path, MODEL, "<mujoco />")
-    with write_atomically(path, MODEL, force=True) as file:
+        write(path, MODEL_KIND, "<mujoco />")
+    with write_atomically(path, MODEL_KIND, force=True) as file:
         file.write(b"<robot/>")
     assert path.read_text() == "<robot/>"
 
@@ -307,7 +307,7 @@ def test_a_run_that_writes_nothing_clears_hidden_files(tmp_path: Path) -> None:
     (tmp_path / "out.json").write_text("mine")
     left = leave_hidden_file(tmp_path)
     with pytest.raises(OutputError):
-        files.check_writable(tmp_path / "out.json", RESULTS)
+        files.check_writable(tmp_path / "out.json", RESULTS_KIND)
     assert not left.exists()
     left = leave_hidden_file(tmp_path)
     files.check_folder(tmp_path)
@@ -351,7 +351,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def both(folder: Path, **options: bool) -> tuple[Path, ...]:
-    return write_all([Writing(folder / x, b"new", OWN, old) for x, old in OLD.items()], **options)
+    return write_all(
+        [Writing(folder / x, b"new", OWN_KIND, old) for x, old in OLD.items()], **options
+    )
 
 
 def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
@@ -423,7 +425,7 @@ def test_new_files_go_again_if_a_later_one_fails(
 ) -> None:
     fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OutputError):
-        write_all([Writing(folder / "new", b"x", OWN), Writing(folder / "b", b"y", OWN)])
+        write_all([Writing(folder / "new", b"x", OWN_KIND), Writing(folder / "b", b"y", OWN_KIND)])
     assert contents(folder) == OLD
 
 

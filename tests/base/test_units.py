@@ -12,7 +12,7 @@ from dataclasses import Field, dataclass, field, fields, is_dataclass
 import pupper_analysis as pa
 from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import DIMENSIONLESS, VARIES, units_of
+from pupper_analysis.base.units import DIMENSIONLESS_UNIT, VARYING_UNIT, units_of
 
 NUMERIC = re.compile(r"\b(float|Array|NDArray\[np\.float64\]|Position)\b")
 """Annotation of a field with measured or computed numbers; integers are counts and indices."""
@@ -60,9 +60,9 @@ def test_each_published_number_states_a_unit_or_is_dimensionless() -> None:
 def test_units_are_written_in_one_form() -> None:
     for kind in list_published_classes():
         for each in published_fields(kind):
-            unit = each.metadata.get("unit", DIMENSIONLESS)
+            unit = each.metadata.get("unit", DIMENSIONLESS_UNIT)
             for part in re.split(r" or | and |, ", unit):
-                assert part == VARIES or UNIT.fullmatch(part), (kind, each.name, unit)
+                assert part == VARYING_UNIT or UNIT.fullmatch(part), (kind, each.name, unit)
 
 
 def test_units_stay_if_a_docstring_is_reworded() -> None:
@@ -71,7 +71,7 @@ def test_units_stay_if_a_docstring_is_reworded() -> None:
         """Load of a motor, in a docstring without units."""
 
         torque: float = field(metadata={"unit": "N m"})
-        share: float = field(metadata={"unit": DIMENSIONLESS})
+        share: float = field(metadata={"unit": DIMENSIONLESS_UNIT})
         name: str = ""
 
     assert units_of(Load) == {"torque": "N m"}

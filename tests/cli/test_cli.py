@@ -14,7 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.base.tools import HEADINGS, own_tools
+from pupper_analysis.base.tools import HELP_HEADINGS, own_tools
 from pupper_analysis.pupper.variants import VARIANTS
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -152,7 +152,7 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_commands_stand_under_headings(capsys: pytest.CaptureFixture[str]) -> None:
     """Each of ours under one that is there; of others what states none, under the last."""
-    assert {one.heading for one in own_tools().values()} <= set(HEADINGS[:-1])
+    assert {one.heading for one in own_tools().values()} <= set(HELP_HEADINGS[:-1])
     with pytest.raises(SystemExit):
         cli.run(cli.group, ["--help"])
     lines = capsys.readouterr().out.splitlines()

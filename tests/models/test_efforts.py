@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.models.attributes import UNSTATED
-from pupper_analysis.models.efforts import effort_of
+from pupper_analysis.models.efforts import resolve_effort_limit
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.judge import judge_stand
@@ -126,7 +126,7 @@ def test_the_least_of_all_that_is_stated(
     expected: tuple[float, float] | None,
     attribute: str | None,
 ) -> None:
-    limit = effort_of(arm(motor, joint), 0, effort)
+    limit = resolve_effort_limit(arm(motor, joint), 0, effort)
     assert (limit.lower, limit.upper) == (expected or (-math.inf, math.inf))
     assert (None if limit.origin is None else limit.origin.attribute) == attribute
 
@@ -233,7 +233,7 @@ def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
     [(80.0, "stated"), (0.0, "zero"), (-1.0, "negative"), (None, "unknown"), (2e9, "unknown")],
 )
 def test_code_of_a_limit_names_zero_negative_and_unknown(effort: float | None, code: str) -> None:
-    limit = effort_of(arm('<motor joint="turn"/>'), 0, effort)
+    limit = resolve_effort_limit(arm('<motor joint="turn"/>'), 0, effort)
     assert limit.code == code
     assert limit.without_torque is (code in ("zero", "negative"))
     assert limit.to_dict()["code"] == code

@@ -125,11 +125,11 @@ def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.M
     """
     robot, factor = load("v3"), mass / load("v3").total_mass
     one, size = numbers(robot, 1.0), factor ** (1 / 3)
-    lasting = steady_state.LASTING * size**0.5
-    monkeypatch.setattr(steady_state, "LASTING", lasting)
-    monkeypatch.setattr(stability, "LASTING", lasting)
-    monkeypatch.setattr(stability.Stability.leaving, "__defaults__", (lasting,))
-    for name in ("LASTING", "LONGEST_TRIAL", "_CHUNK", "_HALF_TIME", "_LONGEST_WINDOW"):
+    lasting = steady_state.HOLD_DURATION * size**0.5
+    monkeypatch.setattr(steady_state, "HOLD_DURATION", lasting)
+    monkeypatch.setattr(stability, "HOLD_DURATION", lasting)
+    monkeypatch.setattr(stability.Stability.modes_growing_within, "__defaults__", (lasting,))
+    for name in ("HOLD_DURATION", "LONGEST_TRIAL", "_CHUNK", "_HALF_TIME", "_LONGEST_WINDOW"):
         monkeypatch.setattr(growth, name, getattr(growth, name) * size**0.5)
     for name in ("NUDGE_SPEED", "FREEING_SPEED"):
         monkeypatch.setattr(growth, name, getattr(growth, name) / size**0.5)

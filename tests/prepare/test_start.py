@@ -16,7 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from tests.support import random_legged
 from tests.support.legged import biped, quadruped, rewritten
 from tests.support.slips import standing
@@ -98,7 +98,7 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
     rewritten(files.mjcf, ('<body name="FL_hip"', deep))
     robot = pa.load_robot(*files)
     assert start.first_stand(robot) is None
-    assert own_servos(robot).keys() == set(robot.joint_names)
+    assert list_position_servos(robot).keys() == set(robot.joint_names)
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
 
 

@@ -211,9 +211,9 @@ def test_twenty_threads_at_once() -> None:
 
 
 def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = ClearanceShapes(load("v3")).between_links(stand_of("v3").qpos)
+    one = ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos)
     monkeypatch.delattr(os, "memfd_create", raising=False)
-    assert ClearanceShapes(load("v3")).between_links(stand_of("v3").qpos) == one
+    assert ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos) == one
 
 
 def test_silence_ends_with_the_last_who_wanted_it() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.tools import HEADINGS, own_packages, own_tools
+from pupper_analysis.base.tools import HELP_HEADINGS, own_packages, own_tools
 from tests.support.repository import ROOT
 
 QUICK = (
@@ -85,7 +85,7 @@ def check_imports(tool: str, copy: Path) -> None:
     assert str(copy) in run(copy, "-c", code)
     printed = run(copy, "-m", "pupper_analysis", "--help")
     left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
-    listed = re.findall(r"^  (\w+)  +\S", printed.partition(f"{HEADINGS[0]}:")[2], re.M)
+    listed = re.findall(r"^  (\w+)  +\S", printed.partition(f"{HELP_HEADINGS[0]}:")[2], re.M)
     assert set(listed) == left
     assert tool not in left
     assert len(left) > len(own_tools()) / 2

@@ -11,10 +11,10 @@ import pytest
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.fall import (
     BodyMotion,
-    began_anew,
-    held_motion,
     initial_height,
-    own_motion,
+    simulate_held_keyframe,
+    simulate_keyframe,
+    was_reset_by_mujoco,
 )
 
 TETRAHEDRON = '<mesh name="tetrahedron" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/>'
@@ -69,7 +69,7 @@ def test_the_clearance_above_a_sphere_is_vertical() -> None:
 
 
 def test_a_drop_counts_as_lost_height_only_if_the_robot_lies_at_the_end() -> None:
-    """A drop of 0.1 m is a third of 0.3 m; ``SUNKEN`` is 0.3."""
+    """A drop of 0.1 m is a third of 0.3 m; ``MAX_HEIGHT_LOSS_RATIO`` is 0.3."""
     lands = BodyMotion(5.0, 0.2, 0.18, 0.0, 0.0, diverged=False, clearance=0.1, lies=False)
     lies = BodyMotion(5.0, 0.2, 0.18, 0.0, 0.0, diverged=False, clearance=0.1, lies=True)
     assert not lands.collapses
@@ -99,7 +99,7 @@ def test_a_simulation_that_mujoco_resets_in_its_first_step_has_diverged(
         mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
 
     with silence_mujoco():
-        motion, end = own_motion(model, start, 1, 0.0, advance)
-        held, _ = held_motion(model, start, advance)
+        motion, end = simulate_keyframe(model, start, 1, 0.0, advance)
+        held, _ = simulate_held_keyframe(model, start, advance)
     assert end.time == pytest.approx(motion.duration, abs=2 * model.opt.timestep)
-    assert began_anew(end) is motion.diverged is motion.collapses is held.diverged is lost
+    assert was_reset_by_mujoco(end) is motion.diverged is motion.collapses is held.diverged is lost

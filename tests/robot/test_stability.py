@@ -195,7 +195,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     robot, stand = load("v3"), stand_of("v3")
     found = pa.verify_stand(robot, stand, kp=40.0, kd=4.0)
     assert not found.passed
-    mode = found.stability.leaving()[0]
+    mode = found.stability.modes_growing_within()[0]
     assert mode.shakes
     assert set(mode.joints) <= set(robot.joint_names)
     assert any("it shakes at 250 Hz" in str(reason) for reason in found.failures)
@@ -212,7 +212,7 @@ def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: in
     message = set()
     for case in module.variants(examples):
         found, _ = module.judged(case)
-        leaving = found.leaving() if found.at_rest else ()
+        leaving = found.modes_growing_within() if found.at_rest else ()
         if not found.at_rest:
             continue
         message.add(not leaving)

@@ -14,7 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.touching import touching
-from pupper_analysis.stance.problem import usual_place
+from pupper_analysis.stance.problem import default_contact_position
 from tests.robots.test_real_robots import LAB, MJCF, URDF, file
 from tests.stance.test_welds import least
 from tests.support.variants import load
@@ -46,7 +46,7 @@ def hand(
     def make(of: pa.Robot) -> Contacts:
         there = touching(of, {name: pa.Contact(pa.Plane((0, 0, 0), normal))})
         out = np.array(normal)
-        point = usual_place(there, name) + (away - there.contact_radius[name]) * out
+        point = default_contact_position(there, name) + (away - there.contact_radius[name]) * out
         return {name: pa.Contact(pa.Plane(tuple(point.tolist()), normal, 0.6))}
 
     return make
@@ -142,7 +142,7 @@ def test_g1_hangs_back_on_a_ladder() -> None:
     g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
     there = touching(g1, both(g1))
     for palm in ("left_palm", "right_palm"):
-        x, y, z = (usual_place(there, palm) + 0.12 * np.array(UP)).tolist()
+        x, y, z = (default_contact_position(there, palm) + 0.12 * np.array(UP)).tolist()
         rung = pa.Bar((x + 0.05, 0, z), (0, 1, 0), 0.015)
         contacts[palm] = pa.Contact(rung, place=(x, y, z), grip=150.0)
     for foot, height in (("left_ankle_roll_link", 0.15), ("right_ankle_roll_link", 0.0)):

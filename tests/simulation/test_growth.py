@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.stability import LASTING, step_stability
+from pupper_analysis.robot.stability import HOLD_DURATION, step_stability
 from pupper_analysis.simulation.growth import _doubling_time_of
 from pupper_analysis.simulation.stability import judge_stability
 
@@ -41,7 +41,7 @@ def test_the_doubling_time_of_a_confirmed_mode_is_that_of_the_pendulum(kp: float
     inertia = INERTIA + (MOMENT / 9.81) ** 2
     rate = max(np.roots([inertia, kd, kp - MOMENT]).real)
     _, found = judged(rod(kp, kd))
-    (mode,) = found.leaving()
+    (mode,) = found.modes_growing_within()
     assert mode.doubling_time == pytest.approx(math.log(2) / rate, rel=0.05)
     assert mode.nudge == pytest.approx(1e-4)
     assert not found.refuted
@@ -55,9 +55,11 @@ def test_a_mode_that_a_stop_ends_within_micrometres_is_refuted() -> None:
     xml = rod(5.0, 0.4, more='<geom type="box" size=".01 .05 .05" pos="0 0 .5"/>')
     xml = xml.replace("<worldbody>", f"<worldbody>{stops}")
     spectrum, found = judged(xml)
-    assert spectrum.leaving()
-    assert not found.leaving()
-    assert [mode.growth for mode in found.refuted] == [mode.growth for mode in spectrum.leaving()]
+    assert spectrum.modes_growing_within()
+    assert not found.modes_growing_within()
+    assert [mode.growth for mode in found.refuted] == [
+        mode.growth for mode in spectrum.modes_growing_within()
+    ]
 
 
 @pytest.mark.parametrize(("friction", "holds"), [(1e-3, False), (0.5, True)])
@@ -66,9 +68,9 @@ def test_dry_friction_hides_a_mode_from_the_nudge_that_it_holds(
 ) -> None:
     """At 10 mrad the rod's moment, (m g l - kp) x 0.01, is 0.01 N m: between both frictions."""
     spectrum, found = judged(rod(5.0, 0.4, joint=f'frictionloss="{friction}"'))
-    assert all(mode.freed for mode in spectrum.leaving())
-    assert bool(spectrum.leaving())
-    assert bool(found.leaving()) is not holds
+    assert all(mode.freed for mode in spectrum.modes_growing_within())
+    assert bool(spectrum.modes_growing_within())
+    assert bool(found.modes_growing_within()) is not holds
 
 
 def test_a_drift_at_constant_speed_does_not_double() -> None:
@@ -76,6 +78,6 @@ def test_a_drift_at_constant_speed_does_not_double() -> None:
     assert _doubling_time_of(1.0 + time, 1.0, lost=False) is None
     doubling = _doubling_time_of(2.0 ** (time / 7.0), 1.0, lost=False)
     assert doubling == pytest.approx(7.0)
-    assert doubling < LASTING
+    assert doubling < HOLD_DURATION
     decaying = np.exp(-time / 5) + 1e-4 * 2.0 ** (time / 7.0)
     assert _doubling_time_of(decaying, 1.0, lost=False) == pytest.approx(7.0, rel=0.1)

@@ -93,7 +93,7 @@ def test_fallen_is_leaning_too_far_or_too_low(
         (0.17, 0.0, (), True),
         (0.18, 0.0, (), False),  # more than 10 deg
         (0.0, 0.29, (), True),
-        (0.0, 0.31, (), False),  # more than ``SUNKEN`` of its height
+        (0.0, 0.31, (), False),  # more than ``MAX_HEIGHT_LOSS_RATIO`` of its height
         (0.0, -0.31, (), False),
         (0.0, 0.0, ("shank",), False),
     ],

@@ -182,7 +182,9 @@ def test_what_is_only_expected_never_passes(
         code = VerdictCode.OVERLOADED if max(shares) > 1 else VerdictCode.IN_BALANCE
     statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)
     leaving = () if doubling is None else (Stub(doubling_time=doubling),)
-    stability: Any = Stub(lasts=lambda: not leaving, leaving=lambda: leaving, at_rest=True)
+    stability: Any = Stub(
+        lasts=lambda: not leaving, modes_growing_within=lambda: leaving, at_rest=True
+    )
     verdict = predict_verdict(statics, FILE, stability if known else None)
     assert verdict.code is code
     assert not verdict.passed

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import INTEGRATORS, model_with_servos
+from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from tests.support.engines import changed
 from tests.support.variants import load, stand_of
@@ -120,7 +120,7 @@ def test_gains_per_joint() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", INTEGRATOR_TYPES)
 def test_integrator_is_selected_reported_and_does_not_move_the_balance(integrator: str) -> None:
     result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
     assert result.integrator == integrator
@@ -158,7 +158,7 @@ def test_servos_too_weak_to_stand() -> None:
     assert result.base_height < 0.6 * stand_of("v3-heavy").qpos[2]
     # It lies where nothing grows any more. At the start it is in no equilibrium: two simulations a
     # tenth of a milliradian apart fall alike, so no mode is the cause.
-    assert not result.stability.leaving()
+    assert not result.stability.modes_growing_within()
     assert result.stability.refuted
 
 

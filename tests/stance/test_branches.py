@@ -56,13 +56,13 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
     others = 0
     for limb, branches in found.items():
         (foot,) = limb.feet
-        reached = [way for way in branches if way.miss < 1e-5]
+        reached = [way for way in branches if way.foot_error < 1e-5]
         assert reached, "it is in reach"
         for way in branches:
             bent = qpos.copy()
             bent[7 + limb.joints] = way.positions
             miss = np.linalg.norm(places_by_mujoco(robot, bent)[foot] - targets[foot])
-            assert miss == pytest.approx(way.miss, abs=1e-9)
+            assert miss == pytest.approx(way.foot_error, abs=1e-9)
         low, high = robot.lower_limits[limb.joints], robot.upper_limits[limb.joints]
         random = np.random.default_rng(100 + seed)
         for _ in range(12):
@@ -92,7 +92,7 @@ def test_a_whole_turn_is_no_other_branch() -> None:
     targets = pa.Configuration(robot, bent).foot_positions()
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     for limb, branches in found.items():
-        reached = [way.positions for way in branches if way.miss < 1e-5]
+        reached = [way.positions for way in branches if way.foot_error < 1e-5]
         assert len(reached) == 4
         assert all((np.abs(positions) <= np.pi).all() for positions in reached)
         assert min(np.abs(positions - bent[7 + limb.joints]).max() for positions in reached) < 1e-3

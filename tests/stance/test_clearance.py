@@ -73,7 +73,7 @@ def test_height_above_slope_and_steps(name: str) -> None:
     for seed in range(40):
         qpos, _ = random_state(robot, seed)
         qpos[:3] = 0.05 * np.tanh(qpos[:3]) + (0, 0, 0.3)
-        found = shapes.above_ground(shapes.at(qpos), ground, feet, {})
+        found = shapes.lowest_part(shapes.move_to(qpos), ground, feet, {})
         expected = min(ground_distances(there, qpos))
         assert found is not None
         if expected > 0:  # of shapes in each other the two libraries give other depths
@@ -106,7 +106,7 @@ def test_distance_between_links(name: str) -> None:
     neighbours = {pair for pair, gap in pairs(home).items() if gap <= 0}
     for seed in range(10):
         qpos, _ = random_state(robot, seed)
-        found = shapes.between_links(qpos)
+        found = shapes.closest_links(qpos)
         assert found is not None
         gaps = {p: gap for p, gap in pairs(mujoco_at(robot, qpos)).items() if p not in neighbours}
         if min(gaps.values()) > 0:
@@ -153,7 +153,7 @@ def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> No
         qpos[3:7] += random.uniform(-0.2, 0.2, 4)
         qpos[3:7] /= np.linalg.norm(qpos[3:7])
         qpos[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
-        rates = shapes.height_rates(pa.Configuration(robot, qpos), ground, places)
+        rates = shapes.height_jacobian(pa.Configuration(robot, qpos), ground, places)
         for column, index in zip(
             (0, 1, 2, *range(6, robot.nv)), (0, 1, 2, *range(7, robot.nq)), strict=True
         ):
@@ -161,6 +161,8 @@ def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> No
             for step in (1e-4, -1e-4):
                 moved = qpos.copy()
                 moved[index] += step
-                ends.append(np.array(shapes.heights(shapes.at(moved), ground, places, {})))
+                ends.append(
+                    np.array(shapes.part_heights(shapes.move_to(moved), ground, places, {}))
+                )
             rates_found = (ends[0] - ends[1]) / 2e-4
             np.testing.assert_allclose(rates[:, column], rates_found, atol=2e-3)

@@ -107,7 +107,7 @@ def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
             mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
             for fixed, geom in itertools.product(still, geoms)
         )
-        found = shapes.above_ground(shapes.at(qpos), ground, places, {})
+        found = shapes.lowest_part(shapes.move_to(qpos), ground, places, {})
         assert found is not None
         if expected > 0:
             seen += 1
@@ -128,7 +128,7 @@ def test_distances_between_links_are_those_of_mujocos_hulls(robot: pa.Robot) -> 
             for one, two in itertools.combinations(touching(model), 2)
             if pair_of(model, one, two) not in neighbours
         )
-        found = shapes.between_links(qpos)
+        found = shapes.closest_links(qpos)
         assert found is not None
         if expected > 0:
             seen += 1

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.constraints import angle_between, constraints_of
+from pupper_analysis.stance.constraints import angle_between, make_constraints
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.programme import Programme
+from pupper_analysis.stance.programme import StanceProgram
 from tests.support.variants import load
 
 TASK = pa.StandTask(
@@ -62,14 +62,14 @@ def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> No
     qpos[7:] += random.uniform(-0.2, 0.2, 12)
     velocity = random.normal(size=robot.nv)
     seen = set()
-    for one in constraints_of(shapes, goal):
+    for one in make_constraints(shapes, goal):
         if one.given:  # every configuration that is tried fulfils it
             continue
         ends = [
-            one.residual(goal, shapes.at(moved(robot, qpos, velocity, time)))
+            one.residual(goal, shapes.move_to(moved(robot, qpos, velocity, time)))
             for time in (1e-6, -1e-6)
         ]
-        rates = one.rates(goal, pa.Configuration(robot, qpos)) @ velocity
+        rates = one.jacobian(goal, pa.Configuration(robot, qpos)) @ velocity
         np.testing.assert_allclose(rates, (ends[0] - ends[1]) / 2e-6, atol=2e-3, err_msg=one.name)
         seen.add(one.name)
     assert len(seen) == (5 if com == "inside" else 6)
@@ -78,7 +78,7 @@ def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> No
 def test_the_elastic_problems_derivative_is_that_of_its_residuals() -> None:
     robot = load("v3")
     demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
-    elastic = Programme(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
+    elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
     random = np.random.default_rng(1)
     x = elastic._start(pa.solve_stand(robot).qpos, None)
     free = elastic._high > elastic._low  # margins and lifts become no more

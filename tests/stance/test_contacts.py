@@ -96,7 +96,7 @@ def test_what_presses_a_foot_is_measured_along_the_normal_of_its_plane() -> None
     assert found.force_error == pytest.approx(worst(stand.normals), rel=1e-12)
     up = dict.fromkeys(predicted, np.array([0.0, 0.0, 1.0]))
     assert found.force_error != pytest.approx(worst(up), rel=1e-2)
-    assert stand.ways_out(robot)["FL"] @ stand.normals["FL"] == pytest.approx(1.0)
+    assert stand.lift_directions(robot)["FL"] @ stand.normals["FL"] == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -386,7 +386,7 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
     assert str(contacts["FL"]).startswith("wall:0.4m,mu=0.6")
     assert "FL on wall:400mm" in str(task)
     assert "RL on slope:17.19deg,uphill=-57.3deg,mu=0.7" in str(task)
-    assert "FL 接触 wall:400mm" in task.said("zh")
+    assert "FL 接触 wall:400mm" in task.describe("zh")
 
 
 def test_a_study_varies_where_a_plane_is() -> None:

@@ -12,11 +12,11 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.stance.demands import (
     DEMANDS,
-    Numbers,
+    DemandVector,
     describe_limit,
-    differ_from_nominal,
-    give_up,
-    round_demands,
+    differs_from_nominal,
+    reset_to_nominal,
+    round_outward,
 )
 from tests.support.variants import load
 
@@ -34,24 +34,24 @@ TASK = pa.StandTask(
 
 def test_numbers_come_back_as_the_task() -> None:
     robot = load("v3")
-    numbers = Numbers(robot, TASK, DEMANDS)
-    assert numbers.task(numbers.values) == TASK
-    np.testing.assert_array_equal(numbers.of(TASK), numbers.values)
-    numbers = Numbers(robot, TASK, ["height", "foot_offsets", "ground"])
+    numbers = DemandVector(robot, TASK, DEMANDS)
+    assert numbers.make_task(numbers.values) == TASK
+    np.testing.assert_array_equal(numbers.read_task(TASK), numbers.values)
+    numbers = DemandVector(robot, TASK, ["height", "foot_offsets", "ground"])
     less = numbers.values - 0.01
-    moved = numbers.task(less)
+    moved = numbers.make_task(less)
     assert moved.height == 0.15 - 0.01
     assert moved.foot_offsets == {"FL": (0.02 - 0.01, 0.0)}
     assert moved.ground.heights == {"FR": 0.02 - 0.01}
-    np.testing.assert_array_equal(numbers.of(moved), less)
-    assert not differ_from_nominal(robot, pa.StandTask(yaw=0.3), ["roll", "height", "ground"])
-    assert differ_from_nominal(robot, pa.StandTask(yaw=0.3), ["roll", "yaw"])
+    np.testing.assert_array_equal(numbers.read_task(moved), less)
+    assert not differs_from_nominal(robot, pa.StandTask(yaw=0.3), ["roll", "height", "ground"])
+    assert differs_from_nominal(robot, pa.StandTask(yaw=0.3), ["roll", "yaw"])
 
 
 @pytest.mark.parametrize("demand", DEMANDS)
 def test_one_is_given_up_and_the_others_stay(demand: str) -> None:
     robot = load("v3")
-    without = give_up(robot, TASK, [demand])
+    without = reset_to_nominal(robot, TASK, [demand])
     for other in set(DEMANDS) - {demand}:
         assert getattr(without, other) == getattr(TASK, other)
     expected = {
@@ -75,11 +75,11 @@ def test_places_are_given_up_for_the_nominal_ones() -> None:
     """Those of feet for where they stand by themselves, a com's for the middle of what carries."""
     robot = load("v3")
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
-    placed = give_up(robot, pa.StandTask(feet={"FL": (0.1, 0.1)}), ["feet"])
+    placed = reset_to_nominal(robot, pa.StandTask(feet={"FL": (0.1, 0.1)}), ["feet"])
     np.testing.assert_allclose(placed.feet["FL"], feet["FL"][:2])
     middle = np.mean([feet[foot][:2] for foot in ("FR", "FL", "RR")], axis=0)
     task = pa.StandTask(com=(0.03, 0.01), swing={"RL": 0.01})
-    np.testing.assert_allclose(give_up(robot, task, ["com"]).com, middle)
+    np.testing.assert_allclose(reset_to_nominal(robot, task, ["com"]).com, middle)
 
 
 def described(task: pa.StandTask, *demands: str) -> str:
@@ -111,16 +111,16 @@ def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
         joint_margin=0.4003,
     )  # fmt: skip
     demands = ("height", "roll", "pitch", "swing", "joint_margin", "com_margin")
-    near = round_demands(robot, task, asked, demands)
+    near = round_outward(robot, task, asked, demands)
     assert near.height == 0.1924
     low = replace(asked, height=0.05)
-    assert round_demands(robot, replace(low, height=0.10013), low, ["height"]).height == 0.1002
+    assert round_outward(robot, replace(low, height=0.10013), low, ["height"]).height == 0.1002
     assert math.degrees(near.roll) == pytest.approx(19.28)  # 19.2806
     assert math.degrees(near.pitch) == pytest.approx(-7.07)  # -7.0732
     assert near.swing["FL"] == pytest.approx(0.001234)
     assert near.joint_margin <= task.joint_margin
     assert near.com_margin == 0.02  # it gives nothing
-    assert round_demands(robot, near, asked, demands) == near
+    assert round_outward(robot, near, asked, demands) == near
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ def near(found: Any, expected: Any) -> bool:
 
 def task_with(field: Field) -> pa.StandTask:
     others = {"offset": (0.0, 0.0)} if field.name == "com_margin" else {}
-    return pa.StandTask().having({**others, field.name: asked(field)})
+    return pa.StandTask().with_values({**others, field.name: asked(field)})
 
 
 def said_of(field: Field) -> str:
@@ -66,7 +66,7 @@ def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
         own = {one.name for one in fields(kind)} - {"ground", "ik_seed", "_planes"}
         assert own == {field.name for field in FIELDS.values() if field.part == part}
     usual = pa.StandTask().values()
-    assert usual == {name: field.usual for name, field in FIELDS.items()}
+    assert usual == {name: field.default_value for name, field in FIELDS.items()}
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
@@ -77,7 +77,7 @@ def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
     found = (content if field.part == "task" else content[field.part])[field.name]
     assert found == json.loads(to_json(asked(field)))
     if field.name == "uphill":  # it is said of a slope
-        task = task.having({"slope": 0.1})
+        task = task.with_values({"slope": 0.1})
     said, plain = task_text(task), task_text(pa.StandTask())
     assert said.en != plain.en
     assert re.search("[\u4e00-\u9fff]", said.zh)
@@ -94,11 +94,11 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
         wrong += [field.high + 0.01] * math.isfinite(field.high) + [field.low] * field.open
     for value in wrong:
         with pytest.raises(pa.ConfigurationError) as refused:
-            pa.StandTask().having({field.name: {"FL": value} if field.per else value})
+            pa.StandTask().with_values({field.name: {"FL": value} if field.per else value})
         assert refused.value.field.startswith(field.name)
     if field.per:
         with pytest.raises(pa.ConfigurationError, match=field.name):
-            pa.StandTask().having({field.name: 0.1})
+            pa.StandTask().with_values({field.name: 0.1})
 
 
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)

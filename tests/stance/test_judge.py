@@ -48,7 +48,7 @@ def test_the_room_of_a_stand_is_that_of_what_is_nearest() -> None:
 
     def room(**changes: object) -> float:
         asked = {"ground_clearance": 0.04, "self_clearance": 0.05}
-        return replace(stand, task=replace(stand.task, **asked), **changes).room  # type: ignore[arg-type]
+        return replace(stand, task=replace(stand.task, **asked), **changes).constraint_slack  # type: ignore[arg-type]
 
     assert room(ground_clearance=near, self_clearance=None) == pytest.approx(0.03 - 0.04)
     assert room(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)

@@ -233,9 +233,9 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
     walled = [mujoco.mj_geomDistance(model, data, geom, wall, 1.0, None) for geom in parts]
     with lend(robot, SearchContext) as context:
         shapes = context.shapes
-        at = shapes.at(stand.qpos)
-        heights = shapes.heights(at, ground, stand.rigid_targets, {})
-        flat = shapes.heights(at, pa.Ground(), {}, {})
+        at = shapes.move_to(stand.qpos)
+        heights = shapes.part_heights(at, ground, stand.rigid_targets, {})
+        flat = shapes.part_heights(at, pa.Ground(), {}, {})
     assert (np.array(walled) < flat).sum() >= 2
     np.testing.assert_allclose(heights, np.minimum(walled, flat), atol=1e-6)
     assert stand.ground_clearance is not None

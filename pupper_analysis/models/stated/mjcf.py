@@ -17,7 +17,7 @@ from pupper_analysis.models.attributes import (
     TREE_ATTRIBUTES,
 )
 from pupper_analysis.models.conversion import inertia_of_body
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -171,7 +171,7 @@ def _make_joint(
     kind = JOINT_KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
-    limits = {"lower": float(lower), "upper": float(upper), "effort": effort_limit(model, joint)}
+    limits = {"lower": float(lower), "upper": float(upper), "effort": find_max_effort(model, joint)}
     return Joint(
         name=joint_name(model, joint),
         kind=kind,

@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.conversion import inertia_of_body, places_of_joint
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
@@ -145,7 +145,7 @@ class UrdfLinks:
         made = self._joint(name, kind, parent, child, placed)
         made.set_axis(model.jnt_axis[joint], NUM_DIGITS)
         node = made.element
-        effort = effort_limit(model, joint)
+        effort = find_max_effort(model, joint)
         limit = add_element(
             node,
             "limit",

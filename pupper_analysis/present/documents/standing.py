@@ -35,7 +35,7 @@ def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]
 
 def task_text(task: StandTask) -> Text:
     """Returns what is asked of a stand, as the task itself says it."""
-    return Text(str(task), lambda: task.said("zh"))
+    return Text(str(task), lambda: task.describe("zh"))
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:

@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import write_atomically
-from pupper_analysis.base.kinds import GENERATOR, PICTURE
+from pupper_analysis.base.kinds import GENERATOR_NAME, PICTURE_KIND
 from pupper_analysis.base.provenance import collect_provenance
 from pupper_analysis.present.document import Plot, Words, in_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
@@ -202,8 +202,8 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
 
     FigureCanvasAgg(figure)
     made = {
-        "Software": f"{GENERATOR} {__version__}",
+        "Software": f"{GENERATOR_NAME} {__version__}",
         "Source": "\n".join(collect_provenance().lines()),
     }
-    with write_atomically(Path(path), PICTURE, force=force) as file:
+    with write_atomically(Path(path), PICTURE_KIND, force=force) as file:
         figure.savefig(file, format="png", metadata=made)

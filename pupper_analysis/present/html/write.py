@@ -32,7 +32,7 @@ from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import write_atomically
-from pupper_analysis.base.kinds import PAGE, hash_content
+from pupper_analysis.base.kinds import PAGE_KIND, hash_content
 from pupper_analysis.base.provenance import collect_provenance
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.shapes import Mesh
@@ -369,7 +369,7 @@ def write_report(
         robots,
         [result for _, result in named if isinstance(result, Table)],
     )
-    with write_atomically(Path(path), PAGE, force=force) as file:
+    with write_atomically(Path(path), PAGE_KIND, force=force) as file:
         file.write(render_page(shown, language).encode())
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.units import DOWN
+from pupper_analysis.base.units import DOWNWARD_GRAVITY
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
@@ -86,8 +86,8 @@ def explain_differences(
         robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base
     )
     first, raw = kinematic_trees(robot)
-    if float(np.linalg.norm(raw.gravity - DOWN)) > tolerances.gravity:
-        first = replace(first, gravity=np.array(DOWN))
+    if float(np.linalg.norm(raw.gravity - DOWNWARD_GRAVITY)) > tolerances.gravity:
+        first = replace(first, gravity=np.array(DOWNWARD_GRAVITY))
     alignment = alignment or align_robot(robot, tolerances)
     second = replace(alignment.values, gravity=raw.gravity)
     mjcf_only = mjcf_only_effects(reference)

@@ -32,7 +32,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import find_tool_modules
-from pupper_analysis.base.units import DOWN
+from pupper_analysis.base.units import DOWNWARD_GRAVITY
 from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import make_start_data, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
@@ -66,7 +66,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
 
 Array = NDArray[np.float64]
@@ -300,7 +300,7 @@ def report_base_tilt(
     if matched.conventions.base is not None:
         mjcf_rotation = mjcf_rotation @ matched.conventions.base.rotation
     relative_rotation = mjcf_rotation @ _rotation_in_root(urdf, matched.urdf_link[robot.base]).T
-    down, gravity = relative_rotation @ DOWN, kinematic_trees(robot)[1].gravity
+    down, gravity = relative_rotation @ DOWNWARD_GRAVITY, kinematic_trees(robot)[1].gravity
     tilt = math.atan2(float(np.linalg.norm(np.cross(down, gravity))), float(down @ gravity))
     if not gravity.any() or tilt <= tolerances.rotation:
         return None
@@ -610,7 +610,7 @@ def _compare_servo_gains(
     """Yield the differences of servo gains, if the first file has another format with gains."""
     if urdf.gains is None:
         return
-    mjcf_gains = own_servos(matched.robot) if mjcf.gains is None else mjcf.gains
+    mjcf_gains = list_position_servos(matched.robot) if mjcf.gains is None else mjcf.gains
     joints = kinematic_trees(matched.robot)[0].joints
     for name in matched.robot.joint_names:
         urdf_gains = urdf.gains.get(matched.urdf_joint[name])

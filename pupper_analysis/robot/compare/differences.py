@@ -30,7 +30,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import EARTH
+from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.attributes import TREE_ATTRIBUTES
 from pupper_analysis.models.multibody import (
     MultibodyTree,
@@ -293,7 +293,7 @@ class RelativeError:
         """
         lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
-            lower_bound = 1e-3 * EARTH * self.scale("mass matrix")
+            lower_bound = 1e-3 * EARTH_GRAVITY * self.scale("mass matrix")
         # With a negative mass, MuJoCo returns NaN for the first model.
         values = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
         return max(float(np.abs(values).max()), lower_bound)

@@ -18,7 +18,7 @@ from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_ranges, servo_gains
+from pupper_analysis.robot.servos import command_ranges, resolve_servo_gains
 from pupper_analysis.stance.problem import can_move_com, ground_normals
 from pupper_analysis.stance.stand import Stand, stand_contacts
 
@@ -28,12 +28,12 @@ class Anchor:
     """Where a foot touched the ground first: if it is pinned, it has rolled from there.
 
     Attributes:
-        place: (3,) of the sphere's centre (m).
-        turned: (3, 3) of the foot's frame.
+        position: (3,) of the sphere's centre (m).
+        rotation: (3, 3) of the foot's frame.
     """
 
-    place: Array
-    turned: Array
+    position: Array
+    rotation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +107,10 @@ class ContactKinematics:
         self._twists = config.foot_twists(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
-        before = np.array([anchor.turned for anchor in held]).reshape(-1, 3, 3)
+        before = np.array([anchor.rotation for anchor in held]).reshape(-1, 3, 3)
         self._turned = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
         self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
-        begun = np.array([anchor.place for anchor in held]).reshape(-1, 3)
+        begun = np.array([anchor.position for anchor in held]).reshape(-1, 3)
         self._leant = crosses @ self._turns[:, :, None]  # normal x turn
         rolled = self._reach * self._leant[:, :, 0]
         self.places = (frames @ (centres - begun + rolled)[:, :, None])[:, :, 0]
@@ -173,7 +173,7 @@ _RHO = 4.0  # weights per height: weighs slip against force in telling which way
 
 
 @dataclass(frozen=True)
-class Units:
+class EquilibriumScales:
     """A robot's weight, and the height at which it carries that.
 
     Attributes:
@@ -188,15 +188,15 @@ class Units:
     moves: int = 3
 
     @staticmethod
-    def of(robot: Robot, stand: Stand) -> Units:
+    def of(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Returns those of a robot in a stand."""
         weight = robot.usual_weight
         if robot.bolted or robot.welds:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
-            return Units(weight, length, 3 if robot.floating else 0)
+            return EquilibriumScales(weight, length, 3 if robot.floating else 0)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
         com = Configuration(robot, stand.qpos).center_of_mass()
-        return Units(weight, float(com[2]) - lowest)
+        return EquilibriumScales(weight, float(com[2]) - lowest)
 
     @property
     def stiffness(self) -> float:
@@ -204,16 +204,16 @@ class Units:
         return self.weight * self.length
 
     @property
-    def weak(self) -> float:
+    def slip_stiffness(self) -> float:
         """N/m: holds a sliding robot in its place."""
         return _WEAK * self.weight / self.length
 
     @property
-    def rho(self) -> float:
+    def friction_penalty(self) -> float:
         """N/m: weighs slip against force; any would do."""
         return _RHO * self.weight / self.length
 
-    def left(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
+    def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
         """Returns the largest element of a residual of the equations, in these units.
 
         Args:
@@ -239,7 +239,7 @@ RESIDUAL_TOLERANCE = 3e-12
 _ROUNDING = 3e-16
 """What of that is no more than rounding."""
 
-TOUCHING = 1e-8
+CONTACT_DEPTH_TOLERANCE = 1e-8
 """A foot this deep in the ground, or less, does not touch it yet (heights): 1e-6 N under v3."""
 
 _SOFTER = (1e3, 1e2, 1e1, 1.0)
@@ -261,7 +261,7 @@ class SagEquilibrium:
     as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
     f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
     Sliding, f_t = 0. What is welded stays, and its wrenches are whatever that takes: of the balance
-    only the part along motions that leave it is asked; see ``held``.
+    only the part along motions that leave it is asked; see ``apply_welds``.
     """
 
     def __init__(
@@ -271,7 +271,7 @@ class SagEquilibrium:
         kp: ArrayLike | None,
         feet: Feet,
     ) -> None:
-        used = servo_gains(robot, kp, None if kp is None else 0.0)
+        used = resolve_servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
         self._points = robot.contact_points if robot.floating else ()
@@ -295,7 +295,7 @@ class SagEquilibrium:
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(frames[foot]))
             for foot in stand.stance_feet
         }
-        self.units = Units.of(robot, stand)
+        self.units = EquilibriumScales.of(robot, stand)
         self._in_newtons: slice | list[int] = []
         self._pliancy, self._give = contact_compliance(robot, self.units)
         self._giving, self._softer = any(self._give.values()), 1.0
@@ -327,7 +327,7 @@ class SagEquilibrium:
             for foot, (radius, a, b, c, on), (x, y, z) in seen
         }
 
-    def sunk(self, forces: Array) -> Array:
+    def equilibrium_depths(self, forces: Array) -> Array:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
         asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if asked != self._sunk[0]:
@@ -351,7 +351,7 @@ class SagEquilibrium:
         torques: Array = np.minimum(np.maximum(asked, self.lower), self.upper)
         return torques
 
-    def touch(self, qpos: Array) -> ContactKinematics:
+    def contacts_at(self, qpos: Array) -> ContactKinematics:
         """Looks at the feet that touch, or has looked at them just now."""
         anchors, seen = tuple(self.anchors.items()), self._touch
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
@@ -370,14 +370,14 @@ class SagEquilibrium:
 
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Returns slips from where feet stick, less what they give, and depths (n, 3)."""
-        places: Array = self.touch(qpos).places.copy()
+        places: Array = self.contacts_at(qpos).places.copy()
         if self.feet == "pinned" and (self.crept or self.yielding or self._giving):
             begun = np.array([self.crept.get(foot, _NOWHERE) for foot in self.anchors])
-            places[:, :2] = self.as_one(places[:, :2] - begun.reshape(-1, 2))
+            places[:, :2] = self.project_soles(places[:, :2] - begun.reshape(-1, 2))
             places[:, :2] += self._yields()[:, None] * forces[:, :2]
         return places
 
-    def as_one(self, slips: Array) -> Array:
+    def project_soles(self, slips: Array) -> Array:
         """Returns the slips (n, 2, ...) of the feet that touch, those of each sole as one body."""
         feet = tuple(self.anchors)
         if self._rigid[0] != feet:
@@ -387,26 +387,26 @@ class SagEquilibrium:
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
-        touch, places = self.touch(qpos), self.slips(qpos, forces)
+        touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.load() - touch.push(forces)
         balance[self._joints] -= self.torques(qpos)
         if self.robot.closure is not None:
             balance[self._joints] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
-            places[:, :2] = forces[:, :2] + self.units.weak * places[:, :2]
-        slipping = self.slipping_rows(forces, places)
+            places[:, :2] = forces[:, :2] + self.units.slip_stiffness * places[:, :2]
+        slipping = self.find_slipping_contacts(forces, places)
         self._in_newtons = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
         for row, mu, tried in slipping:
             along = tried / np.linalg.norm(tried)
             places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
-        sole, depths = self.in_sole(), places[:, 2].copy()
-        places[:, 2] -= self.sunk(forces)
+        sole, depths = self.is_sole_point(), places[:, 2].copy()
+        places[:, 2] -= self.equilibrium_depths(forces)
         if sole.any():
             away = self._pressed(depths)[:, 0] - forces[:, 2]
             places[sole, 2] = (away / self._scales())[sole]
         return np.concatenate([balance, places.ravel()])
 
-    def in_sole(self) -> NDArray[np.bool_]:
+    def is_sole_point(self) -> NDArray[np.bool_]:
         """Tells which of the points that touch (n,) belong to a flat foot."""
         return np.array([self._pliancy[point] > 0 for point in self.anchors], dtype=bool)
 
@@ -426,7 +426,7 @@ class SagEquilibrium:
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Returns the residual's derivative, in closed form."""
-        n, touch, size = self.robot.nv, self.touch(qpos), len(forces)
+        n, touch, size = self.robot.nv, self.contacts_at(qpos), len(forces)
         whole = np.zeros((n + 3 * size, n + 3 * size))
         by_qpos, by_force = whole[:, :n], whole[n:, n:]
         whole[:n, n:] = -touch.jacobians.reshape(-1, n).T
@@ -443,26 +443,28 @@ class SagEquilibrium:
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":
-            rates[:, :2] *= self.units.weak
+            rates[:, :2] *= self.units.slip_stiffness
         else:
-            rates[:, :2] = self.as_one(rates[:, :2])
+            rates[:, :2] = self.project_soles(rates[:, :2])
         diagonal = np.zeros((size, 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
         diagonal[:, 2] = [
             -1 / self.laws[foot].rate(depth)
-            for foot, depth in zip(self.anchors, self.sunk(forces).tolist(), strict=True)
+            for foot, depth in zip(
+                self.anchors, self.equilibrium_depths(forces).tolist(), strict=True
+            )
         ]
-        if (sole := self.in_sole()).any():
+        if (sole := self.is_sole_point()).any():
             harder, scales = self._pressed(touch.places[:, 2])[:, 1], self._scales()
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
-        for row, mu, tried in self.slipping_rows(forces, self.slips(qpos, forces)):
+        for row, mu, tried in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
             length = float(np.linalg.norm(tried))
             along, tangents = tried / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
-            rates[row, :2] = self.units.rho * turn @ rates[row, :2]
-            kept = 1 - self.units.rho * diagonal[row, 0]
+            rates[row, :2] = self.units.friction_penalty * turn @ rates[row, :2]
+            kept = 1 - self.units.friction_penalty * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
         return whole
@@ -475,7 +477,9 @@ class SagEquilibrium:
             ]
         )
 
-    def slipping_rows(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
+    def find_slipping_contacts(
+        self, forces: Array, places: Array
+    ) -> list[tuple[int, float, Array]]:
         """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
 
         Args:
@@ -488,7 +492,10 @@ class SagEquilibrium:
         rows = zip(self.anchors, forces.tolist(), places.tolist(), strict=True)
         for row, (foot, force, place) in enumerate(rows):
             (x, y, pressing), (slip_x, slip_y, _) = force, place
-            tried = x - self.units.rho * slip_x, y - self.units.rho * slip_y
+            tried = (
+                x - self.units.friction_penalty * slip_x,
+                y - self.units.friction_penalty * slip_y,
+            )
             # Without friction where it pulls: so nothing jumps when it is let go of there.
             mu = self.sliding_friction[foot] if pressing > 0 else 0.0
             if math.hypot(*tried) > mu * pressing:
@@ -503,7 +510,7 @@ class SagEquilibrium:
             exact: To rounding, where that takes one step more; else to ``RESIDUAL_TOLERANCE``.
         """
         found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
-        if found is None and self.in_sole().any() and self.feet == "pinned":
+        if found is None and self.is_sole_point().any() and self.feet == "pinned":
             found = self._by_softer_soles(guess)
         return found
 
@@ -523,23 +530,23 @@ class SagEquilibrium:
             self._softer = 1.0
         return guess
 
-    def stacked(self, solution: Solution) -> Array:
+    def stack_forces(self, solution: Solution) -> Array:
         """Returns the forces (n, 3) on the feet that touch."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _newton(self, guess: Solution, left: float = _ROUNDING) -> Solution | None:
         """Returns where Newton's iteration ends; ``left`` is what a kept derivative may leave."""
         qpos, n = guess.qpos, self.robot.nv
-        forces, derivative = self.stacked(guess), None
+        forces, derivative = self.stack_forces(guess), None
         left_over: list[float] = []  # the same in the robot's units
         for _ in range(_MAX_ITERATIONS):
-            residual = self.held(qpos, self.residual(qpos, forces))
-            left_over.append(self.units.left(residual, n, self._in_newtons))
+            residual = self.apply_welds(qpos, self.residual(qpos, forces))
+            left_over.append(self.units.max_residual(residual, n, self._in_newtons))
             if left_over[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, float(np.abs(residual).max()))
             if derivative is None or left_over[-1] ** 2 > left * left_over[-2]:
-                derivative = self.held(qpos, self.derivative(qpos, forces))
+                derivative = self.apply_welds(qpos, self.derivative(qpos, forces))
             # Otherwise the last one leaves no more: it errs by twice the share that its step left.
             *_, step, singular = lapack.dgesv(derivative, -residual)
             if singular or self.units.is_too_far(step[:n]):
@@ -547,10 +554,10 @@ class SagEquilibrium:
             qpos, forces = integrate_step(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
 
-    def held(self, qpos: Array, equations: Array) -> Array:
+    def apply_welds(self, qpos: Array, equations: Array) -> Array:
         """Returns equations (nv + 3 n,), or their derivative, with those of welds among balance."""
         if self._welds is not None:
-            return self._welds.insert(self.touch(qpos).config, equations, self.units.weight)
+            return self._welds.insert(self.contacts_at(qpos).config, equations, self.units.weight)
         if self._still:
             equations = equations.copy()
             equations[: self._still] = 0.0
@@ -562,23 +569,23 @@ class SagEquilibrium:
         """Returns the Jacobian (6 w, nv) of what is welded."""
         if self._welds is None:
             return np.eye(self._still, self.robot.nv)
-        return self._welds.jacobian(self.touch(qpos).config)
+        return self._welds.jacobian(self.contacts_at(qpos).config)
 
-    def against(self, solution: Solution) -> dict[str, float]:
+    def find_violations(self, solution: Solution) -> dict[str, float]:
         """Returns the feet that a solution has wrong, and by how much.
 
         They pull (N), or are in the ground without touching it (m).
         """
         feet = self.robot.bearing
-        return {foot: amount for foot in feet if (amount := self.wrong(foot, solution)) > 0}
+        return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
-    def wrong(self, foot: str, solution: Solution) -> float:
+    def violation_of(self, foot: str, solution: Solution) -> float:
         """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
         if foot in self.anchors:
             # A flat foot's points let go of the ground in their own equations.
             return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
-        depth = self.touch(solution.qpos).depths[foot]
-        return depth + self.laws[foot].margin - TOUCHING * self.units.length
+        depth = self.contacts_at(solution.qpos).depths[foot]
+        return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch(self, foot: str, solution: Solution) -> Solution:
         """Lets go of a foot that touches, or lets another one touch where it is.
@@ -590,7 +597,7 @@ class SagEquilibrium:
         if foot in self.anchors:
             del self.anchors[foot], forces[foot]
         else:
-            touch, frame = self.touch(solution.qpos), self.robot.contact_frames[foot]
+            touch, frame = self.contacts_at(solution.qpos), self.robot.contact_frames[foot]
             config = touch.config
             self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
             law = self.laws[foot]
@@ -602,7 +609,7 @@ class SagEquilibrium:
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
-        places = self.touch(solution.qpos).places
+        places = self.contacts_at(solution.qpos).places
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
             foot: seconds / self.viscosity(foot, depth)
@@ -728,7 +735,9 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
     return {point: found[point] for point in robot.contact_points}
 
 
-def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], dict[str, float]]:
+def contact_compliance(
+    robot: Robot, units: EquilibriumScales
+) -> tuple[dict[str, float], dict[str, float]]:
     """Returns how far the points of soles give, and all contact points, {point: m/N}.
 
     A sole's move as one body: if none gave, the equations would say the same several times. A foot
@@ -768,7 +777,7 @@ def rigid_slips(
         return None
     size = len(anchors)
     whole: Array = np.eye(2 * size).reshape(size, 2, size, 2)
-    places = np.array([frames[point] @ anchor.place for point, anchor in anchors.items()])
+    places = np.array([frames[point] @ anchor.position for point, anchor in anchors.items()])
     for own in shared:
         x, y = (places[own, :2] - places[own, :2].mean(axis=0)).T
         directions = np.zeros((len(own), 2, 3))

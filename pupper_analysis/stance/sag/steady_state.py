@@ -27,18 +27,18 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.servos import command_lead
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.servos import compute_command_lead
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.robot.touching import touching
-from pupper_analysis.stance.posture import AT_END
-from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
+from pupper_analysis.stance.posture import LIMIT_TOLERANCE
+from pupper_analysis.stance.sag.equilibrium import EquilibriumScales, Feet, SagEquilibrium, Solution
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
-SMALL_SLIP = 0.01
+MAX_PIVOT_RATIO = 0.01
 """A sole that has slipped by less, in parts of the height at which the robot stands, rests where it
 has come to: some 3 mm of a biped of 0.3 m. MuJoCo's pivoted by 0.1 to 0.4 mm."""
 
@@ -53,7 +53,7 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
     loose, names = set(find_slipping_feet(system, solution)), tuple(system.anchors)
     if not loose:
         return ()
-    small = SMALL_SLIP * system.robot.stand_height
+    small = MAX_PIVOT_RATIO * system.robot.stand_height
     slips = np.linalg.norm(measure_slips(system, solution), axis=1)
     found = []
     for foot in system.robot.feet_with(system.stand.stance_feet):
@@ -69,16 +69,16 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slip."""
-    forces, names = system.stacked(solution), tuple(system.anchors)
+    forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
-    return tuple(names[row] for row, *_ in system.slipping_rows(forces, places))
+    return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
 
 
 def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
     """Returns how far the pinned feet that touch have slipped (n, 2), soles as one body (m)."""
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
-    places = system.touch(solution.qpos).places[:, :2]
-    return system.as_one(places - begun.reshape(-1, 2))
+    places = system.contacts_at(solution.qpos).places[:, :2]
+    return system.project_soles(places - begun.reshape(-1, 2))
 
 
 def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
@@ -91,13 +91,13 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
         solution: The solution.
         derivative: Of the equations there; see ``Equilibrium.derivative``.
     """
-    n, feet, forces = system.robot.nv, tuple(system.anchors), system.stacked(solution)
-    touch = system.touch(solution.qpos)
+    n, feet, forces = system.robot.nv, tuple(system.anchors), system.stack_forces(solution)
+    touch = system.contacts_at(solution.qpos)
     config, depths, jacobian = touch.config, touch.places[:, 2], touch.jacobians
     laws, normal = [system.laws[foot] for foot in feet], jacobian[:, 2]
     moving, slips = find_slipping_feet(system, solution), measure_slips(system, solution)
     # Points of soles that touch may not be pressed.
-    idle = system.in_sole() & np.array(
+    idle = system.is_sole_point() & np.array(
         [depth <= -law.margin for law, depth in zip(laws, depths, strict=True)], dtype=bool
     )
     rates = np.array([law.rate(depth) for law, depth in zip(laws, depths, strict=True)])
@@ -108,7 +108,7 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
         if not idle[row]:
             pushed[row] += forces[row, :2] / forces[row, 2] @ jacobian[row, :2]
     hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
-    across = system.as_one(jacobian[:, :2])
+    across = system.project_soles(jacobian[:, :2])
     # Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it the
     # force, by mu f_n / |s| to the side; along s nothing holds it.
     for row in slipping:
@@ -183,7 +183,7 @@ class HomotopyPath:
         self.share, self._events, self.crept = 0.0, 0, 0.0
         self._euler = math.inf
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
-        sunk = system.sunk(np.array(list(forces.values())).reshape(-1, 3))
+        sunk = system.equilibrium_depths(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
         if not (system.robot.bolted or system.robot.welds):
             qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
@@ -200,11 +200,11 @@ class HomotopyPath:
         while self.share < goal:
             wanted = min(self.share + step, goal)
             found = self._at(wanted)
-            if found is not None and step > _CAREFUL and self.look(found)[1] <= 0:
+            if found is not None and step > _CAREFUL and self.linearise(found)[1] <= 0:
                 # A long step may end on another branch, beyond where this one is stable.
                 found = None
             if found is not None:
-                if not self.system.against(found):
+                if not self.system.find_violations(found):
                     self.share, self.solution, step = wanted, found, 2 * step
                     continue
                 if self._event(wanted, found):
@@ -223,11 +223,11 @@ class HomotopyPath:
                     ),
                 )
 
-    def look(self, solution: Solution) -> tuple[Array, float]:
+    def linearise(self, solution: Solution) -> tuple[Array, float]:
         """Returns derivative and stiffness at a solution: the way and its end ask for the same."""
         system, seen = self.system, self._looked_at
         if seen is None or seen[0] is not solution:
-            derivative = system.derivative(solution.qpos, system.stacked(solution))
+            derivative = system.derivative(solution.qpos, system.stack_forces(solution))
             seen = self._looked_at = (
                 solution,
                 derivative,
@@ -277,7 +277,7 @@ class HomotopyPath:
 
     def _command(self, share: float) -> None:
         system = self.system
-        full = system.stand.joint_positions(system.robot) + command_lead(
+        full = system.stand.joint_positions(system.robot) + compute_command_lead(
             self.balance.joint_torques, system.kp
         )
         system.command(full + share * (self.end - full))
@@ -303,13 +303,13 @@ class HomotopyPath:
             found = self._at(middle)
             if found is None:
                 return False
-            if self.system.against(found):
+            if self.system.find_violations(found):
                 wanted, there = middle, found
             else:
                 right = middle
         self._command(wanted)
         self.share = wanted
-        self._switch(next(iter(self.system.against(there))), there)
+        self._switch(next(iter(self.system.find_violations(there))), there)
         return True
 
     def _switch(self, foot: str, found: Solution) -> None:
@@ -330,7 +330,7 @@ class HomotopyPath:
                 loops = self.system.robot.closure is not None and closed
                 message = diagnose("equilibrium-ends", when=when, loops=loops)
                 raise NoEquilibriumError(self.share, message)
-            wrong = self.system.against(found)
+            wrong = self.system.find_violations(found)
             if not wrong:
                 return found
             self._switch(next(iter(wrong)), found)
@@ -339,9 +339,10 @@ class HomotopyPath:
 RELEASE_MARGIN = 0.06
 """A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
 
-HARDLY = 0.002
-"""Share of the stand's height: where creep goes on to take less of it within ``LASTING``, it does
-not end the equilibrium. original's, 2 % above its least kp, ends after 5 s, and begins at 0.025."""
+MAX_CREEP_LOSS_RATIO = 0.002
+"""Share of the stand's height: where creep goes on to take less of it within ``HOLD_DURATION``, it
+does not end the equilibrium. original's, 2 % above its least kp, ends after 5 s, and begins at
+0.025."""
 
 HIGHEST_KP = 2500.0
 """The stiffest servos that ``minimum_stiffness`` tries, in weights times heights of the stand per
@@ -380,7 +381,7 @@ class SteadyState(Result):
             elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
             is left out, holds the robot above the equilibrium: v3 by 1.8 mm.
         lasts: How long it stands until creep ends the equilibrium, or brings another part to the
-            ground (s); infinite if that is longer than ``LASTING``, or was not looked at.
+            ground (s); infinite if that is longer than ``HOLD_DURATION``, or was not looked at.
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -426,8 +427,8 @@ def steady_state(
     itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
     swing foot touches the ground it is pinned there and carries from then on; where a foot would
     have to pull it lets go. Then backward Euler steps follow the creep. Where that goes on to take
-    the robot down within ``LASTING`` (12 s) it does not stand: just above the least stiffness an
-    equilibrium is there, and a millimetre of creep ends it.
+    the robot down within ``HOLD_DURATION`` (12 s) it does not stand: just above the least stiffness
+    an equilibrium is there, and a millimetre of creep ends it.
 
     Dry friction, of joints and of rolling feet, is left out.
 
@@ -451,19 +452,19 @@ def steady_state(
         NoEquilibriumError: If there is no equilibrium that continues the stand.
     """
     robot = touching(robot, stand.task.contacts)
-    check_request(robot, stand, feet, seconds)
+    check_steady_state_request(robot, stand, feet, seconds)
     robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
-    if pose.failures or math.isinf(lasts := let_creep(way, pose)):
+    if pose.failures or math.isinf(lasts := simulate_creep(way, pose)):
         return pose
     return replace(
         pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
     )
 
 
-def let_creep(way: HomotopyPath, pose: SteadyState) -> float:
-    """Lets pinned feet creep for ``LASTING`` more, if that moves the base.
+def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
+    """Lets pinned feet creep for ``HOLD_DURATION`` more, if that moves the base.
 
     Args:
         way: Whose end is ``pose``; it goes on.
@@ -473,24 +474,27 @@ def let_creep(way: HomotopyPath, pose: SteadyState) -> float:
         How long the robot stands (s); infinite if longer.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
-    if not creeps or abs(pose.height_drift) * LASTING <= HARDLY * way.system.stand.qpos[2]:
+    if (
+        not creeps
+        or abs(pose.height_drift) * HOLD_DURATION <= MAX_CREEP_LOSS_RATIO * way.system.stand.qpos[2]
+    ):
         return math.inf
     begun = way.crept
     with contextlib.suppress(NoEquilibriumError):
         for _ in range(CREEP_STEPS):
-            way.creep_step(LASTING / CREEP_STEPS)
-            if _failures(way.system, way.solution, way.look(way.solution)[1]):
+            way.creep_step(HOLD_DURATION / CREEP_STEPS)
+            if _failures(way.system, way.solution, way.linearise(way.solution)[1]):
                 break
         else:
             return math.inf
     return way.crept - begun
 
 
-LONGEST = 1e9
+MAX_CREEP_DURATION = 1e9
 """s, some thirty years: of much more creep, numbers overflow."""
 
 
-def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
+def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
     """Checks what a prediction is asked for.
 
     Raises:
@@ -504,7 +508,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         robot.check_foot(foot)
     if feet not in ("pinned", "sliding"):
         raise ConfigurationError("feet", diagnose("feet-not-valid", given=str(feet)))
-    if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
+    if not 0 <= seconds <= MAX_CREEP_DURATION or (seconds and feet == "sliding"):
         problem = diagnose("creep-not-valid", given=f"{seconds} s")
         raise ConfigurationError("seconds", problem)
     if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.planes):
@@ -575,7 +579,7 @@ def minimum_stiffness(
         refused = diagnose("not-between", given=tolerance, low=0, high=1)
         raise ConfigurationError("tolerance", refused)
     robot = touching(robot, stand.task.contacts)
-    check_request(robot, stand, feet, 0.0)
+    check_steady_state_request(robot, stand, feet, 0.0)
 
     def obstacle(kp: float) -> Diagnostic | None:
         try:
@@ -588,7 +592,7 @@ def minimum_stiffness(
             return diagnose("failures-together", failures=pose.failures)
         return pose.failures[0] if pose.failures else None
 
-    unit = Units.of(robot, stand).stiffness
+    unit = EquilibriumScales.of(robot, stand).stiffness
     low, high = 0.0, unit / 4
     while (problem := obstacle(high)) is not None:
         low, high = high, 2 * high
@@ -605,8 +609,8 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
-    derivative, stiffness = way.look(solution)
-    touch = system.touch(qpos)
+    derivative, stiffness = way.linearise(solution)
+    touch = system.contacts_at(qpos)
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":
         viscosities = [system.viscosity(foot, touch.depths[foot]) for foot in system.anchors]
@@ -617,8 +621,8 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
     height, drift = float(qpos[2]) if robot.floating else 0.0, 0.0
     loss = float(stand.qpos[2]) - height if robot.floating else 0.0
     if creep.any():
-        drift = float(np.linalg.solve(system.held(qpos, derivative), flow)[2])
-    contact_sag = stand.sunk(robot, drops)
+        drift = float(np.linalg.solve(system.apply_welds(qpos, derivative), flow)[2])
+    contact_sag = stand.base_drop(robot, drops)
     return SteadyState(
         feet=system.feet,
         qpos=qpos,
@@ -669,7 +673,9 @@ def _failures(
     joints = qpos[-robot.nu :]
     failures += [
         diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
-        for i in np.flatnonzero((joints < low - AT_END) | (joints > high + AT_END))
+        for i in np.flatnonzero(
+            (joints < low - LIMIT_TOLERANCE) | (joints > high + LIMIT_TOLERANCE)
+        )
     ]
     with lend(robot, _data_of) as data:  # what is asked of them depends on qpos alone
         robot.mj_convention.set_state(data, qpos)

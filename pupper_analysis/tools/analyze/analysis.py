@@ -16,7 +16,7 @@ from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -201,9 +201,9 @@ def analyze_variant(
     rest = Configuration(robot, robot.neutral())
     # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.
     with ThreadPoolExecutor() as pool:
-        holding = pool.submit(verify_stand, robot, stand, duration=LASTING)
+        holding = pool.submit(verify_stand, robot, stand, duration=HOLD_DURATION)
         checking = pool.submit(cross_check, robot)
-        sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=LASTING)
+        sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=HOLD_DURATION)
         sweeping = pool.submit(sweep_gains, robot, stand, progress=progress)
         verification, check = holding.result(), checking.result()
         sagging, sweep = sinking.result(), sweeping.result()

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 _FIGURES = kinds.Folder(
-    dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE)
+    dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE_KIND)
 )
 """What is drawn beside the pose of each robot."""
 

@@ -18,8 +18,8 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos, servo_gains
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.servos import Servos, model_with_servos, resolve_servo_gains
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -186,7 +186,7 @@ class _Trial:
         rests: dict[float, Array | None] = {}
         # Refused before anything is simulated.
         for cell in cells:
-            servo_gains(robot, *cell)
+            resolve_servo_gains(robot, *cell)
         first = model_with_servos(robot, *cells[0], self.integrator)
         ctrl = first.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, first.model, ctrl, 1, self.steps)
@@ -229,7 +229,7 @@ class _Trial:
         self, drive: Servos, watcher: monitor.Watcher, start: Array, ctrl: Array
     ) -> bool:
         """Tells whether where it is in the end, undisturbed, is a rest on its feet that lasts."""
-        steps = round(LASTING / self.timestep)
+        steps = round(HOLD_DURATION / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._stands(watcher, states):
             return False

@@ -123,7 +123,7 @@ class StanceSpace:
         # Turns go no further than that, so that their ends need not be found.
         most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
         within = {
-            name: find_interval(self.robot, self.nominal, name, most[name], plainly=True)
+            name: find_interval(self.robot, self.nominal, name, most[name], usual_starts_only=True)
             for name in BASE
         }
         height = within["height"]
@@ -217,10 +217,10 @@ class StanceSpace:
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
         with lend(self.robot, SearchContext) as context:
             if near is None:
-                stand: Stand | None = search_stand(context, goal, plainly=True)
+                stand: Stand | None = search_stand(context, goal, usual_starts_only=True)
             else:
                 stand = continue_stand(context, goal, near.qpos)
-        return stand.of_task(task) if stand is not None and stand.solved else None
+        return stand.for_task(task) if stand is not None and stand.solved else None
 
     def room(self, stand: Stand) -> Room:
         """Returns what a stand leaves of what it may not use up."""

@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnos
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, is_input, read_input, read_toml
-from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
@@ -379,7 +379,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     entries = list_pair_entries(folder)
     if not entries:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
-    with write_atomically(path, MODEL) as file:
+    with write_atomically(path, MODEL_KIND) as file:
         file.write("\n".join([_HEAD, *map(_table, entries)]).encode(errors="replace"))
     return path, tuple(entry["name"] for entry in entries)
 

@@ -27,7 +27,7 @@ _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIO
     "-o",
     "--output",
     required=True,
-    holds=kinds.MODEL,
+    holds=kinds.MODEL_KIND,
     help="The file to write: .xml (from a URDF) or .urdf (from an MJCF).",
 )
 @click.option(

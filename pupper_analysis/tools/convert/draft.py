@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
-from pupper_analysis.base.units import DOWN
+from pupper_analysis.base.units import DOWNWARD_GRAVITY
 from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
 from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
@@ -523,7 +523,7 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
     if others:
         names = [model.body(body).name or f"{body}" for body in others]
         losses.append(diagnose("bodies-not-carried", bodies=names))
-    if not np.allclose(model.opt.gravity, DOWN):
+    if not np.allclose(model.opt.gravity, DOWNWARD_GRAVITY):
         losses.append(diagnose("gravity-not-in-urdf", gravity=model.opt.gravity))
     return losses
 

@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import (
     UnknownNameError,
 )
 from pupper_analysis.base.files import Writing, check_writable, write_all
-from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.models.loading import read_model
@@ -36,7 +36,7 @@ from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import (
@@ -100,7 +100,7 @@ def convert_model(
     """
     source, output = Path(source), Path(output)
     register_input(source)
-    check_writable(output, MODEL, force=force)
+    check_writable(output, MODEL_KIND, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
     file = read_model(source, packages)
@@ -122,7 +122,7 @@ def convert_model(
         if draft.failure is None:
             check_simulable(file)  # before anything is written
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
-    write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
+    write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft))
@@ -233,7 +233,7 @@ class KeyframeRun(Result):
     failures: tuple[Diagnostic, ...]
 
 
-def keyframe_run(path: Path, duration: float = LASTING) -> KeyframeRun | None:
+def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | None:
     """Simulates a file from its first keyframe, with nothing added and nothing changed.
 
     Args:

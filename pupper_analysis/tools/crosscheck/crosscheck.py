@@ -33,7 +33,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import EARTH
+from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.conversion import (
     UrdfImport,
     acting_gravity,
@@ -41,7 +41,7 @@ from pupper_analysis.models.conversion import (
     joint_damping,
     pinocchio_from_mujoco,
 )
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import (
     compile_spec,
     free_joints,
@@ -272,7 +272,8 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
         "joint axes": [rest.joint_axis(name) for name in robot.joint_names],
         "lower joint limits": robot.lower_limits,
         "upper joint limits": robot.upper_limits,
-        # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and `effort_of`.
+        # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and
+        # `resolve_effort_limit`.
         "effort limits": np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
         "armature": model.armature[v],
         "joint damping": model.damping[v],
@@ -392,7 +393,7 @@ def _at_rest(
         "joint axes": data.xaxis[joints],
         "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
         "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
-        "effort limits": [effort_limit(model, joint) for joint in joints],
+        "effort limits": [find_max_effort(model, joint) for joint in joints],
         "armature": joint_armature(model)[dofs],
         "joint damping": joint_damping(model)[dofs],
         "joint friction": model.dof_frictionloss[dofs],
@@ -820,7 +821,7 @@ def _compare(
 def _least_scale(name: str, evaluation: Evaluation) -> float:
     """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
     if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
-        return 1e-6 * EARTH * float(np.abs(evaluation["mass matrix"]).max())
+        return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 
 

@@ -108,11 +108,11 @@ _USES = {
     "-o",
     "--output",
     holds=lambda given: (
-        kinds.RECORD
+        kinds.RECORD_KIND
         if given["record"] is not None
         else kinds.FIT_FOLDER
         if given["count"] is None
-        else kinds.PLAN
+        else kinds.PLAN_KIND
     ),
     help="Where to write the plan, or the stands that are recorded, as CSV; or the folder that "
     "gets the corrected URDF and MJCF, fit.json, offsets.csv and samples.csv.",

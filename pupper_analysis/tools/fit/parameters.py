@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.units import UNITS
+from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -182,7 +182,9 @@ def parse_prior(text: str) -> Prior:
         raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
     if unit == "%":
         return Prior(kind.name, subject, share=value / 100)
-    sizes = next((own for own in UNITS.values() if next(iter(own)) == kind.unit), {kind.unit: 1.0})
+    sizes = next(
+        (own for own in UNIT_FACTORS.values() if next(iter(own)) == kind.unit), {kind.unit: 1.0}
+    )
     if unit and unit not in sizes:
         finding = diagnose("prior-unit", text=text, unit=unit, wanted=kind.unit)
         raise ConfigurationError("prior", finding)

@@ -21,7 +21,7 @@ from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
@@ -82,7 +82,10 @@ def _numbers(
     """Returns the numbers of the files that change, and what else was estimated."""
     numbers: dict[Key, float | Array] = {}
     left: list[Diagnostic] = []
-    servos, added = own_servos(robot), {one.joint for one in robot.description.made_servos}
+    servos, added = (
+        list_position_servos(robot),
+        {one.joint for one in robot.description.made_servos},
+    )
     one_file = robot.description.converted == "mjcf"
     for one, value, std in zip(
         posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True

@@ -23,7 +23,7 @@ from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
+from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -243,7 +243,7 @@ def servo_payload(
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)
-    gains = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    gains = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
     empty, hung = config.static_rates({}), np.append(robot.gravity, np.zeros(3))
     loaded = config.pushed_rates(tool.twist_jacobian(config)[None], hung[None])
     held = basis.T @ (empty + np.diag(gains)) @ basis
@@ -254,9 +254,9 @@ def servo_payload(
     softening = float(linalg.eigh(-added, held, eigvals_only=True)[-1])
     # What is left of a mass that stiffens it everywhere is rounding.
     stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
-    lead = command_lead(config.by_motors(config.load()), gains)
+    lead = compute_command_lead(config.by_motors(config.load()), gains)
     borne = config.by_motors(tool.load_per_mass(config))
-    rates = command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)
+    rates = compute_command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)
     low, high = command_ranges(robot).T - posture.qpos
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.where(rates > 0, high, low) - lead) / rates

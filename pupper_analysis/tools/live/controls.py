@@ -22,7 +22,7 @@ from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.joints import free_joints, joint_ranges, named_positions
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_units
 from pupper_analysis.tools.live.render import Language
@@ -457,7 +457,7 @@ def _span(field: Field, slider: Slider, robot: Robot) -> Range:
 
 def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
     """Returns the range of a gain, around the model's own; 0 is no stiffness."""
-    own = own_servos(robot)
+    own = list_position_servos(robot)
     values = [gains[("kp", "kd").index(field.name)] for gains in own.values()]
     middle = float(np.median(values)) if values else 0.0
     middle = middle or slider.start or 1.0

@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Verdict, predict_verdict
@@ -143,7 +143,7 @@ def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
         # Without servos there is nothing to look at: simulations say so.
         with contextlib.suppress(PupperAnalysisError):
             stability = stand_stability(robot, stand, kp=state.kp, kd=state.kd)
-    return predict_verdict(answer.statics, servos_used(robot, state.kp, state.kd), stability)
+    return predict_verdict(answer.statics, find_servos_used(robot, state.kp, state.kd), stability)
 
 
 def simulate_stance(answer: Answer) -> Stance:

@@ -15,7 +15,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field
+from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNIT_BY_KIND, Field
 from pupper_analysis.stance.task import StandTask
 
 
@@ -42,7 +42,7 @@ SLIDER_FIELDS = {
 } | ROBOT_SLIDER_FIELDS
 """{name: field} of all that a page asks for by sliders."""
 
-PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
+PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNIT_BY_KIND.items()} | {
     **dict.fromkeys(("length", "point", "point3"), ("mm", 1e3)),
     "angle": ("°", math.degrees(1.0)),
     "position": ("", 1.0),  # a joint's is in rad, or in m
@@ -117,7 +117,7 @@ class State:
                 for of, number in _numbers(value):
                     name = f"{field.address} {of}" if of else field.name
                     field.check_range(name, number, *PAGE_UNITS[field.kind])
-        return StandTask().having(
+        return StandTask().with_values(
             {field.name: convert_to_si(field, value) for field, value in self.requested_values()}
         )
 
@@ -227,7 +227,9 @@ def make_state(task: StandTask, **more: Any) -> State:
     Raises:
         ConfigurationError: If it asks for what no slider has.
     """
-    values = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
+    values = {
+        name: value for name, value in task.values().items() if value != FIELDS[name].default_value
+    }
     place = "offset" if "offset" in values else "centre"
     if values.get("com") == "inside":
         place, _ = "inside", values.pop("com")

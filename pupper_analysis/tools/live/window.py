@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.fall import began_anew
+from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import StandCheck, Upright, Watcher
 from pupper_analysis.simulation.rollout import full_state
@@ -67,7 +67,7 @@ def simulate_drop(robot: Robot) -> Drop:
     deviation = float(height[-round(1 / timestep) :].std())
     time = timestep * np.arange(len(height), dtype=np.float64)
     end = _check_landing(robot, data)
-    stable = deviation < STABLE_DEVIATION and end.stands and not began_anew(data)
+    stable = deviation < STABLE_DEVIATION and end.stands and not was_reset_by_mujoco(data)
     return Drop(time, height, deviation, end, stable)
 
 

@@ -293,7 +293,7 @@ def study_path(
     # An instability of the final stand can need more time to develop than the path takes.
     held = solve_stand_as_simulated(robot, stand)
     stability = stand_stability(robot, held, kp=kp, kd=kd)
-    leaving = tuple(map(describe_growth, stability.leaving()[:1]))
+    leaving = tuple(map(describe_growth, stability.modes_growing_within()[:1]))
     ran = Outcome(
         passed=tracking.passed and not leaving,
         failures=(*tracking.failures, *leaving),

@@ -22,8 +22,8 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.limits import driven_limits
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand
@@ -63,7 +63,7 @@ def simulate_payload(
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
-    duration: float = LASTING,
+    duration: float = HOLD_DURATION,
 ) -> PayloadTrial:
     """Simulates a stance with a mass on the robot, as ``simulate_nudges`` does.
 
@@ -480,8 +480,8 @@ class _Search:
         with lend(held.robot, SearchContext) as context:
             shapes = context.shapes
             # As the parts are, which in reach may sink as their own feet do.
-            there = shapes.at(stand.qpos), stand.task.ground, stand.rigid_targets
-            lowest = shapes.above_ground(*there, {})
+            there = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets
+            lowest = shapes.lowest_part(*there, {})
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def motors(self, mass: float) -> Trouble:
@@ -535,7 +535,7 @@ class _Search:
             return None
         begun = begin_stand(held.robot, held.stand, kp=self._kp, kd=self._kd)
         drive, names = begun.drive, held.robot.joint_names
-        lead = command_lead(held.statics.joint_torques, drive.kp)
+        lead = compute_command_lead(held.statics.joint_torques, drive.kp)
         target = held.stand.joint_positions(held.robot) + lead
         low, high = command_ranges(held.robot).T
         if (beyond := (target < low) | (target > high)).any():
@@ -543,7 +543,7 @@ class _Search:
         drive.model.actuator_forcelimited[:] = 0
         drive.model.jnt_actfrclimited[:] = 0
         evaluate = evaluate_stability if simulated else evaluate_spectrum
-        leaving = evaluate(drive, begun.start, begun.ctrl).leaving()
+        leaving = evaluate(drive, begun.start, begun.ctrl).modes_growing_within()
         if not simulated:
             leaving = tuple(mode for mode in leaving if mode.repeated and not mode.freed)
         if not leaving:

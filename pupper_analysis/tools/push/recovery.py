@@ -21,7 +21,7 @@ from pupper_analysis.prepare.limits import driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.rollout import check_stand
 from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -100,7 +100,7 @@ def study_pushes(
     found = {}
     for robot, stand in zip(robots, stands, strict=True):
         held = solve_stand_as_simulated(robot, stand)
-        fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
+        fed = verify_stand(robot, held, kp=kp, kd=kd, duration=HOLD_DURATION)
         recovery = push_recovery(
             robot,
             held,

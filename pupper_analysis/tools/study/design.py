@@ -386,7 +386,7 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
             else numbers[name]
         )
         changes[field_name] = {**values_by_element, element: element_value}
-    return task.having(changes)
+    return task.with_values(changes)
 
 
 def check_variable_name(name: str, source: RobotSource) -> None:

@@ -22,7 +22,7 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import own_clauses
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.robot.tool import Place
 from pupper_analysis.simulation.causes import describe_growth
@@ -65,7 +65,7 @@ class Design:
         """
         if self.own_servos:
             return {}
-        gains = servo_gains(self.robot)
+        gains = resolve_servo_gains(self.robot)
         return {"kp": gains.kp, "kd": gains.kd}
 
     @cached_property
@@ -192,7 +192,7 @@ def _check_stand(design: Design) -> bool:
         raise NotStandingError(
             tuple(clause.message for clause in own_clauses(published_run) if not clause.good)
         )
-    growing = design.stability.leaving()
+    growing = design.stability.modes_growing_within()
     if growing:
         raise NotStandingError((describe_growth(growing[0]),))
     return True

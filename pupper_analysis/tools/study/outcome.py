@@ -20,7 +20,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.design import FAILURE_COLUMNS, FIELD_OF_VARIABLE, from_record
 from pupper_analysis.tools.study.measures import METRICS
@@ -170,7 +170,7 @@ def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the assumptions of the stands of a robot; see `StudyOutcome.rests_on`."""
     messages = [clause.message for clause in own_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
-        servos = servos_used(robot)
+        servos = find_servos_used(robot)
         messages += [on_servos(servos, good=True).message] if servos.made else []
     return tuple(messages)
 

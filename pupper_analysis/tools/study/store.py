@@ -21,7 +21,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.files import Writing, remove_stale_files, write_all, write_atomically
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
-from pupper_analysis.base.kinds import EDITED, MODEL, OWN
+from pupper_analysis.base.kinds import EDITED_KIND, MODEL_KIND, OWN_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.tools.study.design import FAILURE_COLUMNS, Row
 
@@ -90,7 +90,7 @@ class Store:
         file = self.folder / "study.json"
         is_rerun = file.is_file() and bool(self.read_request())
         content = orjson.dumps({"format": FOLDER_FORMAT, **request}, option=orjson.OPT_INDENT_2)
-        write_all([Writing(file, content + b"\n", EDITED if is_rerun else MODEL)])
+        write_all([Writing(file, content + b"\n", EDITED_KIND if is_rerun else MODEL_KIND)])
 
     def read_request(self) -> dict[str, Any]:
         """Read the definition of the study.
@@ -131,7 +131,7 @@ class Store:
         table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
         all_names = "".join(sorted(row["design"] for row in rows))
         name = hashlib.sha256(all_names.encode()).hexdigest()[:24]
-        with write_atomically(self.shards / f"{name}.parquet", OWN) as file:
+        with write_atomically(self.shards / f"{name}.parquet", OWN_KIND) as file:
             pq.write_table(table, file)
 
     def designs(self) -> NDArray[np.uint64]:

@@ -182,10 +182,10 @@ class Study:
                 placed_joints(self.base, {pattern.pattern: 0.0})
         servo_kinds = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
         if servo_kinds:
-            from pupper_analysis.robot.servos import servo_gains
+            from pupper_analysis.robot.servos import resolve_servo_gains
 
             gains = {name: 1.0 if name in self.variables else None for name in SERVO_KINDS}
-            servo_gains(self.base, gains["kp"], gains["kd"])
+            resolve_servo_gains(self.base, gains["kp"], gains["kd"])
 
     @cached_property
     def base(self) -> Robot:

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
-from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import to_xml
@@ -115,7 +115,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     contents[Path("stance.toml")] = format_stance(design.stand.task).encode()
     write_all(
         [
-            Writing(design_folder / place, content, MODEL)
+            Writing(design_folder / place, content, MODEL_KIND)
             for place, content in contents.items()
             if not _has_content(design_folder / place, content)
         ]
@@ -177,7 +177,7 @@ def format_stance(task: StandTask) -> str:
     lines, tables = [], []
     for name, value in task.values().items():
         field = FIELDS[name]
-        if not field.help or value == field.usual:
+        if not field.help or value == field.default_value:
             continue
         if field.per:
             tables += [

@@ -20,14 +20,14 @@ from pupper_analysis.base.arrays import (
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.efforts import (
-    effort_limit,
-    stated_by_actuator,
-    stated_by_joint,
+    find_max_effort,
+    read_actuator_efforts,
+    read_joint_effort,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.sync.digits import (
     NUMBER_RTOL,
     format_numbers,
@@ -266,7 +266,7 @@ def plan_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
     model = side.model
     drives = list_joint_actuators(model, model.joint(name).id)
     elements = side.elements.find_actuators(name)
-    now = own_servos(side.robot).get(name)
+    now = list_position_servos(side.robot).get(name)
     if now is None or len(drives) != 1:
         side.unwritten.update(dict.fromkeys(wanted, diagnose("joint-without-one-servo")))
         return
@@ -332,10 +332,10 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
     if len(drives) > 1:
         side.unwritten[key] = diagnose("actuators-share-it")
         return
-    stated = [(element, one) for one in stated_by_joint(model, joint)]
+    stated = [(element, one) for one in read_joint_effort(model, joint)]
     for motor, drive in zip(motors, drives, strict=True):
-        stated += [(motor, one) for one in stated_by_actuator(model, drive) if one.factor]
-    now = effort_limit(model, joint)
+        stated += [(motor, one) for one in read_actuator_efforts(model, drive) if one.factor]
+    now = find_max_effort(model, joint)
     for owner, one in stated:
         # What is looser than the least bound does no harm, unless it is below what is wanted.
         off = abs(one.greatest - wanted) > NUMBER_RTOL * max(wanted, one.greatest)

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
 from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target, write_all
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, MAX_TEXT_BYTES, read_input
-from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.kinds import EDITED_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import SAFE_OPTIONS, run_git
@@ -221,7 +221,7 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
     if not force:
         for document in changed:
             refuse_uncommitted(document.path)
-    writings = [Writing(d.path, d.render(), EDITED, before=d.data) for d in changed]
+    writings = [Writing(d.path, d.render(), EDITED_KIND, before=d.data) for d in changed]
     kept = write_all(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 

@@ -36,7 +36,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, is_same_body, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
@@ -292,7 +292,7 @@ def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator
             values = [float(getattr(one, kind)) for one in (joint, wanted.joints[name])]
             if not math.isclose(*values, rel_tol=_WRITTEN):
                 yield kind, name
-    gains = own_servos(after)
+    gains = list_position_servos(after)
     for (kind, name), value in changes.wanted.items() if "mjcf" in sides else ():
         if kind in SERVO_KINDS:
             read = gains[name][SERVO_KINDS.index(kind)] if name in gains else math.nan

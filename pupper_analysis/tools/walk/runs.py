@@ -25,7 +25,7 @@ from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, servo_gains, servos_used
+from pupper_analysis.robot.servos import find_servos_used, model_with_servos, resolve_servo_gains
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT, Upright
 from pupper_analysis.simulation.rollout import FORCED, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
@@ -143,7 +143,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     kp, kd = contract.kp, contract.kd
     if kp is not None and kd is not None:
         apart = len(joints) < robot.nu
-        own = servo_gains(robot) if apart else None
+        own = resolve_servo_gains(robot) if apart else None
         stiffness = np.zeros(robot.nu) if own is None else own.kp.copy()
         damping = np.zeros(robot.nu) if own is None else own.kd.copy()
         stiffness[joints], damping[joints] = kp, kd
@@ -151,7 +151,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     elif kp is not None or kd is not None:
         key = "kp" if kp is None else "kd"
         raise ModelError(policy.name, diagnose("contract-lacks", key=key))
-    elif servos_used(robot).source is ServoSource.ADDED:  # they are nobody's
+    elif find_servos_used(robot).source is ServoSource.ADDED:  # they are nobody's
         raise ModelError(policy.name, diagnose("policy-without-gains"))
     else:
         servos = model_with_servos(robot)

@@ -193,10 +193,10 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
     # The contact point moves as the centre does, less what the sphere rolls: r (turn x up).
     frame, anchor = robot.contact_frames["FL"], system.anchors["FL"]
     config = pa.Configuration(robot, solution.qpos)
-    turned = config.frame_rotation(frame) @ anchor.turned.T
+    turned = config.frame_rotation(frame) @ anchor.rotation.T
     turn = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], 0]) / 2
     rolled = robot.contact_radius["FL"] * np.cross(turn, (0, 0, 1))
-    slip = (config.frame_position(frame) - anchor.place - rolled)[:2]
+    slip = (config.frame_position(frame) - anchor.position - rolled)[:2]
     assert np.linalg.norm(slip) > 1e-4
     assert force[:2] @ slip < -0.99 * np.linalg.norm(force[:2]) * np.linalg.norm(slip)
 

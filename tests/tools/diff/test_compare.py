@@ -45,7 +45,9 @@ def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
     return files
 
 
-def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.analysis.ModelDiff:
+def diff_of(
+    folder: Path, old: Parts, new: Parts, kind: str, **options: Any
+) -> pa.analysis.ModelDiff:
     return pa.diff_models(*written(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
 
 

@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Ou
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -47,7 +47,7 @@ def robot() -> Robot:
 @pytest.fixture(scope="module")
 def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four stands on all feet, the last with 200 g on the base."""
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     stands = []
     for number, (height, roll, pitch) in enumerate(
         [(0.95, 0.0, 0.0), (0.7, 0.1, 0.0), (0.95, 0.0, -0.1), (0.7, -0.1, 0.0)]

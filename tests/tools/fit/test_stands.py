@@ -25,7 +25,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import HomotopyPath, follow_to_end
@@ -84,7 +84,7 @@ def taken(robot: Robot, planted: Robot, count: int, seed: int = 5) -> MeasuredSt
     """Predicts stands; from the seventh on a hind foot is in the air."""
     rng, size = np.random.default_rng(seed), robot.stand_height
     command, position, swing = [], [], []
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     while len(command) < count:
         lifted = {("RL", "RR")[len(command) % 2]: 0.02} if len(command) >= 6 else {}
         task = StandTask(
@@ -148,7 +148,7 @@ def with_mass(robot: Robot, planted: Robot, stands: MeasuredStands) -> MeasuredS
 def equations(
     robot: Robot, stands: MeasuredStands, friction: float = 0.0
 ) -> tuple[StandEquations, ParameterTable]:
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
     noise = StandNoise(encoder=1e-4, moment=0.0)
     return StandEquations(robot, stands, table, kp, np.full(robot.nu, friction), noise), table
@@ -258,7 +258,7 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     robot: Robot, stands: MeasuredStands
 ) -> None:
     """Positions tell their ratio. All by a tenth less, noise on feet is less by as much."""
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     none = np.zeros(robot.nu)
     table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
     system = StandEquations(robot, stands, table, kp, none, StandNoise(encoder=4e-4))
@@ -351,7 +351,7 @@ def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
     """Friction that carries a part of the known mass alone makes kp look a fifth too large."""
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     held = 0.8 * robot.joint_friction / kp * np.sign(with_mass.command - with_mass.position)
     on = with_mass.added[robot.base][:, :1] > 0
     stands = replace(with_mass, command=with_mass.command - on * held)
@@ -370,7 +370,10 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """A servo that gives nothing for the first 0.3 deg is commanded by as much further."""
-    band, kp = math.radians(0.3), np.array([own_servos(robot)[n][0] for n in robot.joint_names])
+    band, kp = (
+        math.radians(0.3),
+        np.array([list_position_servos(robot)[n][0] for n in robot.joint_names]),
+    )
     lead = stands.command - stands.position
     lazy = replace(stands, command=stands.command + band * np.sign(lead))
     fit = fit_stands(robot, lazy, weight=planted.total_mass, priors=["deadband=0.3deg", "load=0"])
@@ -393,7 +396,7 @@ def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_n
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """Against the load as far as it goes; of a joint that it holds whole, a servo gives little."""
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     carried, times = stands.command - stands.position, 6.0  # of what the file states
     band = times * robot.joint_friction / kp
     held = replace(stands, command=stands.command - np.clip(0.8 * carried, -band, band))
@@ -425,7 +428,9 @@ def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
     without = system._look(0, system._numbers(x)).residual[joints]
     x[table.find_index("deadband", "servos")] = -band
     more = system._look(0, system._numbers(x)).residual[joints] - without
-    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])[: len(given)]
+    kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])[
+        : len(given)
+    ]
     assert math.sqrt(np.mean((more / (kp * band) - held) ** 2)) < 0.12
 
 

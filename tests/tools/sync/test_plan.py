@@ -446,12 +446,12 @@ LOOP = """
 import sys
 from pathlib import Path
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.kinds import EDITED_KIND
 path, one, two = Path(sys.argv[1]), b"1" * 4_000_000, b"2" * 4_000_001
 print("begun", flush=True)
 while True:
-    write_all([Writing(path, two, EDITED, before=one)])
-    write_all([Writing(path, one, EDITED, before=two)])
+    write_all([Writing(path, two, EDITED_KIND, before=one)])
+    write_all([Writing(path, one, EDITED_KIND, before=two)])
 """
 
 

@@ -16,13 +16,13 @@ from pupper_analysis.base.diagnostics import (
     Severity,
     diagnose,
 )
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
-from pupper_analysis.robot.fall import own_motion
+from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
 
@@ -129,7 +129,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
             if drive.stiffness <= 0 or drive.gear == 0:
                 continue
             command = float(model.key_ctrl[key, drive.control]) * drive.gain / drive.stiffness
-            limit = effort_limit(model, drive.joint) / (drive.stiffness * drive.gear**2)
+            limit = find_max_effort(model, drive.joint) / (drive.stiffness * drive.gear**2)
             off = command / drive.gear - angle
             if abs(off) > 1e-3 + (limit if math.isfinite(limit) else MAX_SAG):
                 ahead[drive.joint_name] = off
@@ -172,7 +172,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
         return
     mujoco.mj_kinematics(model, before)
     floor = float(before.geom_xpos[ground][2])
-    motion, _ = own_motion(model, before, base, floor, partial(_run, model))
+    motion, _ = simulate_keyframe(model, before, base, floor, partial(_run, model))
     if motion.diverged:
         message = diagnose("keyframe-diverges")
     elif motion.collapses:

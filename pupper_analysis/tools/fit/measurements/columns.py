@@ -19,7 +19,7 @@ from pupper_analysis.base.csv_text import cell_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, MeasurementError
 from pupper_analysis.base.inputs import decode_input, read_input
-from pupper_analysis.base.units import UNITS
+from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.models.places import quote_short
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ def _columns(
         if name in seen:
             raise MeasurementError(source, diagnose("column-twice", column=name))
         seen.add(name)
-        units = UNITS.get(column.quantity, {})
+        units = UNIT_FACTORS.get(column.quantity, {})
         unit = (match["unit"] or "").strip()
         if unit and unit not in units:
             finding = diagnose("column-unit", column=name, unit=unit, known=tuple(units))

@@ -26,7 +26,7 @@ from pupper_analysis.base.files import (
     resolve_target,
     write_all,
 )
-from pupper_analysis.base.kinds import RECORD
+from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -385,7 +385,7 @@ def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequ
     if had and not had.endswith(b"\n"):
         had += b"\n"
     content = had + format_stands(one, header=not had).encode()
-    write_all([Writing(path, content, RECORD, before=there)])
+    write_all([Writing(path, content, RECORD_KIND, before=there)])
     return len(had)
 
 
@@ -395,4 +395,4 @@ def _cut(path: Path, size: int) -> None:
         path.unlink()
         return
     there = path.read_bytes()
-    write_all([Writing(path, there[:size], RECORD, before=there)])
+    write_all([Writing(path, there[:size], RECORD_KIND, before=there)])

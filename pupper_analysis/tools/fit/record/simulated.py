@@ -13,7 +13,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, servo_gains
+from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.fit.stands.equations import compute_level_base
@@ -62,7 +62,7 @@ class SimulatedRobot:
             factors[f"mass:{link}"] = math.exp(MASS * rng.normal())
             factors |= {f"com_{axis}:{link}": COM * rng.normal() for axis in "xyz"}
         common = rng.normal()
-        gains = servo_gains(robot, kp, None)
+        gains = resolve_servo_gains(robot, kp, None)
         self.kp = gains.kp * np.exp(KP * (common + rng.normal(size=robot.nu)))
         self.offset = OFFSET * rng.normal(size=robot.nu)
         self.robot = scale_robot(robot, factors)

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, FitError, MeasurementError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos, servo_gains
+from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.estimate import (
     HALF_WIDTH_95,
     LinearisedResiduals,
@@ -736,7 +736,7 @@ def get_stated_stiffness(
         MeasurementError: If a joint has commands, and no file states its servo's kp.
     """
     if kp is None:
-        own = own_servos(robot)
+        own = list_position_servos(robot)
         made = {servo.joint for servo in robot.description.made_servos}
         lacking = [
             name
@@ -746,7 +746,7 @@ def get_stated_stiffness(
         if lacking:
             raise MeasurementError(source, diagnose("command-without-kp", joints=lacking))
         return np.array([own.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
-    return servo_gains(robot, kp, 0.0).kp
+    return resolve_servo_gains(robot, kp, 0.0).kp
 
 
 _AT_STOP = 2e-3

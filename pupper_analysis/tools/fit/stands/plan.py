@@ -16,11 +16,11 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, PupperAnalysisError
 from pupper_analysis.base.files import write_atomically
-from pupper_analysis.base.kinds import PLAN
+from pupper_analysis.base.kinds import PLAN_KIND
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_lead
+from pupper_analysis.robot.servos import compute_command_lead
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
@@ -220,7 +220,7 @@ def _candidate(
     """Returns a stand with what servos are commanded to hold it where it is clear of itself."""
     torque, position = sagged.joint_torques, sagged.qpos[7:]
     share = float((np.abs(torque) / robot.effort_limits).max())
-    command = (position + command_lead(torque, kp)).tolist()
+    command = (position + compute_command_lead(torque, kp)).tolist()
     planned = PlannedStand(
         name="",
         swing=tuple(stand.task.swing),
@@ -319,7 +319,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
     Raises:
         OutputError: If it cannot be written, or what is there must not be replaced.
     """
-    with write_atomically(Path(path), PLAN, force=force) as file:
+    with write_atomically(Path(path), PLAN_KIND, force=force) as file:
         text = format_stands(_as_measured(plan.name, plan.stands, plan.place))
         file.write(text.encode())
 
