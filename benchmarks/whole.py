@@ -132,7 +132,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
     """Returns how long each stage of the default run takes for some variants, {stage: s}."""
     from pupper_analysis.present.figures.pose import pose_figure
     from pupper_analysis.tools.analyze import figures as render
-    from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
+    from pupper_analysis.tools.analyze.comparison_figures import FIGURES
 
     taken: dict[str, float] = {}
 
@@ -177,11 +177,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
         )
         stage(
             "other figures",
-            lambda: (
-                torque_figure(analyses, folder / "torques.png"),
-                height_figure(analyses, folder / "heights.png"),
-                gain_figure(analyses, folder / "gains.png"),
-            ),
+            lambda: [draw(analyses, folder / name) for name, draw in FIGURES.items()],
         )
         stage("picture of all", lambda: render.render_variants(pairs, folder / "variants.png"))
     return taken

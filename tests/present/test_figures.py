@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,10 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from matplotlib.patches import Rectangle
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.document import in_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
@@ -25,29 +22,7 @@ from pupper_analysis.present.figures.pose import (
 )
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
-from pupper_analysis.tools.analyze.document import deviation_plot
-from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of
-
-PANELS: tuple[Callable[[Any, Path], None], ...] = (torque_figure, height_figure, gain_figure)
-
-
-@cache
-def analysis_of(name: str) -> Any:
-    """What the figures need of an analysis, from short simulations."""
-    robot, stand = load(name), stand_of(name)
-    limits = zip(robot.joint_names, robot.effort_limits, strict=True)
-    return SimpleNamespace(
-        name=name,
-        joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
-        stand=stand,
-        statics=pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
-        verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
-        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
-        sweep=pa.simulation.sweep_gains(
-            robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0
-        ),
-    )
 
 
 def check_picture(path: Path) -> None:
@@ -123,46 +98,6 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     for axes in figure.axes:
         arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
         assert len(arrows) == 3
-
-
-@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
-def test_a_figure_without_robots_is_refused(
-    draw: Callable[[Any, Path], None], tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigurationError, match="no robot"):
-        draw([], tmp_path / "figure.png")
-
-
-def test_torque_figure_draws_each_torque_beside_the_other_and_its_limit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """In the units of the drawing: bars from zero, and ticks where the others are."""
-    analysis = analysis_of("v3")
-    axes = drawn(monkeypatch, torque_figure, [analysis]).axes[0]
-    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
-    predicted = analysis.statics.joint_torques
-    assert len(bars) == len(predicted)
-    unit = np.array([bar.get_width() for bar in bars]) / np.abs(predicted)
-    scale = unit[np.abs(predicted).argmax()]
-    np.testing.assert_allclose(unit[np.abs(predicted) > 0.01], scale, rtol=1e-6)
-    ticks = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines
-             if line.get_linewidth() == 2.0]  # fmt: skip
-    zero = max(bars, key=lambda bar: bar.get_width() if predicted[bars.index(bar)] > 0 else 0)
-    simulated = analysis.verification.joint_torques
-    np.testing.assert_allclose(ticks, zero.get_x() + scale * simulated, rtol=1e-6)
-
-
-def test_gain_figure_draws_what_has_a_stable_rest() -> None:
-    sweep = analysis_of("v3").sweep
-    deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
-    lasts = np.array([[True, False, True], [False, True, True]])
-    plot = deviation_plot(
-        SimpleNamespace(**{**vars(sweep), "height_deviation": deviation, "lasts": lasts})
-    )
-    np.testing.assert_array_equal(
-        [one.y for one in plot.series], [[1.5, np.nan, 2.0], [np.nan, 3.0, np.nan]]
-    )
-    assert [in_english(one.name) for one in plot.series] == ["kp 20 N m/rad", "kp 60 N m/rad"]
 
 
 @pytest.mark.slow

@@ -204,7 +204,7 @@ def analyze_variant(
         holding = pool.submit(verify_stand, robot, stand, duration=HOLD_DURATION)
         checking = pool.submit(cross_check, robot)
         sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=HOLD_DURATION)
-        sweeping = pool.submit(sweep_gains, robot, stand, progress=progress)
+        sweeping = pool.submit(sweep_gains, robot, stand, amplitude=0.0, progress=progress)
         verification, check = holding.result(), checking.result()
         sagging, sweep = sinking.result(), sweeping.result()
     failures = list(verification.failures)

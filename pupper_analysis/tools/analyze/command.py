@@ -181,19 +181,14 @@ def _compared(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     from pupper_analysis.present.figures.pose import pose_figure
-    from pupper_analysis.tools.analyze.figures import (
-        gain_figure,
-        height_figure,
-        render_variants,
-        torque_figure,
-    )
+    from pupper_analysis.tools.analyze.comparison_figures import FIGURES
+    from pupper_analysis.tools.analyze.figures import render_variants
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
         pose_figure(robot, analysis.stand, analysis.statics, path)
-    torque_figure(analyses, folder / "torques.png")
-    height_figure(analyses, folder / "heights.png")
-    gain_figure(analyses, folder / "gains.png")
+    for name, draw in FIGURES.items():
+        draw(analyses, folder / name)
     stands = [analysis.stand for analysis in analyses]
     picture = render_variants(list(zip(robots, stands, strict=True)), folder / "variants.png")
     shared.confirm_written(f"{folder}/")

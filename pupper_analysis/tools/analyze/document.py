@@ -66,7 +66,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
             {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
         ),
         *simulation_blocks(analysis),
-        *sweep_blocks(analysis.sweep),
+        deviation_table(analysis.sweep),
         _jacobians(analysis),
         _check(analysis),
     ]
@@ -315,18 +315,11 @@ def _interval(values: doc.Array) -> str:
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
-def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
-    """Returns how steady a stand is, by servo gains."""
-    yield deviation_table(sweep)
-    if sweep.lasts.any() and len(sweep.kd) > 1:
-        yield deviation_plot(sweep)
-
-
 def deviation_table(sweep: GainSweep) -> doc.Table:
-    """Returns how much the base moves, by servo gains (mm); marked where it comes to no rest."""
+    """Return the table of height deviations [mm] by servo gains; gains without rest are marked."""
     deviations = [
         [
-            doc.number_cell(value, ".4f", "" if lasts else "bad", 1e3)
+            doc.number_cell(value, ".2g", "" if lasts else "bad", 1e3)
             if np.isfinite(value)
             else text("fell")
             for value, lasts in zip(*row, strict=True)
@@ -339,7 +332,7 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
     ] * bool(restless)
     notes += [
         text(
-            "standard-deviation-of-the-bases",
+            "height-deviation-disturbed" if sweep.amplitude else "height-deviation-undisturbed",
             seconds=f"{sweep.duration:g}",
             force=f"{sweep.amplitude:g}",
             frequency=f"{sweep.frequency:g}",
@@ -358,22 +351,6 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
             (doc.number_cell(kp, "g"), *row) for kp, row in zip(sweep.kp, deviations, strict=True)
         ),
         tuple(notes),
-    )
-
-
-def deviation_plot(sweep: GainSweep) -> doc.LinePlot:
-    """Returns the same over kd, a line for each kp: of gains that have a stable rest."""
-    drawn = np.isfinite(sweep.height_deviation) & (sweep.height_deviation > 0) & sweep.lasts
-    values = 1e3 * np.where(drawn, sweep.height_deviation, np.nan)
-    return doc.LinePlot(
-        text("height-deviation-by-servo-gains"),
-        doc.Axis(text("kd"), "N m s/rad", "g"),
-        doc.Axis(text("height-deviation"), "mm", ".4f"),
-        [
-            doc.Series(doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, row, points=True)
-            for kp, row in zip(sweep.kp, values, strict=True)
-            if np.isfinite(row).any()
-        ],
     )
 
 

@@ -1,4 +1,4 @@
-"""The figures that put analyses beside each other: torques, heights and gains, a panel each."""
+"""The picture of robots side by side, rendered by MuJoCo, with names, leg lengths and masses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,10 +25,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, compile_spec
-from pupper_analysis.present.document import text
-from pupper_analysis.present.documents.loads import torque_plot
-from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.figures.drawing import save_figure, write_plots
+from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     BOX_FACES,
     Skeleton,
@@ -38,64 +35,6 @@ from pupper_analysis.present.figures.pose import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.analyze.analysis import leg_lengths
-from pupper_analysis.tools.analyze.document import deviation_plot
-
-if TYPE_CHECKING:
-    from pupper_analysis.tools.analyze.analysis import Analysis
-
-
-def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draws what every motor holds, beside its effort limit: one panel per robot.
-
-    Args:
-        analyses: The robots; ``statics``, ``verification`` and ``joints`` are drawn.
-        path: The PNG to write.
-
-    Raises:
-        ConfigurationError: If there is no robot.
-        OutputError: If the file cannot be written.
-    """
-    plots, names = [], []
-    for one in analyses:
-        limits = [joint.effort for joint in one.joints]
-        simulated = one.verification.joint_torques.tolist()
-        plots.append(torque_plot(one.statics, simulated, limits))
-        low, high = min(limits), max(limits)
-        names.append(f"{one.name}: limit {low:g}{f' to {high:g}' if high > low else ''} N m")
-    write_plots(plots, path, title=text("motor-torques-against-their-limits"), names=names)
-
-
-def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draws the base's height over the simulated time, with and without feed-forward.
-
-    Args:
-        analyses: The robots; ``stand``, ``verification`` and ``sagging`` are drawn.
-        path: The PNG to write.
-
-    Raises:
-        ConfigurationError: If there is no robot.
-        OutputError: If the file cannot be written.
-    """
-    plots = [
-        height_plot((one.verification, one.sagging), float(one.stand.qpos[2])) for one in analyses
-    ]
-    write_plots(plots, path, names=[one.name for one in analyses])
-
-
-def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draws the gain sweeps: how much the height deviates, for each kp and kd.
-
-    Args:
-        analyses: The robots; ``sweep`` is drawn.
-        path: The PNG to write.
-
-    Raises:
-        ConfigurationError: If there is no robot.
-        OutputError: If the file cannot be written.
-    """
-    plots = [deviation_plot(one.sweep) for one in analyses]
-    write_plots(plots, path, title=text("gains-that-rest"), names=[one.name for one in analyses])
-
 
 Array = NDArray[np.float64]
 

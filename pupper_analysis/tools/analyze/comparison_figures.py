@@ -1,0 +1,354 @@
+"""Figures that compare analyses, one panel per robot: motor torques, base heights and servo gains.
+
+Inputs are the results of ``analyze_variant``; output is one PNG per figure. Robots with the same
+joints (the variants of one base model) share their axes, so that panels can be compared by eye.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics.diagnostic import Diagnostic
+from pupper_analysis.base.diagnostics.templates import Quantity
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.figures import drawing
+
+if TYPE_CHECKING:
+    from pupper_analysis.simulation.verify import StandVerification
+    from pupper_analysis.tools.analyze.analysis import Analysis
+    from pupper_analysis.tools.analyze.gain_sweep import GainSweep
+
+Array = NDArray[np.float64]
+
+NUM_COLUMNS = 2
+"""Panels in a row: with three, the labels are illegible at the width of a printed page."""
+
+MIN_SHOWN_DEVIATION = 1e-4
+"""Height deviation [mm] at the lower end of the colour scale. Chosen, not tuned: a tenth of a
+micrometre is far below what a robot can measure, so smaller values need no colours of their own."""
+
+MIN_SHOWN_LOSS = 0.1
+"""Smallest range of the axis of heights [mm]. Chosen, not tuned: less is rounding of a picture."""
+
+_LOSS_WINDOW = 1.0
+"""Length [s] of the window at the end of a curve, over which the legend states the mean height."""
+
+
+def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draw the motor torques of each robot in percent of the effort limits.
+
+    A panel has one row per joint of a leg, with one point per leg: the torque that Pinocchio
+    predicts, and the torque of the simulation with feed-forward.
+
+    Args:
+        analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are
+            drawn.
+        path: PNG file.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    figure, panels = _panels(analyses, "Motor torque, in percent of each motor's limit", 0.42)
+    for analysis, axes in panels:
+        rows = list(_joint_rows(analysis).items())
+        limits = np.array([joint.effort for joint in analysis.joints], float)
+        predicted = np.abs(np.asarray(analysis.statics.joint_torques, float))
+        simulated = np.abs(np.asarray(analysis.verification.joint_torques, float))
+        limited = np.isfinite(limits) & (limits > 0)
+        percent = np.where(limited, 100 / np.where(limited, limits, 1.0), np.nan)
+        for row, (_, joints) in enumerate(rows):
+            offsets = np.linspace(-0.24, 0.24, len(joints)) if len(joints) > 1 else np.zeros(1)
+            for leg, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
+                colour, place = _leg_colour(leg) if len(joints) > 1 else "0.3", row + offset
+                axes.plot(percent[joint] * predicted[joint], place, "o", color=colour, ms=5)
+                axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
+            peak = max(joints, key=lambda joint: predicted[joint])
+            share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
+            axes.annotate(f"{predicted[peak]:.3f} N m{share}", (1, row), ha="right", va="center",
+                          xycoords=axes.get_yaxis_transform(), size=drawing.FONT - 1,
+                          xytext=(0, 0), textcoords="offset points")  # fmt: skip
+        axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlabel("torque (% of the limit)", size=drawing.FONT)
+        axes.grid(axis="x", color=drawing.GRID)
+        drawing.title_panel(axes, f"{analysis.name}: limit {_range_text(limits[limited])} N m")
+        _write_feet(axes, list(analysis.foot_jacobians))
+        # Room for the values at the right end of the axis.
+        axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
+    _share_limits(panels, "x")
+    handles = [
+        Line2D([], [], marker="o", ls="", color="0.3", label="predicted (Pinocchio)"),
+        Line2D([], [], marker="|", ls="", color="k", ms=8, label="simulated, with feed-forward"),
+    ]
+    _save_with_legend(figure, handles, path)
+
+
+def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draw the base height over the simulated time, relative to the height of the task.
+
+    The legend of a panel states the mean over the last second of each curve. If a robot fails, the
+    first contact of another link with the ground is marked.
+
+    Args:
+        analyses: Results; ``stand``, ``verification`` and ``sagging`` are drawn.
+        path: PNG file.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    figure, panels = _panels(analyses, "Height of the simulated base, relative to the task", 0.5)
+    for analysis, axes in panels:
+        task = float(analysis.stand.qpos[2])
+        for run, name, style in (
+            (analysis.verification, "with feed-forward", {"color": drawing.BLUE}),
+            (analysis.sagging, "position commands only", {"color": drawing.RED, "ls": (0, (6, 2))}),
+        ):
+            heights = 1e3 * (np.asarray(run.height, float) - task)
+            last = heights[run.time > run.time[-1] - _LOSS_WINDOW].mean()
+            label = f"{name}: {round(last, 2) + 0.0:.2f} mm{' (FAILS)' if run.failures else ''}"
+            axes.plot(run.time, heights, lw=1.4, label=label, **style)
+            _mark_first_contact(axes, run, heights)
+        axes.axhline(0.0, color=drawing.GREEN, ls=(0, (2, 3)), lw=1.2)
+        axes.set_xlabel("time (s)", size=drawing.FONT)
+        axes.set_ylabel("height less task (mm)", size=drawing.FONT)
+        axes.grid(color=drawing.GRID)
+        axes.legend(fontsize=drawing.FONT - 1, frameon=False, loc="upper right")
+        lowest = min(axes.get_ylim()[0], -MIN_SHOWN_LOSS)
+        axes.set_ylim(lowest, -0.35 * lowest)  # the legend is above the curves
+        drawing.title_panel(axes, f"{analysis.name}: task {1e3 * task:.1f} mm")
+    _share_limits(panels, "y")
+    task_line = Line2D([], [], color=drawing.GREEN, ls=(0, (2, 3)), lw=1.2, label="task")
+    note = Line2D([], [], ls="", label=f"numbers: mean of the last {_LOSS_WINDOW:g} s")
+    _save_with_legend(figure, [task_line, note], path)
+
+
+def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draw heat maps of the gain sweeps: height deviation in the last second, by kp and kd.
+
+    All panels share one logarithmic colour scale. Cells state the value; a robot that falls is
+    grey, and gains at which the robot does not stay at rest are hatched.
+
+    Args:
+        analyses: Results; ``sweep`` and the gains of ``verification`` are drawn.
+        path: PNG file.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    sweeps = [analysis.sweep for analysis in analyses]
+    figure, panels = _panels(analyses, _sweep_title(sweeps), 0.6)
+    shown = np.concatenate([1e3 * sweep.height_deviation.ravel() for sweep in sweeps])
+    shown = np.append(shown[np.isfinite(shown)], MIN_SHOWN_DEVIATION)
+    # At least one decade, so that the scale has two ends.
+    scale = LogNorm(MIN_SHOWN_DEVIATION, max(10 * MIN_SHOWN_DEVIATION, float(shown.max())))
+    for analysis, axes in panels:
+        _draw_heat_map(axes, analysis.sweep, scale)
+        own = tuple(float(np.median(gain)) for gain in
+                    (analysis.verification.kp, analysis.verification.kd))  # fmt: skip
+        _mark_own_gains(axes, analysis.sweep, *own)
+        drawing.title_panel(axes, analysis.name)
+    colours = ScalarMappable(scale, _COLOUR_MAP)
+    bar = figure.colorbar(colours, ax=[axes for _, axes in panels], shrink=0.6, extend="min")
+    bar.set_label("standard deviation of the base height (mm)", size=drawing.FONT)
+    bar.ax.tick_params(labelsize=drawing.FONT)
+    handles = [
+        Patch(facecolor="0.8", label="falls"),
+        Patch(facecolor="white", edgecolor="0.3", hatch="////", label="does not stay at rest"),
+        Patch(facecolor="none", edgecolor=drawing.RED, lw=2, label="the model's own gains"),
+    ]
+    _save_with_legend(figure, handles, path)
+
+
+_COLOUR_MAP = "viridis"
+
+
+def _panels(
+    analyses: Sequence[Analysis], title: str, aspect: float
+) -> tuple[Figure, list[tuple[Analysis, Axes]]]:
+    """Return a titled figure and a panel for each analysis; ``aspect`` is height by width."""
+    if not analyses:
+        raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
+    columns = min(len(analyses), NUM_COLUMNS)
+    num_rows = -(-len(analyses) // columns)
+    height = num_rows * (aspect * drawing.WIDTH / columns + 0.45) + 0.7
+    figure = drawing.page_figure(title, height, layout="constrained")
+    grid = figure.subplots(num_rows, columns, squeeze=False).ravel()
+    for unused in grid[len(analyses) :]:
+        unused.set_axis_off()
+    return figure, list(zip(analyses, grid[: len(analyses)], strict=True))
+
+
+def _joint_rows(analysis: Analysis) -> dict[str, list[int]]:
+    """Return the joint indices of each row: corresponding joints of the legs, then other joints."""
+    names = [joint.name for joint in analysis.joints]
+    by_depth: defaultdict[int, list[int]] = defaultdict(list)
+    for jacobian in analysis.foot_jacobians.values():
+        for depth, name in enumerate(jacobian.joints):
+            index = names.index(name)
+            if all(index not in row for row in by_depth.values()):
+                by_depth[depth].append(index)
+    rows = {_shared_name([names[index] for index in row]): row for row in by_depth.values() if row}
+    if len(rows) < sum(bool(row) for row in by_depth.values()):  # two rows have the same name
+        rows = {f"joint {depth + 1}": row for depth, row in sorted(by_depth.items()) if row}
+    in_legs = {index for row in rows.values() for index in row}
+    return rows | {name: [index] for index, name in enumerate(names) if index not in in_legs}
+
+
+def _shared_name(names: Sequence[str]) -> str:
+    """Return the parts between underscores that all names have in common, as ``leg_1``."""
+    parts = [name.split("_") for name in names]
+    shared = [part for part in parts[0] if all(part in other for other in parts)]
+    return "_".join(shared) or names[0]
+
+
+def _leg_colour(leg: int) -> str:
+    """Return the colour of a leg, by its index."""
+    return drawing.COLOURS[leg % len(drawing.COLOURS)]
+
+
+def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
+    """Write the names of the feet above a panel, right-aligned, each in the colour of its leg."""
+    if not 1 < len(feet) <= len(drawing.COLOURS):
+        return
+    right = 0.0
+    for leg in reversed(range(len(feet))):
+        axes.annotate(feet[leg], (1, 1), xycoords="axes fraction", xytext=(-right, 4),
+                      textcoords="offset points", ha="right", va="bottom", weight="bold",
+                      size=drawing.FONT - 1, color=_leg_colour(leg))  # fmt: skip
+        right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT - 1)
+
+
+_LETTER_WIDTH = 0.72
+"""Mean width of a bold capital of DejaVu Sans, in parts of the font size (measured)."""
+
+
+def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
+    """Give the robots with the same joints the same limits along an axis, ``x`` or ``y``."""
+    groups: defaultdict[tuple[str, ...], list[Axes]] = defaultdict(list)
+    for analysis, axes in panels:
+        groups[tuple(joint.name for joint in analysis.joints)].append(axes)
+    for group in groups.values():
+        limits = np.array([getattr(axes, f"get_{axis}lim")() for axes in group])
+        for axes in group:
+            getattr(axes, f"set_{axis}lim")(limits[:, 0].min(), limits[:, 1].max())
+
+
+def _range_text(values: Array) -> str:
+    """Return a value, or the smallest and the largest value."""
+    if len(values) == 0:
+        return "unknown"
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
+    """Mark the first contact of another link with the ground among the failures of a run."""
+    contacts = list(_contacts_with_ground(run.failures))
+    if not contacts:
+        return
+    time = min(contacts)[0]
+    links = [link for at, link in contacts if at == time]
+    height = float(np.interp(time, run.time, heights))
+    axes.plot(time, height, "v", color=drawing.BLACK, ms=5)
+    lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
+    axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
+                  xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
+                  size=drawing.FONT - 1, arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
+
+
+def _contacts_with_ground(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
+    """Yield time [s] and link of each contact with the ground that a failure states."""
+    for failure in failures:
+        time = failure.values.get("time")
+        if failure.code == "body-touches-ground" and isinstance(time, Quantity):
+            yield float(time.value), "" if failure.subject is None else failure.subject.name
+
+
+def _sweep_title(sweeps: Sequence[GainSweep]) -> str:
+    """Return the title of the gain figure, with the disturbance and the simulated time."""
+    if not sweeps:
+        return ""
+    first = sweeps[0]
+    disturbance = "undisturbed"
+    if first.amplitude:
+        disturbance = f"vertical force of {first.amplitude:g} N at {first.frequency:g} Hz"
+    return (
+        "Deviation of the base height by servo gains\n"
+        f"position commands only, {disturbance}, last second of {first.duration:g} s"
+    )
+
+
+def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
+    """Draw a cell for each pair of gains, with its height deviation [mm]."""
+    deviation = 1e3 * np.asarray(sweep.height_deviation, float)
+    colours = ScalarMappable(scale, _COLOUR_MAP)
+    for row, column in np.ndindex(deviation.shape):
+        value = float(deviation[row, column])
+        falls = not np.isfinite(value)
+        shown = max(value, MIN_SHOWN_DEVIATION)
+        face = "0.8" if falls else colours.cmap(float(scale(shown)))
+        corner = (column - 0.5, row - 0.5)
+        axes.add_patch(Rectangle(corner, 1, 1, facecolor=face, edgecolor="white", lw=0.8))
+        if not falls and not sweep.lasts[row, column]:
+            axes.add_patch(
+                Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor="white", lw=0)
+            )
+        bright = falls or float(scale(shown)) > _BRIGHT_FROM
+        axes.text(column, row, "falls" if falls else _deviation_text(value), ha="center",
+                  va="center", size=drawing.FONT - 1.5,
+                  color="black" if bright else "white")  # fmt: skip
+    axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
+    axes.set_xticks(range(len(sweep.kd)), [f"{kd:g}" for kd in sweep.kd])
+    axes.set_yticks(range(len(sweep.kp)), [f"{kp:g}" for kp in sweep.kp])
+    axes.set_xlabel("kd (N m s/rad)", size=drawing.FONT)
+    axes.set_ylabel("kp (N m/rad)", size=drawing.FONT)
+
+
+_BRIGHT_FROM = 0.6
+"""Fraction of the colour scale above which viridis is bright enough for black letters."""
+
+
+def _deviation_text(value: float) -> str:
+    """Return a deviation [mm] to two digits, or that it is below the colour scale."""
+    return f"{value:.2g}" if value >= MIN_SHOWN_DEVIATION else f"<{MIN_SHOWN_DEVIATION:g}"
+
+
+def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
+    """Outline the cell of the model's own gains, if the grid contains this pair."""
+    rows, columns = np.isclose(sweep.kp, kp), np.isclose(sweep.kd, kd)
+    for row in np.flatnonzero(rows):
+        for column in np.flatnonzero(columns):
+            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False,
+                                     edgecolor=drawing.RED, lw=2, zorder=3))  # fmt: skip
+
+
+def _save_with_legend(figure: Figure, handles: Sequence[Any], path: str | Path) -> None:
+    """Put a legend below the panels, and write the figure."""
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=min(len(handles), 6),
+                  fontsize=drawing.FONT, frameon=False, handletextpad=0.5,
+                  columnspacing=0.9)  # fmt: skip
+    drawing.save_figure(figure, path)
+
+
+FIGURES: dict[str, Callable[[Sequence[Analysis], str | Path], None]] = {
+    "torques.png": torque_figure,
+    "heights.png": height_figure,
+    "gains.png": gain_figure,
+}
+"""File names of the figures that ``analyze`` writes beside the poses, and their functions."""

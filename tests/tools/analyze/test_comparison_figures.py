@@ -1,0 +1,189 @@
+"""Figures that compare robots: the numbers that are drawn, and axes that can be compared."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.patches import Rectangle
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.figures import drawing
+from pupper_analysis.tools.analyze import comparison_figures
+from pupper_analysis.tools.analyze.analysis import leg_jacobians
+from pupper_analysis.tools.analyze.comparison_figures import FIGURES
+from tests.support.variants import load, stand_of
+
+CELLS = {"kp": (5.0, 20.0, 60.0), "kd": (0.1, 0.5)}
+"""Gains of a small sweep, with v3's own pair."""
+
+
+@cache
+def analysis_of(name: str) -> Any:
+    """Return the fields of an analysis that figures read, from short simulations."""
+    robot, stand = load(name), stand_of(name)
+    limits = zip(robot.joint_names, robot.effort_limits, strict=True)
+    config = pa.Configuration(robot, stand.qpos)
+    return SimpleNamespace(
+        name=name,
+        joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
+        stand=stand,
+        statics=pa.gravity_compensation(config),
+        foot_jacobians=leg_jacobians(config),
+        verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
+        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
+        sweep=pa.simulation.sweep_gains(robot, stand, **CELLS, amplitude=0.0, duration=2.0),
+    )
+
+
+def changed(analysis: Any, **fields: Any) -> Any:
+    """Return an analysis with other values of some fields."""
+    return SimpleNamespace(**{**vars(analysis), **fields})
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Return the list to which figures are added instead of being written."""
+    kept: list[Figure] = []
+    monkeypatch.setattr(drawing, "save_figure", lambda figure, path: kept.append(figure))
+    return kept
+
+
+def panels(figure: Figure) -> list[Axes]:
+    """Return the panels of a figure, in the order of the robots."""
+    return [axes for axes in figure.axes if axes.get_title(loc="left")]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_refused_without_robots(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no robot"):
+        FIGURES[name]([], tmp_path / name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_of_three_robots_is_written_with_white_edges(name: str, tmp_path: Path) -> None:
+    FIGURES[name]([analysis_of(robot) for robot in ("original", "v3", "v3-heavy")], tmp_path / name)
+    pixels = imread(tmp_path / name)
+    assert pixels.shape[1] == pytest.approx(drawing.WIDTH * drawing.DPI, abs=1)
+    for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
+        assert (edge[:, :3] == 1.0).all()  # nothing is cut off
+
+
+def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
+    figures: list[Figure],
+) -> None:
+    """Reference: 100 |tau| / limit of each motor, from the statics and the simulation."""
+    analysis = analysis_of("v3")
+    efforts = np.linspace(1.0, 3.0, 12)
+    limits = [
+        SimpleNamespace(name=joint.name, effort=effort)
+        for joint, effort in zip(analysis.joints, efforts, strict=True)
+    ]
+    FIGURES["torques.png"]([changed(analysis, joints=limits)], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    for marker, torques in (
+        ("o", analysis.statics.joint_torques),
+        ("|", analysis.verification.joint_torques),
+    ):
+        drawn = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines
+                 if line.get_marker() == marker]  # fmt: skip
+        np.testing.assert_allclose(sorted(drawn), sorted(100 * np.abs(torques) / efforts))
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["leg_1", "leg_2", "leg_3"]
+
+
+def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[Figure]) -> None:
+    analysis = analysis_of("v3")
+    limits = [SimpleNamespace(name=joint.name, effort=np.inf) for joint in analysis.joints]
+    FIGURES["torques.png"]([changed(analysis, joints=limits)], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    texts = [text.get_text() for text in axes.texts]
+    knee = np.abs(analysis.statics.joint_torques[2::3]).max()
+    assert f"{knee:.3f} N m, no limit" in texts
+
+
+def test_robots_with_the_same_joints_share_their_axes(figures: list[Figure]) -> None:
+    names = ("v3", "original", "v3-heavy")
+    for name in ("torques.png", "heights.png"):
+        FIGURES[name]([analysis_of(robot) for robot in names], Path("unused.png"))
+    torque, height = map(panels, figures)
+    assert torque[0].get_xlim() == torque[2].get_xlim() != torque[1].get_xlim()
+    assert height[0].get_ylim() == height[2].get_ylim() != height[1].get_ylim()
+
+
+def test_height_figure_states_the_mean_of_the_last_second(figures: list[Figure]) -> None:
+    analysis = analysis_of("v3")
+    FIGURES["heights.png"]([analysis], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    legend = axes.get_legend()
+    assert legend is not None
+    sagging = analysis.sagging
+    last = sagging.height[sagging.time > sagging.time[-1] - 1.0].mean()
+    expected = f"position commands only: {1e3 * (last - analysis.stand.qpos[2]):.2f} mm"
+    assert expected in [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.slow
+def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
+    figures: list[Figure],
+) -> None:
+    """v3-long-leg sinks onto its shanks on its own servos; the failure states link and time."""
+    robot = load("v3-long-leg")
+    stand = pa.solve_stand_as_simulated(robot)
+    sagging = pa.verify_stand(robot, stand, feedforward=False, duration=12.0)
+    contacts = [one for one in sagging.failures if one.code == "body-touches-ground"]
+    analysis = changed(analysis_of("v3"), stand=stand, verification=sagging, sagging=sagging)
+    FIGURES["heights.png"]([analysis], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    said = " ".join(text.get_text() for text in axes.texts)
+    time = min(one.values["time"].value for one in contacts)  # type: ignore[union-attr]
+    assert f"touch the ground at {time:.2f} s" in said
+    assert contacts[0].subject is not None
+    assert contacts[0].subject.name in said
+
+
+def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
+    figures: list[Figure],
+) -> None:
+    """Cells are drawn at (kd, kp); the numbers are those of the sweep, in millimetres."""
+    analysis = analysis_of("v3")
+    deviation = np.array([[1.5e-3, np.inf], [2e-5, 3e-3], [1e-9, 4e-4]])
+    lasts = np.array([[True, False], [True, False], [True, True]])
+    sweep = changed(analysis.sweep, height_deviation=deviation, lasts=lasts)
+    FIGURES["gains.png"](
+        [changed(analysis, sweep=sweep), analysis_of("original")], Path("unused.png")
+    )
+    first, second = panels(figures[0])
+    written = {text.get_position(): text.get_text() for text in first.texts}
+    assert written == {(0, 0): "1.5", (1, 0): "falls", (0, 1): "0.02", (1, 1): "3",
+                       (0, 2): "<0.0001", (1, 2): "0.4"}  # fmt: skip
+    assert [label.get_text() for label in first.get_xticklabels()] == ["0.1", "0.5"]
+    assert [label.get_text() for label in first.get_yticklabels()] == ["5", "20", "60"]
+    cells = [patch for patch in first.patches if isinstance(patch, Rectangle)]
+    hatched = {cell.get_xy() for cell in cells if cell.get_hatch()}
+    assert hatched == {(0.5, 0.5)}  # kp 20, kd 0.5
+    own = [cell.get_xy() for cell in cells if cell.get_linewidth() == 2]
+    assert own == [(-0.5, -0.5)]  # v3's own kp 5 and kd 0.1
+    faces = [{cell.get_facecolor() for cell in axes.patches if cell.get_fill()}
+             for axes in (first, second)]  # fmt: skip
+    lowest = comparison_figures.ScalarMappable(None, "viridis").cmap(0)
+    assert all(lowest in colours for colours in faces)  # one scale for both panels
+
+
+@pytest.mark.slow
+def test_an_undisturbed_robot_on_its_own_gains_deviates_less_than_one_that_is_pushed() -> None:
+    """Reference: the same sweep under a force of 2 N at 1.2 Hz, the default of ``sweep_gains``."""
+    robot, stand = load("original"), stand_of("original")
+    calm, pushed = (
+        pa.simulation.sweep_gains(robot, stand, kp=[60.0], kd=[1.0], amplitude=force)
+        for force in (0.0, 2.0)
+    )
+    assert calm.height_deviation[0, 0] < 1e-3 * pushed.height_deviation[0, 0]
