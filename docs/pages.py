@@ -145,7 +145,7 @@ def result_fields(words: Mapping[str, Any], language: str) -> str:
 
 def command_pages() -> dict[str, str]:
     """Return a page for each command with its help and options, and the list of commands."""
-    commands = {name: cli.find_command(name) for name in cli.COMMANDS}
+    commands = {name: cli.find_command(name) for name in cli.COMMAND_NAMES}
     pages = {f"commands/{name}.md": _command(name, command) for name, command in commands.items()}
     rows = [
         (f"[{name}](commands/{name}.md)", _plain(command.get_short_help_str(limit=200)))

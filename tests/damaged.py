@@ -32,7 +32,7 @@ from pupper_analysis.base.tools import own_tools
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of, read_mesh
+from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj, read_mesh
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
 from pupper_analysis.tools.study.store import Store
@@ -123,7 +123,7 @@ def _read_mesh(path: Path) -> Any:
     """Reads a mesh as a conversion does, and an MJCF that has it."""
     readable = path.suffix in (".stl", ".obj")
     try:
-        _ = read_mesh(path) if readable else obj_of(path)
+        _ = read_mesh(path) if readable else convert_to_obj(path)
     except UnreadableError:
         return
     if readable:

@@ -21,16 +21,16 @@ from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.base.tools import HELP_HEADINGS, find_tool_modules, other_tools, own_tools
 from pupper_analysis.cli.process import (
-    Ended,
-    ending_signals,
-    go_on,
-    patient_output,
+    ProcessEnded,
+    catch_ending_signals,
+    raise_if_ended,
+    tolerate_output_errors,
 )
 from pupper_analysis.cli.shared import (
-    BAD_INPUT,
-    CONTEXT,
-    INTERNAL,
-    VERIFIED,
+    CONTEXT_SETTINGS,
+    EXIT_BAD_INPUT,
+    EXIT_INTERNAL,
+    EXIT_VERIFIED,
 )
 
 
@@ -95,11 +95,11 @@ class LazyGroup(click.Group):
                     )
 
 
-__all__ = ["BAD_INPUT", "find_command", "group", "main", "run"]
+__all__ = ["EXIT_BAD_INPUT", "find_command", "group", "main", "run"]
 
-DEBUG = "--debug"
+DEBUG_OPTION = "--debug"
 
-GARBAGE = 200_000, 2, 2
+GC_THRESHOLDS = 200_000, 2, 2
 """How many objects more, and how often that, until Python looks for circles of them that nobody
 holds. With its own 700 it does so 170 times while a command is loaded, a tenth of the time of
 ``stand v3``, and finds none."""
@@ -113,16 +113,16 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
     A signal that ends the process becomes one line and the shell's exit status, 130 for Ctrl-C.
     """
     os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
-    gc.set_threshold(*GARBAGE)
+    gc.set_threshold(*GC_THRESHOLDS)
     given = sys.argv[1:] if arguments is None else list(arguments)
-    debug = DEBUG in given
-    given = [argument for argument in given if argument != DEBUG]
-    status = BAD_INPUT
-    with patient_output() as streams:
-        with ending_signals() as ending:
+    debug = DEBUG_OPTION in given
+    given = [argument for argument in given if argument != DEBUG_OPTION]
+    status = EXIT_BAD_INPUT
+    with tolerate_output_errors() as streams:
+        with catch_ending_signals() as ending:
             try:
                 status = _status(command, given, debug=debug)
-            except (Ended, KeyboardInterrupt):
+            except (ProcessEnded, KeyboardInterrupt):
                 ending.caught = True
                 ending.signal = ending.signal or 2
             except BaseException:
@@ -136,7 +136,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
         failure = next((stream.failure for stream in streams if stream.failure), None)
         if failure is not None:
             click.echo(f"error: cannot write standard output: {failure.strerror}", err=True)
-            status = BAD_INPUT
+            status = EXIT_BAD_INPUT
     sys.exit(status)
 
 
@@ -145,7 +145,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
     try:
         with ensure_run() as run:  # from here, as options read files, too
             run.command = (GENERATOR_NAME, *arguments)
-            return command.main(args=arguments, standalone_mode=False) or VERIFIED
+            return command.main(args=arguments, standalone_mode=False) or EXIT_VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
     except click.UsageError as error:
@@ -156,23 +156,23 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
     except click.Abort as error:
         raise KeyboardInterrupt from error
     except BrokenPipeError:  # the reader of a pipe that a result was written to
-        return VERIFIED
+        return EXIT_VERIFIED
     except SystemExit as error:
-        return error.code if isinstance(error.code, int) else VERIFIED
+        return error.code if isinstance(error.code, int) else EXIT_VERIFIED
     except Exception as error:
-        go_on()
+        raise_if_ended()
         if debug:
             traceback.print_exc()
         if lack := _lack(error):
             _say(lack)
-            return BAD_INPUT
+            return EXIT_BAD_INPUT
         what = f"{type(error).__name__}: {error}".rstrip(": ")
-        hint = "" if debug else f"; {DEBUG} shows where"
+        hint = "" if debug else f"; {DEBUG_OPTION} shows where"
         _say(f"unexpected: {what}. This is a bug: please report it to the maintainers{hint}")
-        return INTERNAL
+        return EXIT_INTERNAL
     finally:
         discard_standard_input()
-    return BAD_INPUT
+    return EXIT_BAD_INPUT
 
 
 _LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
@@ -193,7 +193,7 @@ def _lack(error: Exception) -> str:
 def _say(text: str) -> None:
     from pupper_analysis.present.formats import escape_control
 
-    go_on()  # what went wrong may be what a library made of the signal
+    raise_if_ended()  # what went wrong may be what a library made of the signal
     click.echo(f"error: {escape_control(text)}", err=True)
 
 
@@ -207,11 +207,11 @@ def main() -> None:
     run(group)
 
 
-COMMANDS = tuple(own_tools())
+COMMAND_NAMES = tuple(own_tools())
 """The names of our tools' commands."""
 
 
-@click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT)
+@click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT_SETTINGS)
 @click.version_option(pupper_analysis.__version__, "-V", "--version")
 @click.option(
     "--no-color",
@@ -221,7 +221,7 @@ COMMANDS = tuple(own_tools())
     help="Print no colors, as with the environment variable NO_COLOR.",
 )
 @click.option(
-    DEBUG, is_flag=True, expose_value=False, help="Show the traceback of unexpected errors."
+    DEBUG_OPTION, is_flag=True, expose_value=False, help="Show the traceback of unexpected errors."
 )
 def group() -> None:
     """Know that a robot's models are right, what its motors hold and how it can stand.

@@ -17,7 +17,7 @@ from typing import Any
 from pupper_analysis.base.files import ClosedOutput
 
 
-class PatientStream(io.RawIOBase):
+class TolerantStream(io.RawIOBase):
     """A stream of bytes that remembers what failed and goes on, so that results are not lost.
 
     Attributes:
@@ -56,7 +56,7 @@ class PatientStream(io.RawIOBase):
 
 
 @contextlib.contextmanager
-def patient_output() -> Iterator[list[PatientStream]]:
+def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
     """Makes standard output and error take every letter, and go on without reader or room.
 
     What the encoding lacks is written as its number.
@@ -70,9 +70,9 @@ def patient_output() -> Iterator[list[PatientStream]]:
         raw = getattr(below, "raw", below)  # it is the raw stream itself with python -u
         if stream is None:  # closed by who started the process
             setattr(sys, name, ClosedOutput())
-        elif isinstance(raw, io.RawIOBase) and not isinstance(raw, PatientStream):
+        elif isinstance(raw, io.RawIOBase) and not isinstance(raw, TolerantStream):
             stream.flush()
-            patient = PatientStream(raw)
+            patient = TolerantStream(raw)
             streams.append(patient)
             text = io.TextIOWrapper(
                 io.BufferedWriter(patient),
@@ -105,7 +105,7 @@ def _occupy_closed() -> None:
             os.open(os.devnull, os.O_RDWR)  # as the lowest number that is free: this one
 
 
-class Ended(BaseException):
+class ProcessEnded(BaseException):
     """A signal ends the process. No KeyboardInterrupt, of which click makes an empty line."""
 
 
@@ -115,7 +115,7 @@ class ProcessEnding:
 
     Attributes:
         signal: Its number.
-        caught: Whether the exception `Ended` has reached the code that ends the process.
+        caught: Whether the exception `ProcessEnded` has reached the code that ends the process.
     """
 
     signal: int = 0
@@ -131,23 +131,23 @@ class ProcessEnding:
 
 
 RAISE_INTERVAL = 0.3
-"""Time [s] after which `Ended` is raised again if a callback has suppressed it. Chosen."""
+"""Time [s] after which `ProcessEnded` is raised again if a callback has suppressed it. Chosen."""
 
 _now: list[ProcessEnding] = []
 
 
-def go_on() -> None:
+def raise_if_ended() -> None:
     """Ends the command if a signal has asked for it, and a library has swallowed that.
 
     Raises:
         Ended: If so.
     """
     if _now and _now[-1].signal:
-        raise Ended
+        raise ProcessEnded
 
 
 @contextlib.contextmanager
-def ending_signals() -> Iterator[ProcessEnding]:
+def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turns the signals that end a process into an exception, and remembers them.
 
     What a library makes of the exception, or whether it swallows it, does not matter then. A second
@@ -163,15 +163,15 @@ def ending_signals() -> Iterator[ProcessEnding]:
         if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
             before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
             signal.setitimer(signal.ITIMER_REAL, RAISE_INTERVAL, RAISE_INTERVAL)
-        raise Ended
+        raise ProcessEnded
 
     def again(_number: int, _frame: FrameType | None) -> None:
-        """Raise `Ended` again, unless it is being handled or has been caught."""
+        """Raise `ProcessEnded` again, unless it is being handled or has been caught."""
         handled = sys.exc_info()[1]
-        while handled is not None and not isinstance(handled, Ended):
+        while handled is not None and not isinstance(handled, ProcessEnded):
             handled = handled.__context__
         if handled is None and not ending.caught:
-            raise Ended
+            raise ProcessEnded
 
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():

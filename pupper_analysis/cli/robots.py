@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Command = Callable[..., None]
 
-VARIANT = (
+VARIANT_OPTIONS = (
     click.option(
         "--base", metavar="BASE", help="Base model of a variant of your own: skeleton or v3."
     ),
@@ -37,7 +37,7 @@ VARIANT = (
         "--torso-mass-scale", type=float, metavar="T", help="Scale the torso's mass by T; e.g. 1.5."
     ),
 )
-FOUND = (
+DETECTION_OPTIONS = (
     click.option(
         "--foot",
         "feet",
@@ -68,10 +68,10 @@ FOUND = (
 )
 """What is found in a robot's files, unless it is said."""
 
-FILES = (
+FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
     shared.file_option("--mjcf", help="MJCF of your own robot, if not given as ROBOT."),
-    *FOUND,
+    *DETECTION_OPTIONS,
 )
 
 
@@ -136,32 +136,32 @@ class RobotOptions:
             **{one.name: values.pop(one.name, None) for one in fields(RobotOptions)}
         )
 
-    def one(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
+    def select_robot(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
         """Returns the robot that is meant; None if none is.
 
         Raises:
             ConfigurationError: If it is given in several ways.
             VariantError: If a word names no robot.
         """
-        from pupper_analysis.pupper.variant_files import one_of_words
+        from pupper_analysis.pupper.variant_files import parse_single_robot
 
-        found = one_of_words(words)
+        found = parse_single_robot(words)
         robots = [way for way in (found, self._derived, self._named) if way is not None]
         if len(robots) > 1:
             raise ConfigurationError("ROBOT", diagnose("one-robot-of-three-ways"))
         given = self._given(robots)
         return given[0] if given else None
 
-    def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
+    def select_robots(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
         """Returns the robots that are meant; a URDF and the MJCF after it are one.
 
         Raises:
             ConfigurationError: If options are for files, and there are none.
             VariantError: If a word names no robot.
         """
-        from pupper_analysis.pupper.variant_files import split_words
+        from pupper_analysis.pupper.variant_files import parse_robot_words
 
-        robots = [*split_words(words), self._derived, self._named]
+        robots = [*parse_robot_words(words), self._derived, self._named]
         return self._given([way for way in robots if way is not None])
 
     def _given(
@@ -197,7 +197,7 @@ class RobotOptions:
         for foot, frame in (shared.parse_assignment("foot", text) for text in named):
             link, colon, place = frame.partition(":")
             frames[foot] = (link, place) if colon else frame
-        folders = shared.package_folders(self.packages or ())
+        folders = shared.parse_packages(self.packages or ())
         said = {
             "take": self.take,
             "body": self.body,
@@ -215,7 +215,7 @@ def load_files(files: RobotFiles, **more: Any) -> Robot:
         return files.load(**more)
 
 
-def robot_from(
+def load_selected_robot(
     meant: str | VariantSpec | RobotFiles, *, fixed_base: bool = False, **more: bool
 ) -> Robot:
     """Loads a robot that is meant.
@@ -232,7 +232,7 @@ def robot_from(
     return load_variant(meant, fixed_base=fixed_base)
 
 
-def named_apart(
+def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
     """Returns robots by names of their own: those of one name have their files', or a number."""
@@ -270,7 +270,7 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
     print_lines(make_console(), lines, everything=everything)
 
 
-def with_robot(command: Command) -> Command:
+def pass_robot_options(command: Command) -> Command:
     """Gives a command the options of a robot as one ``RobotOptions``, its first argument."""
 
     @wraps(command)

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 if TYPE_CHECKING:
     from pupper_analysis.robot.matching.tolerances import Tolerances
 
-F = TypeVar("F", bound=Callable[..., Any])
+CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
-VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
+EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
 """Exit statuses."""
 
-CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 package_option = click.option(
     "--package",
@@ -61,7 +61,7 @@ class OutputPath(click.Path):
         super().__init__(path_type=Path, file_okay=not folder)
         self._holds = holds
 
-    def held(self, given: Mapping[str, Any]) -> Kind | Folder | None:
+    def get_kind(self, given: Mapping[str, Any]) -> Kind | Folder | None:
         """Returns what is written there."""
         return self._holds(given) if callable(self._holds) else self._holds
 
@@ -93,7 +93,7 @@ class Command(click.Command):
         super().__init__(*args, **options)
         self._has_force = any(option.name == "force" for option in self.params)
         if self.outputs and not self._has_force:
-            self.params.append(click.Option(["--force"], is_flag=True, help=FORCE))
+            self.params.append(click.Option(["--force"], is_flag=True, help=FORCE_HELP))
 
     @property
     def outputs(self) -> list[click.Parameter]:
@@ -143,7 +143,7 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
                 raise click.UsageError(str(message), context)
 
 
-FORCE: Final = (
+FORCE_HELP: Final = (
     "Replace files that are no results of this command; never one that it reads, nor measurements."
 )
 """What ``--force`` does for all commands that write results."""
@@ -151,7 +151,7 @@ FORCE: Final = (
 
 def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
     """Returns what makes a command of a function."""
-    return click.command(name, cls=Command, context_settings=CONTEXT, **options)
+    return click.command(name, cls=Command, context_settings=CONTEXT_SETTINGS, **options)
 
 
 def _asked_options(command: click.Command, context: click.Context) -> dict[str, Any]:
@@ -195,7 +195,7 @@ def _check_outputs(command: Command, context: click.Context) -> None:
     taken: set[Path] = set()
     for option in command.outputs:
         path: Path | None = context.params.get(option.name or "")
-        holds = None if path is None else option.type.held(context.params)  # type: ignore[attr-defined]
+        holds = None if path is None else option.type.get_kind(context.params)  # type: ignore[attr-defined]
         if path is None or holds is None:
             continue
         if isinstance(holds, Folder):
@@ -214,7 +214,9 @@ def _check_outputs(command: Command, context: click.Context) -> None:
         context.with_resource(files.results_on_standard_output())
 
 
-def file_option(*names: str, help: str, required: bool = False) -> Callable[[F], F]:
+def file_option(
+    *names: str, help: str, required: bool = False
+) -> Callable[[CommandFunction], CommandFunction]:
     """Returns an option whose value is the path of a file that is read."""
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
@@ -225,7 +227,7 @@ def output_option(
     holds: Kind | Folder | Callable[[Mapping[str, Any]], Kind | Folder | None],
     help: str,
     **more: Any,
-) -> Callable[[F], F]:
+) -> Callable[[CommandFunction], CommandFunction]:
     """Returns an option that says where a result goes; see ``OutputPath``."""
     return click.option(*names, type=OutputPath(holds), help=help, **more)
 
@@ -254,7 +256,7 @@ format_option = click.option(
     help="Output format: text, Markdown, GitHub annotations, JUnit XML, or SARIF for code "
     "scanning.",
 )
-look_option = click.option(
+text_format_option = click.option(
     "--format",
     "style",
     type=click.Choice(["text", "markdown"]),
@@ -296,7 +298,7 @@ class ModelFile(click.Path):
 MODEL_FILE = ModelFile()
 
 
-def urdf_first(one: Path, other: Path) -> tuple[Path, Path]:
+def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Return a URDF and an MJCF in this order, in whatever order they were typed.
 
     Files of other formats, and files that cannot be read, keep their order.
@@ -475,9 +477,9 @@ def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
     from pupper_analysis.base.files import write_atomically
     from pupper_analysis.base.provenance import to_marked_json
-    from pupper_analysis.cli.process import go_on
+    from pupper_analysis.cli.process import raise_if_ended
 
-    go_on()
+    raise_if_ended()
     if path is not None:
         with write_atomically(path, kinds.RESULTS_KIND) as file:
             file.write(to_marked_json(content).encode())
@@ -486,9 +488,9 @@ def write_json(path: Path | None, content: object) -> None:
 
 def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = ()) -> None:
     """Writes results as one HTML file, if there is a file to write to."""
-    from pupper_analysis.cli.process import go_on
+    from pupper_analysis.cli.process import raise_if_ended
 
-    go_on()
+    raise_if_ended()
     if path is not None:
         from pupper_analysis.present.html.write import write_report
 
@@ -500,7 +502,7 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
     """Writes results as JSON, if there is a file to write to; leaves with the exit status."""
     write_json(json_path, content)
     if not passed:
-        click.get_current_context().exit(FAILED)
+        click.get_current_context().exit(EXIT_FAILED)
 
 
 def parse_point(
@@ -537,7 +539,7 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
     return (frame, *point) if frame else point
 
 
-def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
+def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
     """Returns {package: folder} of NAME=DIR."""
     folders = {
         name: Path(value) for name, value in (parse_assignment("package", p) for p in packages)
@@ -577,12 +579,12 @@ fine_tolerance_option = click.option(
 )
 
 
-def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
+def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
     """Returns tolerances with the changes of --tolerance KIND=VALUE."""
     return tolerances.changed(dict(parse_number_assignment("tolerance", text) for text in changes))
 
 
-def mapped_names(pairs: tuple[str, ...]) -> dict[str, str]:
+def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
     """Returns {name in the URDF: name in the MJCF} of --map."""
     names: dict[str, str] = {}
     for text in pairs:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 Command = Callable[..., None]
 
-TYPED = {name: field for name, field in FIELDS.items() if field.help}
+OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
 """The fields that have an option, whose value a command gets by the field's name."""
 
 
-def option_of(field: Field) -> Callable[[Command], Command]:
+def make_option(field: Field) -> Callable[[Command], Command]:
     """Returns a field's option."""
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
@@ -46,16 +46,16 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     return click.option(f"--{field.option}", field.name, **options)
 
 
-def options_of(*folders: str) -> tuple[Callable[[Command], Command], ...]:
+def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:
     """Returns the options of the fields, or of those under some headings of the live page."""
     return tuple(
-        option_of(field)
-        for field in TYPED.values()
+        make_option(field)
+        for field in OPTION_FIELDS.values()
         if not folders or (field.slider is not None and field.slider.folder in folders)
     )
 
 
-def task_of(values: Mapping[str, Any]) -> StandTask:
+def make_task(values: Mapping[str, Any]) -> StandTask:
     """Returns the task that options say.
 
     Args:
@@ -64,7 +64,7 @@ def task_of(values: Mapping[str, Any]) -> StandTask:
     from pupper_analysis.stance.task import StandTask
 
     return StandTask().with_values(
-        {name: to_task_value(TYPED[name], value) for name, value in values.items()}
+        {name: to_task_value(OPTION_FIELDS[name], value) for name, value in values.items()}
     )
 
 
@@ -179,7 +179,7 @@ def read_stance_file(path: Path) -> dict[str, Any]:
         _, given = read_toml(path)
     except InputError as error:
         raise ConfigurationError(str(path), error.cause) from error
-    known = {field.option: name for name, field in TYPED.items()}
+    known = {field.option: name for name, field in OPTION_FIELDS.items()}
     known |= {name.replace("_", "-"): name for name in _OF_ROBOT}
     options = {}
     for key, value in given.items():
@@ -188,7 +188,7 @@ def read_stance_file(path: Path) -> dict[str, Any]:
             unknown = diagnose("no-option-of-a-stance", given=key, known=sorted(known))
             raise ConfigurationError(str(path), unknown)
         typed = _typed(path, key, value)
-        field = TYPED.get(known[option])
+        field = OPTION_FIELDS.get(known[option])
         if field is not None and field.per and not isinstance(value, Mapping):
             form = '{}."{}" = "{}"'.format(option, *field.example.strip("'").split("=", 1))
             raise ConfigurationError(str(path), diagnose("not-of-the-form", given=key, form=form))

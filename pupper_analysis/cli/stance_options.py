@@ -14,21 +14,21 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     Command,
     RobotOptions,
     add_options,
-    named_apart,
+    load_selected_robot,
+    name_uniquely,
     print_notes,
-    robot_from,
 )
 from pupper_analysis.cli.stance_fields import (
-    TYPED,
-    option_of,
-    options_of,
+    OPTION_FIELDS,
+    make_option,
+    make_options,
+    make_task,
     stance_option,
-    task_of,
 )
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.stance.fields import ROBOT_FIELDS
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
     from pupper_analysis.statics.equilibrium import GravityCompensation
 
-AS_IS = click.option(
+AS_IS_OPTION = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
-LOAD: tuple[Callable[[Command], Command], ...] = tuple(
-    option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
+PAYLOAD_OPTIONS: tuple[Callable[[Command], Command], ...] = tuple(
+    make_option(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
-GAINS = (
+GAIN_OPTIONS = (
     click.option(
         "--kp",
         multiple=True,
@@ -58,8 +58,8 @@ GAINS = (
     ),
     click.option("--kd", multiple=True, metavar="[JOINTS=]NMS", help=ROBOT_FIELDS["kd"].help),
 )
-SERVOS = (
-    *GAINS,
+SERVO_OPTIONS = (
+    *GAIN_OPTIONS,
     click.option(
         "--integrator",
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
@@ -79,7 +79,7 @@ SERVOS = (
     ),
 )
 
-EFFORT = click.option(
+EFFORT_OPTION = click.option(
     "--effort",
     multiple=True,
     metavar="[JOINTS=]NM",
@@ -87,7 +87,7 @@ EFFORT = click.option(
     "state (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable.",
 )
 
-LOOK = (shared.look_option, shared.verbose_option)
+OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class RobotAndTask:
     fixed_base: bool = False
 
     @classmethod
-    def of_held(cls, **given: Any) -> RobotAndTask:
+    def of_fixed_base(cls, **given: Any) -> RobotAndTask:
         """Returns what the options of a robot alone say of one whose base is fixed."""
         which = RobotOptions.taken_from(given)
         return cls(
@@ -134,7 +134,7 @@ class RobotAndTask:
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
-        meant = self.which.one(words) or "v3"
+        meant = self.which.select_robot(words) or "v3"
         _refuse_idle([meant])
         return self._loaded(meant)
 
@@ -142,13 +142,15 @@ class RobotAndTask:
         """Returns the robots that are meant, by names of their own."""
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
-        meant = self.which.all(words) or default
+        meant = self.which.select_robots(words) or default
         _refuse_idle(meant)
-        return named_apart(meant, [self._loaded(one) for one in meant])
+        return name_uniquely(meant, [self._loaded(one) for one in meant])
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
         """Returns a robot as it was asked for; of one of files its notes follow the answer."""
-        robot = self._as_asked(robot_from(meant, fixed_base=self.fixed_base, as_is=self.as_is))
+        robot = self._as_asked(
+            load_selected_robot(meant, fixed_base=self.fixed_base, as_is=self.as_is)
+        )
         if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
             # After the answer, or the refusal: what is read first is what was asked.
             context = click.get_current_context()
@@ -193,7 +195,7 @@ class RobotAndTask:
 
     def task(self) -> StandTask:
         """Returns the task of the stance."""
-        return task_of(self.stance)
+        return make_task(self.stance)
 
 
 def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
@@ -223,12 +225,12 @@ def _print_first_difference(robot: Robot) -> None:
 
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
-    return _gathered(command, (*SERVOS, *LOOK))
+    return _gathered(command, (*SERVO_OPTIONS, *OUTPUT_OPTIONS))
 
 
 def robot_and_stance(command: Command) -> Command:
     """Gives a command those of robot and stance alone: of one that simulates nothing."""
-    return _gathered(command, LOOK)
+    return _gathered(command, OUTPUT_OPTIONS)
 
 
 def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
@@ -237,13 +239,22 @@ def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) 
 
     @wraps(command)
     def gathered(**values: Any) -> None:
-        stance = {name: values.pop(name) for name in TYPED}
+        stance = {name: values.pop(name) for name in OPTION_FIELDS}
         which = RobotOptions.taken_from(values)
         own = {name: values.pop(name) for name in names if name in values}
         asked = RobotAndTask(which=which, stance=stance, **own)
         command(asked, **values)
 
-    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, (EFFORT,), options_of(), more)
+    groups = (
+        FILE_OPTIONS,
+        (AS_IS_OPTION,),
+        VARIANT_OPTIONS,
+        (stance_option,),
+        PAYLOAD_OPTIONS,
+        (EFFORT_OPTION,),
+        make_options(),
+        more,
+    )
     return add_options(*groups)(gathered)
 
 

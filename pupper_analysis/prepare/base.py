@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare.contact_points import lowest_point
+from pupper_analysis.prepare.contact_points import compute_lowest_height
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
@@ -74,7 +74,7 @@ def _limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
             yield from _limbs(body)
 
 
-def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
+def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Takes dry friction off an MJCF's free joints, in place: it would hold what falls."""
     notes = []
     for joint in spec.joints:
@@ -128,7 +128,7 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     for some in (below & touching, below):  # of what is only seen each vertex is looked at
-        bottom = lowest_point(model, data, np.flatnonzero(some).tolist())
+        bottom = compute_lowest_height(model, data, np.flatnonzero(some).tolist())
         if data.xpos[body][2] > bottom + _AT_THE_GROUND:
             return []
     fixed = model.body_weldid == model.body_weldid[body]  # a root may weigh nothing itself

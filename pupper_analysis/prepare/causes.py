@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
-from pupper_analysis.prepare.bare import (
-    SETTLES,
-    Bare,
-    loose_joints,
-    other_motors,
+from pupper_analysis.prepare.published_model import (
+    MAX_SETTLED_TIME_CONSTANT,
+    PublishedModel,
+    list_uncommanded_actuators,
+    list_unmatched_joints,
 )
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
@@ -39,7 +39,7 @@ _LOCKED = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CauseCandidate:
     """Something in an MJCF that may make it differ.
 
     Attributes:
@@ -52,7 +52,7 @@ class Candidate:
     elements: tuple[str, ...]
     switch_off: Callable[[mujoco.MjModel], None]
 
-    def cause(self, remaining: float) -> Cause:
+    def to_cause(self, remaining: float) -> Cause:
         """Returns it as what makes the file differ, with what is left without it."""
         return Cause(self.code, self.elements, None, remaining)
 
@@ -78,32 +78,32 @@ _SECTIONS = {
 }
 
 
-def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
+def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     """Returns a cause with the line where its first element stands, where that has a name."""
     if cause.code not in _SECTIONS or not cause.elements:
         return cause
     return replace(cause, line=mjcf.place(_SECTIONS[cause.code], cause.elements[0]).line)
 
 
-def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
+def list_candidate_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """Returns what in an MJCF may make it differ from what is computed of its robot."""
-    model = bare.model
+    model = published.model
     return [
         *_numerics(model),
         *_excludes(model),
         *_options(model),
         *_equalities(model),
-        *_limits(bare, robot),
-        *_servos(bare, robot),
-        *_motors(bare),
-        *_passive(bare, robot),
-        *_shapes(bare, robot),
+        *_limits(published, robot),
+        *_servos(published, robot),
+        *_motors(published),
+        *_passive(published, robot),
+        *_shapes(published, robot),
     ]
 
 
-def physical_causes(bare: Bare, robot: Robot) -> list[Candidate]:
+def list_physical_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """Returns what in an MJCF, though its robot is computed with it, may be what makes it fail."""
-    return [*_signs(bare, robot), *_forces(bare, robot), *_contacts(bare)]
+    return [*_signs(published, robot), *_forces(published, robot), *_contacts(published)]
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
@@ -123,10 +123,10 @@ def _motor_names(model: mujoco.MjModel, motors: Iterable[int]) -> tuple[str, ...
     )
 
 
-NUMERICS = ("timestep", "iterations")
+NUMERICS_CODES = ("timestep", "iterations")
 """The codes of how MuJoCo integrates and solves."""
 
-COMMANDS = ("bias", "gain", "gear")
+COMMAND_CODES = ("bias", "gain", "gear")
 """The codes of what makes another target of a command."""
 
 
@@ -150,13 +150,13 @@ def _set(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
 
 def _if_any(
     code: str, elements: tuple[str, ...], fields: str, where: Any, value: Any = 0
-) -> Iterator[Candidate]:
+) -> Iterator[CauseCandidate]:
     """Yields what gives elements another value, by default none, if there are any."""
     if elements:
-        yield Candidate(code, elements, _set((fields, where, value)))
+        yield CauseCandidate(code, elements, _set((fields, where, value)))
 
 
-def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
+def _numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """How MuJoCo integrates, and how exactly it solves for constraint forces."""
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
@@ -165,7 +165,7 @@ def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
             ("timestep", None, min(option.timestep / 2, _FINE)),
             ("integrator", None, mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value),
         )
-        yield Candidate("timestep", (f"{option.timestep:g} s ({integrator})",), finer)
+        yield CauseCandidate("timestep", (f"{option.timestep:g} s ({integrator})",), finer)
     rough = option.iterations < _ITERATIONS or option.tolerance > _TOLERANCE
     if rough or option.solver != newton:
         exact = _set(
@@ -174,25 +174,26 @@ def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
             ("tolerance", None, min(option.tolerance, _TOLERANCE)),
         )
         kind = mujoco.mjtSolver(int(option.solver)).name.removeprefix("mjSOL_")
-        yield Candidate("iterations", (f"{kind}, {option.iterations} iterations",), exact)
+        yield CauseCandidate("iterations", (f"{kind}, {option.iterations} iterations",), exact)
 
 
-def _joints_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
+def _joints_of(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
     """Returns the ids of the robot's joints in a model."""
-    return np.array([bare.model.joint(name).id for name in robot.joint_names])
+    return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
-def _motors_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
+def _motors_of(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
     """Returns the ids of the motors at the robot's joints in a model."""
-    joints = _joints_of(bare, robot).tolist()
+    joints = _joints_of(published, robot).tolist()
     return np.array(
-        [m for joint in joints for m in list_joint_actuators(bare.model, joint)], dtype=np.int64
+        [m for joint in joints for m in list_joint_actuators(published.model, joint)],
+        dtype=np.int64,
     )
 
 
-def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
-    model, motors = bare.model, _motors_of(bare, robot)
+    model, motors = published.model, _motors_of(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
     gain, stiffness = model.actuator_gainprm[served, 0], -model.actuator_biasprm[served, 1]
@@ -208,19 +209,19 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     yield from _if_any("delay", named["delay"], "actuator_delay", motors[late])
 
 
-def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _signs(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Gears that turn a motor round, which is seldom meant."""
-    model = bare.model
-    turned = [m for m in _motors_of(bare, robot).tolist() if actuator_gear(model, m)[0] < 0]
+    model = published.model
+    turned = [m for m in _motors_of(published, robot).tolist() if actuator_gear(model, m)[0] < 0]
     outputs = model.actuator_outadr[turned]
     straight = -model.actuator_gear[outputs, 0]
     named = _motor_names(model, turned)
     yield from _if_any("gear", named, "actuator_gear", (outputs, 0), straight)
 
 
-def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _forces(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
-    model, joints = bare.model, _joints_of(bare, robot)
+    model, joints = published.model, _joints_of(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
         _names(model, kind, np.flatnonzero((stiff != 0) | poly.any(axis=1)))
@@ -236,21 +237,21 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
         if model.opt.wind.any():
             parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
-        yield Candidate("fluid", tuple(parts), _set(("density viscosity", None, 0.0)))
+        yield CauseCandidate("fluid", tuple(parts), _set(("density viscosity", None, 0.0)))
     if model.opt.gravity[:2].any():
         down = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
         stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
         upright = _set(("opt.gravity", slice(None), down))
-        yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
+        yield CauseCandidate("gravity", (f"({stated}) m/s^2",), upright)
 
 
 _STIFFER = 4.0
 """Factor by which servos are made stiffer to test whether their stiffness is too low. Chosen."""
 
 
-def soft_servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Position servos that may be too soft. The damping grows with the stiffness."""
-    model, motors = bare.model, _motors_of(bare, robot)
+    model, motors = published.model, _motors_of(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
     fixed = model.actuator_gaintype[motors] == mujoco.mjtGain.mjGAIN_FIXED.value
     soft = motors[affine & fixed & (model.actuator_biasprm[motors, 1] < 0)]
@@ -260,7 +261,7 @@ def soft_servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
             ("actuator_gainprm", (soft, 0), _STIFFER * gain),
             ("actuator_biasprm", soft, _STIFFER * bias),
         )
-        yield Candidate("soft-servos", _motor_names(model, soft), stiffer)
+        yield CauseCandidate("soft-servos", _motor_names(model, soft), stiffer)
 
 
 _SLIPPERY = 0.3
@@ -275,9 +276,9 @@ _SOFT = 0.05
 _OWN_SOLREF = (0.02, 1.0)
 
 
-def _contacts(bare: Bare) -> Iterator[Candidate]:
+def _contacts(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Contacts that slip, and contacts that give way."""
-    model = bare.model
+    model = published.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slips = np.flatnonzero(_are_bad(model, "geom", "slippery") & touch)
     paired = np.flatnonzero(_are_bad(model, "pair", "slippery"))
@@ -291,7 +292,7 @@ def _contacts(bare: Bare) -> Iterator[Candidate]:
     ):  # fmt: skip
         if len(geoms) or len(pairs):
             shapes = dict.fromkeys(_shape(model, geom) for geom in geoms.tolist())
-            yield Candidate(code, (*shapes, *_pair_names(model, pairs)), _set(*sound))
+            yield CauseCandidate(code, (*shapes, *_pair_names(model, pairs)), _set(*sound))
 
 
 def _are_bad(model: mujoco.MjModel, of: str, code: str) -> NDArray[np.bool_]:
@@ -312,7 +313,7 @@ def _pair_names(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
     return tuple(" and ".join(_names(model, _OBJ.mjOBJ_GEOM, ends)) for ends in both)
 
 
-def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
+def _excludes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """A pair of bodies that do not touch, one of which is the world, or is fixed to it."""
     still = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
@@ -322,7 +323,7 @@ def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
             yield from _if_any("exclude", (names,), "exclude_signature", number)  # world and itself
 
 
-def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
+def _options(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -337,7 +338,7 @@ def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
         yield from _if_any(code, (element,) if acts else (), field, None, value)
 
 
-def _equalities(model: mujoco.MjModel) -> Iterator[Candidate]:
+def _equalities(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Welds and connections of the robot to what stands in the world, or is moved by hand."""
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
@@ -351,9 +352,13 @@ def _equalities(model: mujoco.MjModel) -> Iterator[Candidate]:
             yield from _if_any(kind, (name or both,), "eq_active0", number)
 
 
-def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _limits(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Limits of commands and forces, one kind for all joints that have it."""
-    model, joints, motors = bare.model, _joints_of(bare, robot), _motors_of(bare, robot)
+    model, joints, motors = (
+        published.model,
+        _joints_of(published, robot),
+        _motors_of(published, robot),
+    )
     controls = model.actuator_ctrladr[motors]
     cut = model.actuator_ctrllimited[controls] != 0
     ranged = _motor_names(model, motors[cut])
@@ -366,32 +371,32 @@ def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     yield from _if_any("actuatorfrcrange", named, "jnt_actfrclimited", clamped)
 
 
-def _motors(bare: Bare) -> Iterator[Candidate]:
+def _motors(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Motors at tendons, sites and bodies: thrusters, servos of tendons, adhesion; slow filters."""
-    model, others = bare.model, other_motors(bare.model)
+    model, others = published.model, list_uncommanded_actuators(published.model)
     named = _names(model, _OBJ.mjOBJ_ACTUATOR, others)
     yield from _if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
     filtered = np.isin(model.actuator_dyntype, FILTERS)
-    slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > SETTLES))
+    slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > MAX_SETTLED_TIME_CONSTANT))
     named = _motor_names(model, slow)
-    yield from _if_any("timeconst", named, "actuator_dynprm", (slow, 0), SETTLES)
+    yield from _if_any("timeconst", named, "actuator_dynprm", (slow, 0), MAX_SETTLED_TIME_CONSTANT)
 
 
-def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _passive(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Joints that are held at zero in what is computed, and move in the file."""
-    model, loose = bare.model, loose_joints(bare, robot)
+    model, loose = published.model, list_unmatched_joints(published, robot)
     named = _names(model, _OBJ.mjOBJ_JOINT, loose)
     yield from _if_any("loose-joints", named, "dof_damping", model.jnt_dofadr[loose], _LOCKED)
 
 
-def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+def _shapes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Shapes of the robot that were kept from touching, and what else stands in the world."""
-    model = bare.model
+    model = published.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     replaced = {model.body(name).id for name in _on_balls(robot)}
     # Of a URDF's import the geoms are others than the robot's, which has what is seen, too.
     alike = robot.published is None or robot.published.imported is None
-    untouched = _untouched(bare, robot) if alike else []
+    untouched = _untouched(published, robot) if alike else []
     kept = [geom for geom in untouched if model.geom_bodyid[geom] not in replaced]
     by_hand = model.body_mocapid[model.body_weldid[model.geom_bodyid]] >= 0
     still = ((model.body_weldid[model.geom_bodyid] == 0) | by_hand) & touch
@@ -402,9 +407,9 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         yield from _if_any(code, bodies, "geom_contype geom_conaffinity", geoms)
 
 
-def _untouched(bare: Bare, robot: Robot) -> list[int]:
+def _untouched(published: PublishedModel, robot: Robot) -> list[int]:
     """Returns the published geoms that touch, and whose counterparts in the robot do not."""
-    model, other = bare.model, robot.mj_model
+    model, other = published.model, robot.mj_model
     found = []
     for body in range(1, model.nbody):
         same = mujoco.mj_name2id(
@@ -428,14 +433,14 @@ def _on_balls(robot: Robot) -> tuple[str, ...]:
     return tuple(dict.fromkeys(balls))
 
 
-def altered_on_loading(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
+def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Returns what was changed on loading, and cannot be switched off in the file.
 
     Bodies whose own shapes were replaced by balls, and joints whose actuator, neither a servo nor a
     torque motor, was replaced by a servo.
     """
     bodies = _on_balls(robot)
-    named = zip(robot.joint_names, bare.drives, strict=True)
+    named = zip(robot.joint_names, published.drives, strict=True)
     joints = tuple(name for name, drive in named if drive.has_other_law)
     return (
         *((Cause("balls", bodies),) if bodies else ()),

@@ -21,13 +21,13 @@ from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import ground_geom
 
-BALL = 2e-3
+BALL_RADIUS = 2e-3
 """Radius of the balls at a sole's corners (m): a tilt of 1 mrad moves their contact by 2 um."""
 
-TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Ways in which a sole is tilted to see whether its contacts jump."""
 
-TILT = 1e-4
+TILT_ANGLE = 1e-4
 """By how much (rad): a foot of 0.3 m is 30 um lower at one end, and still touches with both."""
 
 _POSES = 3  # random ones: in one, a leg may be stretched
@@ -38,7 +38,7 @@ _MOST_CORNERS = 8
 """The most corners that are kept of a sole: those without which its area is least."""
 
 
-def sole_corners(points: Array, out: Array, flat: float) -> list[int]:
+def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     """Returns the numbers of those points (n, 3) that are the corners of a sole.
 
     Args:
@@ -71,7 +71,7 @@ def sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     return [int(on[number]) for number in hull]
 
 
-def stays_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
+def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
     """Tells whether a leg can lift its sole without tilting it.
 
     Legs of four joints can, of which three turn about parallel axes (hip, knee and ankle, say), as
@@ -116,7 +116,7 @@ _BALL = 0.1
 """A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
 
 
-def osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
+def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Compute the sphere that has an ellipsoid's lowest point and its mean radius of curvature.
 
     With the half axes in S, the support function is h(d) = |S d|, attained at S^2 d / h. The
@@ -212,7 +212,7 @@ class ContactPoint:
     radius: float
 
 
-def contact_points(
+def find_contact_points(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int], joints: int
 ) -> tuple[ContactPoint, ...]:
     """Finds the contact points of a foot with level ground.
@@ -220,8 +220,8 @@ def contact_points(
     The sole is the flat part of its geoms' hull that is lowest, and nearly level, in the pose that
     ``data`` has; without one the foot touches where it is lowest. The foot is laid flat, and what
     MuJoCo then finds in contact are the contact points. A leg of few joints cannot lay a foot flat
-    (``stays_flat``): it has one contact point, of the sphere that its foot is, or that fits to its
-    lower end.
+    (``can_keep_sole_flat``): it has one contact point, of the sphere that its foot is, or that
+    fits to its lower end.
 
     Args:
         model: The model, with a floor.
@@ -243,7 +243,7 @@ def contact_points(
     points = np.array([point for point, _ in support])
     radii = np.array([radius for _, radius in support])
     out, flat = _sole(points, radii, -rotation[2])
-    if joints < _JOINTS_OF_A_SOLE and not (flat and stays_flat(model, body, out)):
+    if joints < _JOINTS_OF_A_SOLE and not (flat and can_keep_sole_flat(model, body, out)):
         return _tip(model, data, geoms)
     return _touching(model, body, geoms, out)
 
@@ -270,19 +270,19 @@ def _tip(
     A mesh that is not round there has a small ball in the middle of what is lowest.
     """
     down = np.array([0.0, 0.0, -1.0])
-    geom = min(geoms, key=lambda geom: lowest_point(model, data, [geom]), default=None)
+    geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
     if geom is None:
         return ()
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
     if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
-        place, radius = osculating_sphere(read_shape(model, geom, data), down)
+        place, radius = compute_osculating_sphere(read_shape(model, geom, data), down)
     elif not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = fit_sphere(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
             on = points[(place - points) @ down < _FLAT]
-            radius = BALL
+            radius = BALL_RADIUS
             place = place + (on.mean(axis=0) - place) * (1, 1, 0) - radius * down
     return (_point(data, geom, place, radius),)
 
@@ -293,7 +293,9 @@ def _point(data: mujoco.MjData, geom: int, place: Array, radius: float) -> Conta
     return ContactPoint(geom, data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own]), radius)
 
 
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
+def compute_lowest_height(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
+) -> float:
     """Returns the height of the lowest point of some geoms (m); infinite if there is none."""
     return min(
         (
@@ -314,15 +316,17 @@ def _round_ones(
     at the lower end, too.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
-    end = min(geoms, key=lambda geom: lowest_point(model, data, [geom]))
-    bottom = lowest_point(model, data, [end])
+    end = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))
+    bottom = compute_lowest_height(model, data, [end])
 
     def rise(geom: int) -> float:
         away = (data.geom_xpos[geom] - data.geom_xpos[end])[:2]
         return _END + math.tan(lean) * float(np.linalg.norm(away))
 
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
-    return [geom for geom in spheres if lowest_point(model, data, [geom]) < bottom + rise(geom)]
+    return [
+        geom for geom in spheres if compute_lowest_height(model, data, [geom]) < bottom + rise(geom)
+    ]
 
 
 def _sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
@@ -390,8 +394,8 @@ def _touching(
         return found
     side = np.cross(out, np.eye(3)[np.argmin(np.abs(out))])
     side /= np.linalg.norm(side)
-    for one, two in TILTS[1:]:
-        tilted = out + TILT * (one * side + two * np.cross(out, side))
+    for one, two in TILT_DIRECTIONS[1:]:
+        tilted = out + TILT_ANGLE * (one * side + two * np.cross(out, side))
         if not _alike(found, _pressed(model, body, geoms, tilted / np.linalg.norm(tilted))):
             return _cornered(model, body, geoms, out) or found
     return found
@@ -423,10 +427,10 @@ def _cornered(
     ]
     found = []
     level = max(float(point @ down) for _, point in surface)
-    for number in sole_corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
+    for number in find_sole_corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
         geom, point = surface[number]
-        place = point + (level - float(point @ down) - BALL) * down
-        found.append(_point(data, geom, place, BALL))
+        place = point + (level - float(point @ down) - BALL_RADIUS) * down
+        found.append(_point(data, geom, place, BALL_RADIUS))
     return tuple(found)
 
 
@@ -444,7 +448,7 @@ def _pressed(
     mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())
     data.qpos[at + 3 : at + 7] = quat
     mujoco.mj_kinematics(model, data)
-    data.qpos[at + 2] -= lowest_point(model, data, geoms) + _PRESSED
+    data.qpos[at + 2] -= compute_lowest_height(model, data, geoms) + _PRESSED
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)

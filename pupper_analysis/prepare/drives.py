@@ -27,11 +27,15 @@ from pupper_analysis.models.transmission import Drive, MadeServo, classify_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare import notes, start
-from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.own_run import settles_in_place
-from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_gains
-from pupper_analysis.prepare.touching import take_visuals_of
+from pupper_analysis.prepare.published_model import compile_published_model
+from pupper_analysis.prepare.servo_tuning import (
+    TIMESTEP_DIVISORS,
+    suggest_fixed_base_gains,
+    suggest_standing_gains,
+)
+from pupper_analysis.prepare.touching import copy_visual_option
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
@@ -59,19 +63,19 @@ _BRIEF = 2.0
 """Simulated time after which what holds exactly as computed has done so for a second (s)."""
 
 
-def following_joints(robot: Robot) -> list[int]:
+def list_dependent_joints(robot: Robot) -> list[int]:
     """Returns the numbers of the joints that follow others: no servo is theirs."""
     return [] if robot.closure is None else robot.closure.following.tolist()
 
 
-def with_motors(robot: Robot) -> Robot:
+def add_loop_motors(robot: Robot) -> Robot:
     """Gives joints that have no motor, and follow none, one that does nothing yet.
 
     Motors come first in the order of joints: where some joints follow others, that order is to be
     the last one before a stand is solved.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
-        following_joints(robot)
+        list_dependent_joints(robot)
     )
     if robot.closure is None or not lacking:
         return robot
@@ -106,22 +110,24 @@ def add_position_servos(
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
         timestep = float(robot.description.mjcf.option.timestep) / parts
-        given = robot.description.given(*servos_of(robot, kp, kd, timestep))
-        take_visuals_of(given.mjcf, original.spec)
+        given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
+        copy_visual_option(given.mjcf, original.spec)
         return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
 
     light = (
-        [] if original.of_urdf else list(itertools.product(FINER[:1], _SAGS_OF_LIGHT, (_LIGHT,)))
+        []
+        if original.of_urdf
+        else list(itertools.product(TIMESTEP_DIVISORS[:1], _SAGS_OF_LIGHT, (_LIGHT,)))
     )
-    usual = list(itertools.product(FINER, _SAGS, (1.0,)))
+    usual = list(itertools.product(TIMESTEP_DIVISORS, _SAGS, (1.0,)))
     candidates = []
     for parts, sag, part in [*usual[: len(_SAGS)], *light, *usual[len(_SAGS) :]]:
-        gains = suggested_gains(robot, stand, torques, sag, parts, part)
+        gains = suggest_standing_gains(robot, stand, torques, sag, parts, part)
         candidates.append((parts, *_kept(robot, own, *gains)))
-    file = None if original.of_urdf else published_model(original, robot)
+    file = None if original.of_urdf else compile_published_model(original, robot)
 
     timestep = float(robot.mj_model.opt.timestep)
-    first_tried = robot.description.given(*servos_of(robot, *candidates[0][1:], timestep))
+    first_tried = robot.description.given(*make_missing_servos(robot, *candidates[0][1:], timestep))
     trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=stated)
 
     seen: dict[tuple[int, bool], bool] = {}
@@ -161,7 +167,7 @@ def add_position_servos(
     return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
 
 
-def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot position servos with suggested gains; as if it were held, if it stands nowhere.
 
     Who asks for a stand of their own then needs none of theirs. Gains are chosen without limits of
@@ -195,10 +201,10 @@ def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
 
 
 def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot position servos with suggested gains; see ``with_added_servos``."""
-    stand = start.first_stand(robot)
+    """Give a robot position servos with suggested gains; see ``add_suggested_servos``."""
+    stand = start.solve_nominal_stand(robot)
     if stand is None:
-        return with_held_servos(robot, mjcf)
+        return add_fixed_base_servos(robot, mjcf)
     built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
     made, messages = _tell_made(robot, built, mjcf, kp, kd)
     if not rests:
@@ -208,27 +214,27 @@ def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagn
     return made, messages
 
 
-def held_gains_of(robot: Robot) -> tuple[Array, Array]:
-    """Returns kp and kd (nu,) of a robot that is held, in its joints' order; see ``held_gains``."""
+def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
+    """Return kp and kd of `suggest_fixed_base_gains`, shape (nu,), in actuator order."""
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
     others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # those that gains are for
     order = np.searchsorted(others, ids)
-    kp, kd = held_gains(model)
+    kp, kd = suggest_fixed_base_gains(model)
     return kp[order], kd[order]
 
 
-def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot whose base is held position servos where it has none."""
     made, messages = _with_held_servos(_lift_null_efforts(robot), mjcf)
     return _restore_null_efforts(made, robot), messages
 
 
 def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot whose base is held position servos; see ``with_held_servos``."""
-    kp, kd = held_gains_of(robot)
+    """Give a robot whose base is held position servos; see ``add_fixed_base_servos``."""
+    kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
-    given = robot.description.given(*servos_of(robot, kp, kd, timestep))
+    given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
     stated = {limit.joint: limit for limit in robot.efforts}
     built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
     return _tell_made(robot, built, mjcf, kp, kd)
@@ -248,8 +254,8 @@ def _tell_made(
     """
     known = _driven(built, kp, kd, mjcf)
     made = known.description.made_servos
-    own = robot.nu - len(made) - len(following_joints(robot))
-    return known, [*notes.made_servos(made, own, built.mj_model.opt.timestep)]
+    own = robot.nu - len(made) - len(list_dependent_joints(robot))
+    return known, [*notes.report_added_servos(made, own, built.mj_model.opt.timestep)]
 
 
 def _driven(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
@@ -271,7 +277,7 @@ def _kept(
     """Returns gains (nu,) with those of the robot's own servos in them."""
     given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
-    both[following_joints(robot)] = 0.0
+    both[list_dependent_joints(robot)] = 0.0
     return both[:, 0], both[:, 1]
 
 
@@ -295,7 +301,7 @@ def _another(robot: Robot, seen: StandVerification) -> bool:
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
-def servos_of(
+def make_missing_servos(
     robot: Robot,
     kp: Array,
     kd: Array,
@@ -313,7 +319,7 @@ def servos_of(
         timestep: s.
         own: Joints that have one; by default those with a servo in the robot's model.
     """
-    idle = {robot.joint_names[joint] for joint in following_joints(robot)}
+    idle = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
     left = {*(list_position_servos(robot) if own is None else own), *idle}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
     stiffness = describe_span(kp[missing], "N m/rad")

@@ -18,7 +18,11 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import make_unique_name, to_text
-from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
+from pupper_analysis.prepare.contact_points import (
+    ContactPoint,
+    compute_lowest_height,
+    find_contact_points,
+)
 from pupper_analysis.robot.alike import limbs_of
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom, limb_ends
@@ -64,7 +68,7 @@ _DOWN = 0.7
 _SHORTEST = 1e-3  # m: of a wheel there is no direction
 
 
-def limbs_aside(robot: Robot) -> list[Diagnostic]:
+def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     """Tells along which axis of its base's frame a robot's limbs end, if that is not downwards.
 
     With joints as near to zero as they come. A file of such a frame says nowhere what is up.
@@ -88,7 +92,7 @@ def limbs_aside(robot: Robot) -> list[Diagnostic]:
     return [diagnose("limbs-aside", axis=where, rpy=rpy)]
 
 
-def joints_to(robot: Robot, body: int) -> int:
+def count_joints_to_base(robot: Robot, body: int) -> int:
     """Returns how many joints move a body (its id) against the base."""
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
@@ -98,7 +102,7 @@ def joints_to(robot: Robot, body: int) -> int:
     return count
 
 
-def geoms_of(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
+def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
     """Returns the geoms of a body, and of those welded to it, that can touch the floor."""
     floor = ground_geom(model)
     bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
@@ -129,12 +133,14 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     model, data = robot.mj_model, robot.placed(robot.posed(joints))
-    ends = {body: geoms_of(model, body) for body in limb_ends(model)}
-    heights = {body: lowest_point(model, data, geoms) for body, geoms in ends.items() if geoms}
+    ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
+    heights = {
+        body: compute_lowest_height(model, data, geoms) for body, geoms in ends.items() if geoms
+    }
     base = float(data.xpos[model.body(robot.mj_base).id][2])
     if not heights or min(heights.values()) >= base:
         limbs = [model.body(body).name for body in ends]
-        aside = limbs_aside(robot) if heights else []
+        aside = report_sideways_limbs(robot) if heights else []
         problem = (*aside, diagnose("no-feet-found", limbs=limbs))[0]
         raise ModelError(robot.description.mjcf_source, problem)
     bottom = min(heights.values())
@@ -143,7 +149,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     near = max(_AS_LOW * (base - bottom), _LEVEL * reach)
     legs = [b for b, height in heights.items() if height < bottom + near]
     found = [
-        (body, contact_points(model, data, body, ends[body], joints_to(robot, body)))
+        (
+            body,
+            find_contact_points(model, data, body, ends[body], count_joints_to_base(robot, body)),
+        )
         for body in legs
     ]
     names = _names(model, found)
@@ -170,7 +179,7 @@ def _names(
     return names
 
 
-def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
+def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
     """Finds a foot that is named, in one file or in both.
 
     Args:
@@ -192,19 +201,23 @@ def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) 
     found = next(((kind, index) for kind, index in places if index >= 0), None)
     if found is None:
         body, place = _by_link(robot, name, frames, joints)
-        geoms = _around(model, data, geoms_of(model, body), place)
+        geoms = _around(model, data, list_ground_geoms(model, body), place)
     elif found[0] == mujoco.mjtObj.mjOBJ_GEOM:
         geoms = [found[1]]
         body = int(model.body_weldid[model.geom_bodyid[found[1]]])
     elif found[0] == mujoco.mjtObj.mjOBJ_SITE:
         body = int(model.body_weldid[model.site_bodyid[found[1]]])
-        geoms = _around(model, data, geoms_of(model, body), data.site_xpos[found[1]])
+        geoms = _around(model, data, list_ground_geoms(model, body), data.site_xpos[found[1]])
     else:
         body = int(model.body_weldid[found[1]])
-        geoms = geoms_of(model, found[1], welded=False) or _around(
-            model, data, geoms_of(model, body), data.xpos[found[1]]
+        geoms = list_ground_geoms(model, found[1], welded=False) or _around(
+            model, data, list_ground_geoms(model, body), data.xpos[found[1]]
         )
-    points = contact_points(model, data, body, geoms, joints_to(robot, body)) if geoms else ()
+    points = (
+        find_contact_points(model, data, body, geoms, count_joints_to_base(robot, body))
+        if geoms
+        else ()
+    )
     if not points:
         carrier = model.body(body).name
         problem = diagnose("foot-touches-nothing", subject=("foot", name), body=carrier)
@@ -327,7 +340,7 @@ _CONTACT_POINT_TOLERANCE = 1e-6
 a hundredth of the depth of a loaded contact."""
 
 
-def contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
+def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
     """Return whether two fits of the same contact points differ; False if the feet differ."""
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip

@@ -25,7 +25,7 @@ _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def bound_turning_joints(robot: Robot) -> Description | None:
+def limit_continuous_joints(robot: Robot) -> Description | None:
     """Returns the description with limits for joints that turn round and round; None without loops.
 
     Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the

@@ -14,8 +14,8 @@ from pupper_analysis.prepare.limits import describe_null_efforts, describe_unkno
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, simulate_fixed_base
 from pupper_analysis.prepare.self_check import (
     compare_as_published,
+    explain_own_run,
     name_remaining_cause,
-    own_run_explained,
 )
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.as_published import ServoSource
@@ -43,7 +43,7 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
-def judge(
+def judge_simulation(
     robot: Robot,
     stand: Stand,
     fed: Outcome,
@@ -74,7 +74,7 @@ def judge(
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
-    own = own_run_explained(robot)
+    own = explain_own_run(robot)
     if not (loaded.floating or stand.stance_feet):
         own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
@@ -93,7 +93,7 @@ def judge(
         *(remark for remark in (null, masses, unknown) if remark is not None),
         *report_limbs_without_feet(robot),
         *(robot.description.replaced_soles() if stand.stance_feet else ()),
-        *remarks_of_files(robot),
+        *list_file_remarks(robot),
         *_buried(robot, stand, statics),
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
@@ -195,7 +195,7 @@ def describe_given_masses(robot: Robot) -> Diagnostic | None:
     return diagnose("link-masses-unknown", links=given, count=len(given))
 
 
-def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
+def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Tells which errors and assumptions of a robot's files all verdicts on it rest on."""
     loaded = as_loaded(robot)
     messages = [note for note in loaded.notes if note.code in _BEARING]
@@ -242,4 +242,4 @@ def judge_stand(
         verify_stand(robot, held, kp=kp, kd=kd, feedforward=ahead) for ahead in (True, False)
     )
     statics = stand_statics(robot, held)
-    return judge(robot, stand, fed, alone, statics=statics, trial=trial, kp=kp, kd=kd)
+    return judge_simulation(robot, stand, fed, alone, statics=statics, trial=trial, kp=kp, kd=kd)

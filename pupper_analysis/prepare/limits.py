@@ -14,7 +14,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityCompensation
 
 
-def driven_limits(robot: Robot) -> list[EffortLimit]:
+def list_driven_limits(robot: Robot) -> list[EffortLimit]:
     """Return the torque limits of the joints that have a motor or need one: no mimic followers."""
     following = () if robot.closure is None else robot.closure.following.tolist()
     return [limit for index, limit in enumerate(robot.efforts) if index not in following]
@@ -26,7 +26,7 @@ def describe_null_efforts(robot: Robot) -> Diagnostic | None:
     Returns:
         The description; None if each motor has torque, or an unknown limit.
     """
-    null = [limit for limit in driven_limits(robot) if limit.without_torque]
+    null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:
         return None
     origin = null[0].origin
@@ -72,7 +72,7 @@ def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if a motor without torque has to hold more than rounding."""
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
-    return any(needed[one.joint] > least for one in driven_limits(robot) if one.without_torque)
+    return any(needed[one.joint] > least for one in list_driven_limits(robot) if one.without_torque)
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
@@ -83,7 +83,7 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
-    unknown = [one.joint for one in driven_limits(robot) if one.code is EffortCode.UNKNOWN]
+    unknown = [one.joint for one in list_driven_limits(robot) if one.code is EffortCode.UNKNOWN]
     if not any(needed[joint] > least for joint in unknown):
         return None
     aside = free_joints(robot)  # they carry no foot

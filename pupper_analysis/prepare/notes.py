@@ -16,7 +16,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import can_move_com
 
 
-def tell_joints(matched: Match) -> Iterator[Diagnostic]:
+def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
     """Tells what became of joints whose names differ, or which only one file has."""
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
@@ -43,7 +43,7 @@ def tell_joints(matched: Match) -> Iterator[Diagnostic]:
             yield diagnose("joints-held-at-zero", joints=names, file=where)
 
 
-def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
+def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
     """Tells which feet there are, and with how many contact points."""
     messages = [
         diagnose(
@@ -58,7 +58,7 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
     return diagnose("feet-named" if given else "feet-found", feet=messages)
 
 
-def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
+def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     """Tells of which feet balls take the place, {foot: why}; feet of a kind have one reason."""
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
@@ -73,19 +73,21 @@ def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     }
 
 
-def tell_planar(robot: Robot) -> Iterator[Diagnostic]:
+def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
     """Tells so if the legs cannot move the com to every place over the feet."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
 
-def bound_joints(robot: Robot) -> Iterator[Diagnostic]:
+def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
     """Tells which joints follow others."""
     if robot.closure is not None:
         yield robot.closure.describe()
 
 
-def made_servos(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[Diagnostic]:
+def report_added_servos(
+    servos: Sequence[MadeServo], own: int, timestep: float
+) -> Iterator[Diagnostic]:
     """Tells which servos were made up, and instead of what.
 
     Args:
@@ -110,7 +112,7 @@ def made_servos(servos: Sequence[MadeServo], own: int, timestep: float) -> Itera
     )
 
 
-def tell_uncommanded(robot: Robot) -> Iterator[Diagnostic]:
+def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
     """Tells which motors drive no joint of their own: a tendon, a site, a ball joint."""
     model = robot.mj_model
     others = [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]

@@ -19,21 +19,21 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.transmission import Drive, list_joint_actuators, read_actuator_law
-from pupper_analysis.prepare.bare import (
-    Bare,
-    Hold,
+from pupper_analysis.prepare.published_model import (
+    HoldCommands,
+    PublishedModel,
+    compile_published_model,
+    compile_urdf_import,
+    compute_hold_commands,
+    find_self_controlled_joints,
     has_few_servos,
-    hold_of,
-    imported_model,
-    place_held,
+    place_fixed_base,
     place_published,
-    published_model,
-    self_controlled,
     simulate_published,
     with_unstated_options,
 )
-from pupper_analysis.prepare.servo_tuning import FINER
-from pupper_analysis.prepare.start import stands_at
+from pupper_analysis.prepare.servo_tuning import TIMESTEP_DIVISORS
+from pupper_analysis.prepare.start import is_standing_pose
 from pupper_analysis.robot.as_published import (
     MIN_UNHELD_DISPLACEMENT,
     JointOff,
@@ -63,7 +63,7 @@ NO_EXTERNAL_SERVOS = (
     np.zeros(0),
     np.zeros(0),
 )
-"""Value of ``Hold.outside`` without joints that an external law holds."""
+"""Value of ``HoldCommands.external`` without joints that an external law holds."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a robot that stands is at rest."""
@@ -90,12 +90,13 @@ def own_run(robot: Robot) -> OwnRun | None:
     return as_loaded(robot).once(_simulate_from_keyframe)
 
 
-def raw_model(robot: Robot) -> mujoco.MjModel | None:
+def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     """Return the model of the published file, with the MuJoCo options that the caller requested.
 
     Returns:
-        Model, with a floor if it needs one (see ``published_model``). None if the robot has no
-        file, if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the robot.
+        Model, with a floor if it needs one (see ``compile_published_model``). None if the robot
+        has no file, if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the
+        robot.
     """
     if robot.published is None:
         return None
@@ -105,7 +106,7 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
         found = robot.once(_imported)
         model = None if isinstance(found, Diagnostic) else found
     else:
-        model = published_model(robot.published.file, robot)
+        model = compile_published_model(robot.published.file, robot)
     if model is not None and robot.published.options:
         model = copy.copy(model)
         for name, value in robot.published.options:
@@ -128,13 +129,13 @@ def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
     if robot.published is None or robot.published.imported is None:
         return None
     try:
-        model = imported_model(robot.published.imported, robot)
+        model = compile_urdf_import(robot.published.imported, robot)
     except ModelError as error:
         return error.cause
     # Servos and time step were tuned for the collision shapes of the prepared robot. The shapes of
     # the file may have more contact points, and may then need a smaller time step.
     step = float(model.opt.timestep)
-    for divisor in FINER if robot.floating and robot.feet else ():
+    for divisor in TIMESTEP_DIVISORS if robot.floating and robot.feet else ():
         model.opt.timestep = step / divisor
         if settles_in_place(model, robot, robot.home):
             return model
@@ -150,18 +151,20 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
         robot: Prepared robot, with the gains of the added servos.
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
     """
-    bare = with_unstated_options(Bare.of(model, robot), robot)
-    start = place_published(bare, robot, qpos)
+    published = with_unstated_options(PublishedModel.of(model, robot), robot)
+    start = place_published(published, robot, qpos)
     if start is None:
         return False
     data = copy.copy(start)
-    data.qvel[:] = nudge_velocity(bare.model)
-    hold = hold_of(bare, robot, data, None, data.qpos[joint_qpos_addresses(bare, robot)])
-    simulate_published(bare, data, hold, _SETTLING_TIME)
+    data.qvel[:] = nudge_velocity(published.model)
+    hold = compute_hold_commands(
+        published, robot, data, None, data.qpos[joint_qpos_addresses(published, robot)]
+    )
+    simulate_published(published, data, hold, _SETTLING_TIME)
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
         return False
-    initial = initial_height(bare.model, start, bare.base, bare.ground or 0.0)
-    motion = measure_motion(bare.model, start, data, bare.base, _SETTLING_TIME, initial)
+    initial = initial_height(published.model, start, published.base_body, published.ground_height or 0.0)
+    motion = measure_motion(published.model, start, data, published.base_body, _SETTLING_TIME, initial)
     return not motion.collapses
 
 
@@ -169,24 +172,26 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
     """Compute the result of ``own_run``."""
     if not robot.floating or not robot.feet or robot.published is None:
         return None
-    model = robot.once(raw_model)
+    model = robot.once(get_published_model)
     if model is None:
         return None
-    return simulate_model_from_keyframe(Bare.of(model, robot), robot)
+    return simulate_model_from_keyframe(PublishedModel.of(model, robot), robot)
 
 
-def simulate_model_from_keyframe(bare: Bare, robot: Robot) -> OwnRun | None:
+def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
     """Simulate a published model, or a modified copy of it, from the keyframe.
 
     Returns:
         Run. None if the model fixes the base. Without a keyframe, also None in the cases of
         ``_simulate_nominal_stand``.
     """
-    if robot.published is None or not bare.floating:
+    if robot.published is None or not published.floating:
         return None
-    name = _select_keyframe(bare.model, robot, robot.published.keyframe)
+    name = _select_keyframe(published.model, robot, robot.published.keyframe)
     return (
-        _simulate_nominal_stand(bare, robot) if name is None else _simulate_key(bare, robot, name)
+        _simulate_nominal_stand(published, robot)
+        if name is None
+        else _simulate_key(published, robot, name)
     )
 
 
@@ -210,24 +215,27 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
     ranks = {}
     for key, name in enumerate(names):
         values = dict(zip(robot.joint_names, model.key_qpos[key, places].tolist(), strict=True))
-        ranks[key] = (not stands_at(robot, values), name != "home")
+        ranks[key] = (not is_standing_pose(robot, values), name != "home")
     return min(ranks, key=ranks.__getitem__, default=None)
 
 
 @silence_mujoco()
-def _simulate_key(bare: Bare, robot: Robot, key: int) -> OwnRun:
+def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe.
 
     If the XML of the keyframe has no ctrl, ``OwnRun.held`` is a second run, in which servos
     hold the joint positions of the keyframe. There is no second run if most joints have no servo,
     or if an actuator has a built-in controller.
     """
-    model, data = bare.model, mujoco.MjData(bare.model)
+    model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     stated = bool(model.key_ctrl[key].any()) or _xml_has_ctrl(robot, key)
-    limp = has_few_servos(bare)
+    limp = has_few_servos(published)
     run = _simulate_commands(
-        bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NO_EXTERNAL_SERVOS, {})
+        published,
+        robot,
+        data,
+        HoldCommands(data.ctrl.copy(), data.act.copy(), NO_EXTERNAL_SERVOS, {}),
     )
     run = replace(
         run,
@@ -235,15 +243,19 @@ def _simulate_key(bare: Bare, robot: Robot, key: int) -> OwnRun:
         commands=OwnCommands.STATED if stated else OwnCommands.ABSENT,
         limp=limp and not _is_ctrl_angles(model, key),
     )
-    if stated or limp or self_controlled(bare, robot):
+    if stated or limp or find_self_controlled_joints(published, robot):
         return run
-    return replace(run, held=replace(_simulate_holding(bare, robot, data), keyframe=run.keyframe))
+    return replace(
+        run, held=replace(_simulate_holding(published, robot, data), keyframe=run.keyframe)
+    )
 
 
-def _simulate_holding(bare: Bare, robot: Robot, data: mujoco.MjData) -> OwnRun:
+def _simulate_holding(published: PublishedModel, robot: Robot, data: mujoco.MjData) -> OwnRun:
     """Simulate a published model from ``data``, and command the joint positions in ``data``."""
-    pose = data.qpos[joint_qpos_addresses(bare, robot)].copy()
-    run = _simulate_commands(bare, robot, data, _commands_to_hold(bare, robot, data, pose))
+    pose = data.qpos[joint_qpos_addresses(published, robot)].copy()
+    run = _simulate_commands(
+        published, robot, data, _commands_to_hold(published, robot, data, pose)
+    )
     return replace(run, commands=OwnCommands.ANGLES)
 
 
@@ -259,40 +271,50 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 
 @silence_mujoco()
-def _simulate_nominal_stand(bare: Bare, robot: Robot) -> OwnRun | None:
+def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
     """Simulate a published model from the nominal stand, and command the joint positions.
 
     Returns:
         Run. None if the model has no level ground, if the base cannot be placed, or if an actuator
         has a built-in controller.
     """
-    bare = with_unstated_options(bare, robot)
-    data = place_published(bare, robot, robot.home)
-    if data is None or bare.ground is None or self_controlled(bare, robot):
+    published = with_unstated_options(published, robot)
+    data = place_published(published, robot, robot.home)
+    if (
+        data is None
+        or published.ground_height is None
+        or find_self_controlled_joints(published, robot)
+    ):
         return None
-    return _simulate_holding(bare, robot, data)
+    return _simulate_holding(published, robot, data)
 
 
-def _commands_to_hold(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
+def _commands_to_hold(
+    published: PublishedModel, robot: Robot, data: mujoco.MjData, pose: Array
+) -> HoldCommands:
     """Return the commands for a published model to hold joint positions.
 
     The servos that loading added are used only if most joints of the file have none. Otherwise a
     joint with a torque motor is not held.
 
     Args:
-        bare: Published model.
+        published: Published model.
         robot: Prepared robot, with the gains of the added servos.
         data: State of the published model.
         pose: Joint positions to hold, shape (nu,) [rad, m].
     """
-    hold = hold_of(bare, robot, data, None, pose)
-    return hold if has_few_servos(bare) else replace(hold, outside=NO_EXTERNAL_SERVOS, motors={})
+    hold = compute_hold_commands(published, robot, data, None, pose)
+    return (
+        hold
+        if has_few_servos(published)
+        else replace(hold, external=NO_EXTERNAL_SERVOS, motor_laws={})
+    )
 
 
-def joint_qpos_addresses(bare: Bare, robot: Robot) -> NDArray[np.intp]:
+def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
     """Return the addresses of the robot's joints in ``qpos`` of the published model, (nu,)."""
-    joints = [bare.model.joint(joint).id for joint in robot.joint_names]
-    return np.asarray(bare.model.jnt_qposadr[joints])
+    joints = [published.model.joint(joint).id for joint in robot.joint_names]
+    return np.asarray(published.model.jnt_qposadr[joints])
 
 
 _SAME_POSTURE_ATOL = 1e-6
@@ -313,20 +335,20 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
         Run. None if the robot or the file has a free base, if there is no model, or if an actuator
         has a built-in controller.
     """
-    model = None if robot.floating else robot.once(raw_model)
+    model = None if robot.floating else robot.once(get_published_model)
     if model is None:
         return None
-    bare = Bare.of(model, robot)
-    if bare.floating or self_controlled(bare, robot):
+    published = PublishedModel.of(model, robot)
+    if published.floating or find_self_controlled_joints(published, robot):
         return None
     for key, qpos in enumerate(model.key_qpos):
-        off = np.abs(qpos[joint_qpos_addresses(bare, robot)] - joints)
+        off = np.abs(qpos[joint_qpos_addresses(published, robot)] - joints)
         if off.max(initial=0.0) < _SAME_POSTURE_ATOL and _xml_has_ctrl(robot, key):
-            run = _simulate_key(bare, robot, key)
+            run = _simulate_key(published, robot, key)
             break
     else:
-        run = _simulate_holding(bare, robot, place_held(bare, robot, joints))
-    return replace(run, limp=has_few_servos(bare))
+        run = _simulate_holding(published, robot, place_fixed_base(published, robot, joints))
+    return replace(run, limp=has_few_servos(published))
 
 
 def _keyframe_name(model: mujoco.MjModel, key: int) -> str:
@@ -334,13 +356,15 @@ def _keyframe_name(model: mujoco.MjModel, key: int) -> str:
     return model.key(key).name or f"keyframe {key + 1}"
 
 
-def _simulate_commands(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
+def _simulate_commands(
+    published: PublishedModel, robot: Robot, data: mujoco.MjData, hold: HoldCommands
+) -> OwnRun:
     """Simulate a published model with constant commands, and measure the joint deviations.
 
     The caller sets ``keyframe``, ``commands``, ``limp`` and ``held``.
 
     Args:
-        bare: Published model.
+        published: Published model.
         robot: Prepared robot.
         data: Initial state; it is not modified.
         hold: Commands of the actuators.
@@ -349,16 +373,16 @@ def _simulate_commands(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
-        simulate_published(bare, state, hold, seconds)
+        simulate_published(published, state, hold, seconds)
 
     if robot.floating:
-        motion, end = simulate_keyframe(bare.model, start, bare.base, bare.ground or 0.0, advance)
+        motion, end = simulate_keyframe(published.model, start, published.base_body, published.ground_height or 0.0, advance)
     else:
-        motion, end = simulate_held_keyframe(bare.model, start, advance)
-    joints = _joint_deviations(bare, robot, start, end, hold.ctrl)
+        motion, end = simulate_held_keyframe(published.model, start, advance)
+    joints = _joint_deviations(published, robot, start, end, hold.ctrl)
     unheld = _unheld_joints(robot, joints)
     imported = robot.published is not None and robot.published.imported is not None
-    timestep = float(bare.model.opt.timestep)
+    timestep = float(published.model.opt.timestep)
     is_finer = imported and timestep < robot.mj_model.opt.timestep
     return OwnRun(
         **asdict(motion),
@@ -380,17 +404,17 @@ def _missing_files(robot: Robot) -> tuple[str, ...]:
 
 
 def _joint_deviations(
-    bare: Bare, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
+    published: PublishedModel, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
 ) -> list[JointOff]:
     """Return the displacement [rad, m] of each joint between two states, in actuator order."""
-    addresses = joint_qpos_addresses(bare, robot)
+    addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]
     return [
         JointOff(
             name,
             float(displacement[index]),
-            bare.drives[index],
-            _command_offset(bare, name, ctrl, float(start.qpos[addresses[index]])),
+            published.drives[index],
+            _command_offset(published, name, ctrl, float(start.qpos[addresses[index]])),
         )
         for index, name in enumerate(robot.joint_names)
     ]
@@ -422,14 +446,16 @@ def _absolute_displacement(joint: JointOff) -> float:
     return abs(joint.off)
 
 
-def _command_offset(bare: Bare, joint: str, ctrl: Array, position: float) -> float | None:
+def _command_offset(
+    published: PublishedModel, joint: str, ctrl: Array, position: float
+) -> float | None:
     """Return the commanded position minus the position of a joint.
 
     The commanded position is gain ctrl / (stiffness gear), at which the actuator force
     gain ctrl - stiffness gear position is zero.
 
     Args:
-        bare: Published model.
+        published: Published model.
         joint: Name of the joint.
         ctrl: Controls of the model, shape (model.nu,).
         position: Position of the joint [rad, m].
@@ -437,11 +463,11 @@ def _command_offset(bare: Bare, joint: str, ctrl: Array, position: float) -> flo
     Returns:
         Offset [rad, m]. None unless the joint has a single actuator, with positive stiffness.
     """
-    actuators = list_joint_actuators(bare.model, bare.model.joint(joint).id)
-    laws = [read_actuator_law(bare.model, actuator) for actuator in actuators]
+    actuators = list_joint_actuators(published.model, published.model.joint(joint).id)
+    laws = [read_actuator_law(published.model, actuator) for actuator in actuators]
     if len(actuators) != 1 or laws[0].at_joint[0] <= 0:
         return None
-    force = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[actuators[0]]])
+    force = laws[0].gain * float(ctrl[published.model.actuator_ctrladr[actuators[0]]])
     return force / (laws[0].stiffness * laws[0].gear) - position
 
 

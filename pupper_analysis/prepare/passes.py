@@ -1,7 +1,7 @@
-"""What makes two published files a robot that can stand: named passes, in the order of `PASSES`.
+"""Prepare a robot that can stand from two published files.
 
-Each takes what has been made so far and returns it with what it had to do, told to whoever loads
-the robot.
+The preparation is a sequence of named passes, in the order of `PREPARATION_PASSES`. Each pass takes
+the draft of the robot and returns the new draft with notes on what the pass changed or found.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ from pupper_analysis.prepare import (
     start,
     touching,
 )
-from pupper_analysis.prepare.base import free_base, free_of_friction, place_base_frame
+from pupper_analysis.prepare.base import free_base, place_base_frame, remove_free_joint_friction
 from pupper_analysis.prepare.feet import (
     Foot,
-    contact_points_moved,
     find_feet,
+    find_named_foot,
     has_ellipsoids,
-    limbs_aside,
-    named_foot,
+    have_contact_points_moved,
+    report_sideways_limbs,
     with_feet,
 )
 from pupper_analysis.prepare.joints import (
-    bound_turning_joints,
     check_motors,
     couple_mimics,
+    limit_continuous_joints,
     narrow_limits,
 )
 from pupper_analysis.prepare.simulable import (
@@ -61,8 +61,8 @@ from pupper_analysis.prepare.simulable import (
     choose_exact_solver,
     explain_refused_body,
 )
-from pupper_analysis.prepare.start import find_start_pose, start_of
-from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
+from pupper_analysis.prepare.start import find_start_pose, make_start_keyframe
+from pupper_analysis.prepare.touching import copy_visual_option, discard_visuals
 from pupper_analysis.robot.build import build_robot, copy_metadata, with_additions
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
@@ -73,7 +73,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class LoadRequest:
     """What is asked for when a robot is loaded.
 
     Attributes:
@@ -133,10 +133,10 @@ class Draft:
 
     urdf: UrdfFile
     mjcf: MjcfFile
-    request: Request
+    request: LoadRequest
     spec: mujoco.MjSpec
     keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    found: Match | None = None
+    found_match: Match | None = None
     description: Description | None = None
     built: Robot | None = None
     footless: Robot | None = None
@@ -145,7 +145,7 @@ class Draft:
     runs: tuple[PassRun, ...] = ()
 
     @property
-    def may_be_held(self) -> bool:
+    def may_fix_base(self) -> bool:
         """Whether its base may be fixed, as the file has it, though it was to be free."""
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
@@ -155,8 +155,8 @@ class Draft:
     @property
     def match(self) -> Match:
         """Whose joint is whose."""
-        assert self.found is not None
-        return self.found
+        assert self.found_match is not None
+        return self.found_match
 
     @property
     def described(self) -> Description:
@@ -174,7 +174,7 @@ class Draft:
 Array = NDArray[np.float64]
 
 
-Made = tuple[Draft, Iterable[Diagnostic]]
+PassOutput = tuple[Draft, Iterable[Diagnostic]]
 
 
 @dataclass(frozen=True)
@@ -185,32 +185,32 @@ class Pass:
         name: What it is called.
         does: What it does, in words.
         apply: Does it; returns the draft with what was done.
-        concerns: Tells whether it concerns a draft.
+        condition: Tells whether it condition a draft.
         after_refusal: Whether it is for drafts of which no robot could be made, too.
     """
 
     name: str
     does: Term
-    apply: Callable[[Draft], Made]
-    concerns: Callable[[Draft], bool]
+    apply: Callable[[Draft], PassOutput]
+    condition: Callable[[Draft], bool]
     after_refusal: bool = False
 
     def applies(self, draft: Draft) -> bool:
         """Tells whether it is to be run."""
-        return (draft.refused is None or self.after_refusal) and self.concerns(draft)
+        return (draft.refused is None or self.after_refusal) and self.condition(draft)
 
 
 _PASSES: list[Pass] = []
 
 
 def _pass(
-    does: Term, concerns: Callable[[Draft], bool], *, after_refusal: bool = False
-) -> Callable[[Callable[[Draft], Made]], Callable[[Draft], Made]]:
+    does: Term, condition: Callable[[Draft], bool], *, after_refusal: bool = False
+) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
     """Makes the next pass of a function; it is called as that is."""
 
-    def added(apply: Callable[[Draft], Made]) -> Callable[[Draft], Made]:
+    def added(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
         name = apply.__name__.strip("_").replace("_", "-")
-        _PASSES.append(Pass(name, does, apply, concerns, after_refusal))
+        _PASSES.append(Pass(name, does, apply, condition, after_refusal))
         return apply
 
     return added
@@ -256,22 +256,22 @@ def _feet(
 ) -> tuple[Foot, ...]:
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
-    return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
+    return tuple(find_named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
 
 
 def _stands_on_no_feet(draft: Draft) -> bool:
     """Tells whether the base is to be as the file has it: no robot can be made of it otherwise."""
-    if not draft.may_be_held or draft.refused:
-        return draft.may_be_held
-    return draft.robot.floating and start.first_stand(draft.robot) is None
+    if not draft.may_fix_base or draft.refused:
+        return draft.may_fix_base
+    return draft.robot.floating and start.solve_nominal_stand(draft.robot) is None
 
 
 @_pass(Term("names bodies and joints that have none"), _any)
-def _name_elements(draft: Draft) -> Made:
+def _name_elements(draft: Draft) -> PassOutput:
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
-        leave_out_visuals(spec)
+        discard_visuals(spec)
     known = start.choose_keyframes(
         draft.mjcf, start.list_keyframes(spec, draft.mjcf.path), draft.request.keyframe
     )
@@ -279,34 +279,34 @@ def _name_elements(draft: Draft) -> Made:
 
 
 @_pass(Term("frees the base of a robot with limbs"), _free)
-def _free_base(draft: Draft) -> Made:
+def _free_base(draft: Draft) -> PassOutput:
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
 
 @_pass(Term("lifts the base's frame off the ground"), _free)
-def _place_base_frame(draft: Draft) -> Made:
+def _place_base_frame(draft: Draft) -> PassOutput:
     return draft, place_base_frame(draft.spec, draft.mjcf.model, draft.mjcf.path)
 
 
 @_pass(Term("finds whose joint is whose"), _any)
-def _match(draft: Draft) -> Made:
+def _match(draft: Draft) -> PassOutput:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     name = draft.request.name or draft.spec.modelname
     description = replace(found.robot.description, name=name)
-    messages = (*found.notes, *notes.tell_joints(found))
-    return replace(draft, found=found, description=description), messages
+    messages = (*found.notes, *notes.report_joint_matching(found))
+    return replace(draft, found_match=found, description=description), messages
 
 
 @_pass(Term("couples joints that follow others"), _any)
-def _couple_mimics(draft: Draft) -> Made:
+def _couple_mimics(draft: Draft) -> PassOutput:
     description, messages = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), messages
 
 
 @_pass(Term("builds the robot on its fixed base"), _held)
-def _build_held(draft: Draft) -> Made:
+def _build_held(draft: Draft) -> PassOutput:
     described = start.with_keyframes(draft.described, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
@@ -314,7 +314,7 @@ def _build_held(draft: Draft) -> Made:
 
 
 @_pass(Term("adds a level ground, or makes it level"), _stands)
-def _level_ground(draft: Draft) -> Made:
+def _level_ground(draft: Draft) -> PassOutput:
     ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
     messages = level_ground(ready)
     floors = tuple(Floor(note) for note in messages if note.code == "ground-added")
@@ -325,41 +325,41 @@ def _level_ground(draft: Draft) -> Made:
     if draft.mjcf.of_urdf or (
         laid and not any(STIFF_FRICTION_OPTIONS.keys() & stated for stated in options)
     ):
-        grip = ground_of_urdf()[1]
+        grip = list_urdf_ground_additions()[1]
         described, messages = described.given(grip), [*messages, grip.reason]
     return replace(draft, description=described), messages
 
 
 @_pass(Term("takes dry friction off the free joint"), _stands)
-def _free_of_friction(draft: Draft) -> Made:
-    return draft, free_of_friction(draft.described.mjcf)
+def _free_of_friction(draft: Draft) -> PassOutput:
+    return draft, remove_free_joint_friction(draft.described.mjcf)
 
 
 @_pass(Term("builds the robot"), _stands)
-def _build(draft: Draft) -> Made:
+def _build(draft: Draft) -> PassOutput:
     check_motors(draft.mjcf.model, draft.mjcf.path)
     return replace(draft, built=build_robot(draft.described)), ()
 
 
 @_pass(Term("limits joints of loops that have none"), _stands)
-def _bound_joints(draft: Draft) -> Made:
-    return _rebuilt(draft, bound_turning_joints(draft.robot)), ()
+def _bound_joints(draft: Draft) -> PassOutput:
+    return _rebuilt(draft, limit_continuous_joints(draft.robot)), ()
 
 
 @_pass(Term("takes the narrower of both files' joint limits"), _stands)
-def _narrow_limits(draft: Draft) -> Made:
+def _narrow_limits(draft: Draft) -> PassOutput:
     description, messages = narrow_limits(draft.robot)
     return _rebuilt(draft, description), messages
 
 
 @_pass(Term("refuses joints that move no mass"), _any)
-def _check_masses(draft: Draft) -> Made:
+def _check_masses(draft: Draft) -> PassOutput:
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
 
 @_pass(Term("finds the feet, and their contact points"), _stands)
-def _put_feet(draft: Draft) -> Made:
+def _put_feet(draft: Draft) -> PassOutput:
     bare, given = draft.robot, draft.request.feet
     poses = [start.clip_to_limits(bare, pose) for pose in (*draft.keyframes.values(), None)]
     try:
@@ -378,14 +378,14 @@ def _put_feet(draft: Draft) -> Made:
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:
         return draft, ()
-    messages = [notes.named_feet(bare, feet, given=given is not None)]
-    balls = notes.tell_balls(bare, feet)
+    messages = [notes.report_feet(bare, feet, given=given is not None)]
+    balls = notes.report_balls(bare, feet)
     messages += dict.fromkeys(balls.values())
     robot = build_robot(with_feet(bare, feet, balls))
     for _ in range(_MAX_ELLIPSOID_FITS):
         joints = _joints_of_nominal_stand(draft, robot) if has_ellipsoids(bare, feet) else None
         again = feet if joints is None else _feet(bare, given, [joints])
-        if not contact_points_moved(feet, again):
+        if not have_contact_points_moved(feet, again):
             break
         feet, robot = again, build_robot(with_feet(bare, again, balls))
     return replace(draft, built=robot, footless=bare, feet=tuple(feet)), messages
@@ -398,14 +398,14 @@ tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes)."""
 
 def _joints_of_nominal_stand(draft: Draft, robot: Robot) -> Array | None:
     """Return the joint positions, shape (nu,), of the nominal stand; None if there is no stand."""
-    sunk = start.resting_depths(draft.mjcf.model)
-    stand = start.first_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
+    sunk = start.compute_resting_depths(draft.mjcf.model)
+    stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]
 
 
 @_pass(Term("adds motors to joints of loops that have none"), _altered)
-def _add_motors(draft: Draft) -> Made:
-    return replace(draft, built=drives.with_motors(draft.robot)), ()
+def _add_motors(draft: Draft) -> PassOutput:
+    return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
 def _rest_depth(draft: Draft) -> Callable[[str], float | None]:
@@ -414,46 +414,46 @@ def _rest_depth(draft: Draft) -> Callable[[str], float | None]:
 
 
 @_pass(Term("finds a pose in which it stands"), _on_feet)
-def _start_pose(draft: Draft) -> Made:
-    sunk = start.resting_depths(draft.mjcf.model)
+def _start_pose(draft: Draft) -> PassOutput:
+    sunk = start.compute_resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _rest_depth(draft))
-    return replace(draft, built=robot), (*notes.tell_planar(robot), *pose)
+    return replace(draft, built=robot), (*notes.report_planar_legs(robot), *pose)
 
 
 @_pass(Term("takes hulls that carry most of the load as contact points"), _altered)
-def _stand_on_hulls(draft: Draft) -> Made:
+def _stand_on_hulls(draft: Draft) -> PassOutput:
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)
     if hulls is None:
         return draft, ()
     feet, message = hulls
-    balls = notes.tell_balls(draft.footless, feet)
+    balls = notes.report_balls(draft.footless, feet)
     own = draft.robot.description.foot_geoms
     kept = {foot.name for foot in draft.feet if foot in feet}
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
     described = with_feet(draft.footless, feet, balls).given(DisabledContacts(message, soft))
-    sunk = start.resting_depths(draft.mjcf.model)
+    sunk = start.compute_resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk, _rest_depth(draft))
-    if start.first_stand(robot) is None:
+    if start.solve_nominal_stand(robot) is None:
         return draft, ()
     return replace(draft, built=robot, feet=feet), (message, *dict.fromkeys(balls.values()), *pose)
 
 
 @_pass(Term("lets feet alone touch the ground"), _altered)
-def _touch_with_feet_alone(draft: Draft) -> Made:
-    robot, messages = touching.touch_with_feet_alone(draft.robot)
+def _touch_with_feet_alone(draft: Draft) -> PassOutput:
+    robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 
 
 @_pass(Term("excludes contacts of parts that overlap"), _commanded)
-def _keep_apart(draft: Draft) -> Made:
+def _keep_apart(draft: Draft) -> PassOutput:
     robot, messages = touching.exclude_overlaps(draft.robot)
     return replace(draft, built=robot), messages
 
 
 @_pass(Term("chooses a solver that solves the equations of motion"), _altered)
-def _solve_exactly(draft: Draft) -> Made:
+def _solve_exactly(draft: Draft) -> PassOutput:
     robot, messages = choose_exact_solver(draft.robot)
     return replace(draft, built=robot), messages
 
@@ -462,23 +462,26 @@ def _solve_exactly(draft: Draft) -> Made:
     Term("tells which joints and motors are not commanded"),
     lambda draft: _on_feet(draft) or _held(draft),
 )
-def _tell_what_follows(draft: Draft) -> Made:
-    return draft, (*notes.bound_joints(draft.robot), *notes.tell_uncommanded(draft.robot))
+def _tell_what_follows(draft: Draft) -> PassOutput:
+    return draft, (
+        *notes.report_coupled_joints(draft.robot),
+        *notes.report_uncommanded_actuators(draft.robot),
+    )
 
 
 @_pass(Term("adds position servos that bring it to rest"), _commanded)
-def _add_servos(draft: Draft) -> Made:
+def _add_servos(draft: Draft) -> PassOutput:
     robot = draft.robot
-    idle = {robot.joint_names[joint] for joint in drives.following_joints(robot)}
+    idle = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
     if not set(robot.joint_names) <= list_position_servos(robot).keys() | idle:
-        add = drives.with_added_servos if robot.floating else drives.with_held_servos
+        add = drives.add_suggested_servos if robot.floating else drives.add_fixed_base_servos
         robot, made = add(robot, draft.mjcf)
         return replace(draft, built=robot), made
     return draft, ()
 
 
 @_pass(Term("has the start pose that was found as the robot rests in it"), _altered)
-def _rest_at_start(draft: Draft) -> Made:
+def _rest_at_start(draft: Draft) -> PassOutput:
     messages = (note for run in draft.runs for note in run.done)
     found = next((note for note in messages if note.code == "start-pose-found"), None)
     if found is None:
@@ -486,16 +489,16 @@ def _rest_at_start(draft: Draft) -> Made:
     with contextlib.suppress(PupperAnalysisError):  # where it does not, no verdict will have it
         stand = solve_stand_on_soft_ground(draft.robot, explain=False)
         draft = replace(
-            draft, built=with_additions(draft.robot, start_of(draft.robot, stand, found))
+            draft, built=with_additions(draft.robot, make_start_keyframe(draft.robot, stand, found))
         )
     return draft, ()
 
 
 @_pass(Term("builds the robot with all that is seen of it"), _any)
-def _build_whole(draft: Draft) -> Made:
+def _build_whole(draft: Draft) -> PassOutput:
     robot = draft.robot
     spec = robot.description.mjcf.copy()
-    if not take_visuals_of(spec, draft.mjcf.spec):
+    if not copy_visual_option(spec, draft.mjcf.spec):
         return draft, ()
     whole = replace(robot.description, mjcf=spec)
     built = build_robot(whole, fixed_base=draft.request.fixed_base)
@@ -503,7 +506,7 @@ def _build_whole(draft: Draft) -> Made:
 
 
 @_pass(Term("fixes the base where it does not stand"), _stands_on_no_feet, after_refusal=True)
-def _hold_base(draft: Draft) -> Made:
+def _hold_base(draft: Draft) -> PassOutput:
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
     why = diagnose("stands-on-no-feet") if refused is None else refused.cause
     try:
@@ -513,17 +516,17 @@ def _hold_base(draft: Draft) -> Made:
             raise
         raise refused from None
     if refused is None:
-        why = (*limbs_aside(held.robot), why)[0]
+        why = (*report_sideways_limbs(held.robot), why)[0]
     return held, (diagnose("base-kept-in-the-world", why=why),)
 
 
-def ground_of_urdf() -> tuple[Addition, ...]:
+def list_urdf_ground_additions() -> tuple[Addition, ...]:
     """Returns what a robot stands on of which a URDF is all that is known."""
     held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 
-PASSES = tuple(_PASSES)
+PREPARATION_PASSES = tuple(_PASSES)
 """In the order in which they are run: that of their functions above."""
 
 
@@ -534,13 +537,13 @@ def _passed(draft: Draft) -> Draft:
         ModelError: If no robot can be made of it.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
-    for each in PASSES:
+    for each in PREPARATION_PASSES:
         if each.applies(draft):
             try:
                 draft, done = each.apply(draft)
             except ModelError as error:
                 error = explain_refused_body(error, draft.urdf, draft.mjcf)
-                if draft.refused or not draft.may_be_held:
+                if draft.refused or not draft.may_fix_base:
                     raise error from error.__cause__
                 draft = replace(draft, refused=error)
             else:
@@ -552,7 +555,7 @@ def _passed(draft: Draft) -> Draft:
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
-def robot_of(
+def make_robot(
     urdf: UrdfFile,
     mjcf: MjcfFile,
     *,
@@ -567,13 +570,15 @@ def robot_of(
 
     What its arguments mean says ``load_robot``, which reads the files.
     """
-    frames = None if feet is None else feet_frames(feet)
-    request = Request(frames, fixed_base, name, joints, keyframe, as_is)
+    frames = None if feet is None else parse_feet(feet)
+    request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is)
     robot, _ = prepare_robot(urdf, mjcf, request)
     return robot
 
 
-def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
+def prepare_robot(
+    urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
+) -> tuple[Robot, list[PassRun]]:
     """Makes two files a robot, whose notes are what the passes did.
 
     Returns:
@@ -590,7 +595,7 @@ def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Rob
     return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
 
 
-def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
+def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:
     """Returns {foot: its frames in URDF and MJCF}.
 
     Raises:

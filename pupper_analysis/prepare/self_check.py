@@ -18,32 +18,32 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
-from pupper_analysis.prepare.bare import (
-    Bare,
-    has_few_servos,
-    hold_of,
-    place_held,
-    place_published,
-    self_controlled,
-    simulate_published,
-    with_requested_gains,
-    with_unstated_options,
-)
 from pupper_analysis.prepare.causes import (
-    COMMANDS,
-    NUMERICS,
-    Candidate,
-    altered_on_loading,
-    candidate_causes,
-    physical_causes,
-    soft_servos,
-    with_line,
+    COMMAND_CODES,
+    NUMERICS_CODES,
+    CauseCandidate,
+    add_line,
+    list_candidate_causes,
+    list_loading_changes,
+    list_physical_causes,
+    list_soft_servos,
 )
 from pupper_analysis.prepare.own_run import (
     as_loaded,
+    get_published_model,
     own_run,
-    raw_model,
     simulate_model_from_keyframe,
+)
+from pupper_analysis.prepare.published_model import (
+    PublishedModel,
+    compute_hold_commands,
+    find_self_controlled_joints,
+    has_few_servos,
+    place_fixed_base,
+    place_published,
+    simulate_published,
+    with_requested_gains,
+    with_unstated_options,
 )
 from pupper_analysis.robot.as_published import (
     MIN_POSTURE_DEVIATION,
@@ -67,20 +67,20 @@ from pupper_analysis.statics.equilibrium import gravity_compensation
 
 Array = NDArray[np.float64]
 
-SETTLING = 1.0
+SETTLING_TIME = 1.0
 """Of the run from the computed stand before it is nudged (s): servos of some hertz have come to
 rest, and what slides has slid."""
 
-NUDGED = 4.0
+NUDGED_TIME = 4.0
 """Of it after the nudge (s), which is forgotten by then or never."""
 
-SAME = 0.01
+TORQUE_RTOL = 0.01
 """Share of the largest torque within which the file does as predicted: a verified stand's."""
 
-SUNK = 1e-3
+MAX_REMAINING_SINKAGE = 1e-3
 """By which feet may sink otherwise in what is mended (m)."""
 
-SAME_HEIGHT = 1e-3
+HEIGHT_RTOL = 1e-3
 """Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
 
 
@@ -115,7 +115,7 @@ def compare_as_published(
         return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
         if gains is None:
-            return loaded.once(published_nominal)
+            return loaded.once(compare_nominal_stand)
         return _compare_nominal(loaded, gains)
     return _compare_in(robot, stand, gains)
 
@@ -124,7 +124,7 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 """Servo stiffness kp [N m/rad] and damping kd [N m s/rad] that the caller passed."""
 
 
-def published_nominal(robot: Robot) -> Published | None:
+def compare_nominal_stand(robot: Robot) -> Published | None:
     """Compare the published file with the nominal stand; None without a nominal stand."""
     return _compare_nominal(robot, None)
 
@@ -145,44 +145,50 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
-    model = robot.once(raw_model)
+    model = robot.once(get_published_model)
     if model is None and (robot.published.file is None or not robot.floating):
         return None
-    bare = None if model is None else with_unstated_options(Bare.of(model, robot), robot)
-    if bare is not None and gains is not None:
-        bare, robot = with_requested_gains(bare, robot, *gains)
-    predictions = predict_stand(robot, stand) if bare is not None else []
-    if bare is not None and (not predictions or (bare.floating and not robot.floating)):
+    published = (
+        None if model is None else with_unstated_options(PublishedModel.of(model, robot), robot)
+    )
+    if published is not None and gains is not None:
+        published, robot = with_requested_gains(published, robot, *gains)
+    predictions = predict_stand(robot, stand) if published is not None else []
+    if published is not None and (not predictions or (published.floating and not robot.floating)):
         return None
-    if bare is None or bare.floating != robot.floating:
+    if published is None or published.floating != robot.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-    found = compared_with_file(bare, robot, predictions)
-    return replace(found, causes=with_lines(found.causes, robot))
+    found = compare_with_file(published, robot, predictions)
+    return replace(found, causes=add_lines(found.causes, robot))
 
 
-def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
+def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
     """Returns causes with the lines where they stand in a robot's MJCF, if it has one."""
     file = None if robot.published is None else robot.published.file
-    return tuple(cause if file is None else with_line(cause, file) for cause in causes)
+    return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
 
-def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
+def compare_with_file(
+    published: PublishedModel, robot: Robot, wanted: Sequence[PredictedRest]
+) -> Published:
     """Simulates the MJCF as it was published from where it is predicted to rest."""
-    if controlled := self_controlled(bare, robot):
+    if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
-    if bare.floating and bare.ground is None:
+    if published.floating and published.ground_height is None:
         return Published((), (Cause("ground", ()),), differs=True)
-    found = [(one, run_as_published(bare, robot, one)) for one in wanted]
+    found = [(one, simulate_prediction(published, robot, one)) for one in wanted]
     runs = tuple(run for _, run in found if run is not None)
     off = [(one, run) for one, run in found if run is not None and run.differs]
     causes: tuple[Cause, ...] = ()
     if off:
-        causes = causes_of(bare, robot, *off[0]) or _of_loading(bare, robot, *off[0])
+        causes = find_difference_causes(published, robot, *off[0]) or _of_loading(
+            published, robot, *off[0]
+        )
     return Published(runs, causes, differs=bool(off))
 
 
 def _of_loading(
-    bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun
+    published: PublishedModel, robot: Robot, wanted: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
     """Returns what was altered on loading, or in what the two files differ, if that is why.
 
@@ -192,19 +198,21 @@ def _of_loading(
     place feels, or a part that one of them lacks.
     """
     file = None if robot.published is None else robot.published.file
-    computed = run_as_published(Bare.of(copy.copy(robot.mj_model), robot), robot, wanted)
+    computed = simulate_prediction(
+        PublishedModel.of(copy.copy(robot.mj_model), robot), robot, wanted
+    )
     if computed is None:
         return ()
     if not computed.differs:
-        return altered_on_loading(bare, robot)
+        return list_loading_changes(published, robot)
     if file is None or robot.description.converted:
         return ()
-    model = copy.copy(bare.model)
-    for candidate in candidate_causes(bare, robot):
+    model = copy.copy(published.model)
+    for candidate in list_candidate_causes(published, robot):
         candidate.switch_off(model)
-    stripped = run_as_published(replace(bare, model=model), robot, wanted)
+    stripped = simulate_prediction(replace(published, model=model), robot, wanted)
     alike = (one for one in (run, stripped) if one is not None)
-    if not any(abs(computed.torque_error - one.torque_error) <= SAME for one in alike):
+    if not any(abs(computed.torque_error - one.torque_error) <= TORQUE_RTOL for one in alike):
         return ()
     # Forty modules, which hardly a verdict needs.
     from pupper_analysis.robot.compare.compare import compare_files
@@ -219,7 +227,7 @@ def _of_loading(
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
+class PredictedRest:
     """What a stand is predicted to be at rest.
 
     Attributes:
@@ -235,7 +243,7 @@ class Predicted:
     targets: Array
 
 
-def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
+def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Returns what is predicted of a stand, with feed-forward and on position commands alone.
 
     Of a posture with feed-forward.
@@ -243,13 +251,13 @@ def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
         torques = gravity_compensation(Configuration(robot, joints), contacts=()).joint_torques
-        return [Predicted(True, joints, torques, joints)]
+        return [PredictedRest(True, joints, torques, joints)]
     try:
         held = solve_stand_on_soft_ground(robot, stand, explain=False)
     except PupperAnalysisError:
         return []  # where it comes to rest is not predicted
     torques = stand_statics(robot, held).joint_torques
-    found = [Predicted(True, held.qpos, torques, held.joint_positions(robot))]
+    found = [PredictedRest(True, held.qpos, torques, held.joint_positions(robot))]
     made = robot.description.made_servos
     replaced = any(servo.instead_of is Drive.SERVO for servo in made)
     if len(list_position_servos(robot)) < robot.nu or replaced:
@@ -259,31 +267,33 @@ def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
         rest = steady_state(robot, held, feet="sliding")
         if not rest.failures:
             targets = held.joint_positions(robot)
-            found.append(Predicted(False, rest.qpos, rest.joint_torques, targets))
+            found.append(PredictedRest(False, rest.qpos, rest.joint_torques, targets))
     return found
 
 
-def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRun | None:
+def simulate_prediction(
+    published: PublishedModel, robot: Robot, wanted: PredictedRest
+) -> PublishedRun | None:
     """Simulates the MJCF from where it is predicted to rest, and compares.
 
     Returns:
         What comes of it; None if its base cannot be put there, as where it is held in the world.
     """
-    model = bare.model
+    model = published.model
     qpos = wanted.qpos
-    place = place_published if robot.floating else place_held
-    data = place(bare, robot, qpos)
+    place = place_published if robot.floating else place_fixed_base
+    data = place(published, robot, qpos)
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     start = copy.copy(data)
     ahead = wanted.torques if wanted.feedforward else None
-    hold = hold_of(bare, robot, data, ahead, wanted.targets)
+    hold = compute_hold_commands(published, robot, data, ahead, wanted.targets)
     try:
-        simulate_published(bare, data, hold, SETTLING)
+        simulate_published(published, data, hold, SETTLING_TIME)
         data.qvel[:] += nudge_velocity(model)
-        low, high = simulate_published(bare, data, hold, NUDGED)
+        low, high = simulate_published(published, data, hold, NUDGED_TIME)
     except mujoco.FatalError:  # a contact of shapes without directions, say
         return None
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -293,11 +303,11 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     moved, sticks = np.abs(data.qpos[places] - qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
     if robot.floating:
-        com = float(start.subtree_com[bare.base][2])
-        predicted = InitialHeight(com, 0.0, bare.ground or 0.0)
-        motion = measure_motion(model, start, data, bare.base, SETTLING + NUDGED, predicted)
+        com = float(start.subtree_com[published.base_body][2])
+        predicted = InitialHeight(com, 0.0, published.ground_height or 0.0)
+        motion = measure_motion(model, start, data, published.base_body, SETTLING_TIME + NUDGED_TIME, predicted)
         error, collapses = motion.end_height - motion.height, motion.collapses
-        alike = abs(error) <= SAME_HEIGHT * motion.height
+        alike = abs(error) <= HEIGHT_RTOL * motion.height
     else:  # where it may stick after a nudge
         with contextlib.suppress(ModelError):
             sticks = resolve_servo_gains(robot).kp
@@ -308,12 +318,12 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     alike = alike and (not wanted.feedforward or joint <= JOINT_TOLERANCE + float(sticks.max()))
     return PublishedRun(
         feedforward=wanted.feedforward,
-        duration=SETTLING + NUDGED,
+        duration=SETTLING_TIME + NUDGED_TIME,
         torque_error=torque,
         height_error=error,
         joint_error=joint,
         collapses=collapses,
-        differs=collapses or not (alike and torque <= SAME),
+        differs=collapses or not (alike and torque <= TORQUE_RTOL),
         imported=robot.published is not None and robot.published.imported is not None,
         worst_joint=_worst_joint(robot, moved, off, collapses=collapses),
     )
@@ -334,7 +344,7 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
     return str(names[robot.mj_convention.actuator_index >= 0][int(np.argmax(torque_error))])
 
 
-def own_run_explained(robot: Robot) -> OwnRun | None:
+def explain_own_run(robot: Robot) -> OwnRun | None:
     """Returns what a robot's file does by itself, and if it fails by what; made once."""
     return as_loaded(robot).once(_own_run_explained)
 
@@ -342,17 +352,17 @@ def own_run_explained(robot: Robot) -> OwnRun | None:
 def _own_run_explained(robot: Robot) -> OwnRun | None:
     """Compute the run of the unmodified file, with a named cause if it fails."""
     run = own_run(robot)
-    model = robot.once(raw_model)
+    model = robot.once(get_published_model)
     if run is None or not run.fails or model is None:
         return run
-    bare = Bare.of(model, robot)
-    if any(drive.bad for drive in bare.drives):
+    published = PublishedModel.of(model, robot)
+    if any(drive.bad for drive in published.drives):
         return run  # the bad servos are reported, and make other causes meaningless
-    causes = commanded_causes(run, bare) or _find_causes(run, bare, robot)
-    return replace(run, causes=with_lines(causes, robot))
+    causes = list_command_causes(run, published) or _find_causes(run, published, robot)
+    return replace(run, causes=add_lines(causes, robot))
 
 
-def commanded_causes(run: OwnRun, bare: Bare) -> tuple[Cause, ...]:
+def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
     """Return the causes that are in the commands of the keyframe.
 
     These are a missing ctrl, if the robot stands with the joint angles as commands, and joint
@@ -360,7 +370,7 @@ def commanded_causes(run: OwnRun, bare: Bare) -> tuple[Cause, ...]:
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
         return (Cause("ctrl-absent", (run.keyframe,)),)
-    if run.commands is OwnCommands.STATED and has_few_servos(bare):
+    if run.commands is OwnCommands.STATED and has_few_servos(published):
         return (Cause("angles-to-motors", (run.keyframe,)),)
     return ()
 
@@ -392,16 +402,16 @@ def name_remaining_cause(
 def _too_soft(robot: Robot) -> tuple[Cause, ...]:
     """Return the servos of the unmodified file as a cause, if it stands with stiffer ones."""
     loaded = as_loaded(robot)
-    model = loaded.once(raw_model)
+    model = loaded.once(get_published_model)
     if model is None or not loaded.floating:
         return ()
-    bare = Bare.of(model, loaded)
-    for candidate in soft_servos(bare, loaded):
+    published = PublishedModel.of(model, loaded)
+    for candidate in list_soft_servos(published, loaded):
         stiffer = copy.copy(model)
         candidate.switch_off(stiffer)
-        run = simulate_model_from_keyframe(replace(bare, model=stiffer), loaded)
+        run = simulate_model_from_keyframe(replace(published, model=stiffer), loaded)
         if run is not None and not run.fails:
-            return with_lines([candidate.cause(0.0)], loaded)
+            return add_lines([candidate.to_cause(0.0)], loaded)
     return ()
 
 
@@ -417,14 +427,16 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
     return (Cause("ctrl-elsewhere" if joint.commanded_away else "gives-way", (joint.joint,)),)
 
 
-def _find_causes(run: OwnRun, bare: Bare, robot: Robot) -> tuple[Cause, ...]:
+def _find_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Find what makes the run of the unmodified file fail, by changes of copies of the model."""
-    model = bare.model
-    known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
+    model = published.model
+    known, physics = list_candidate_causes(published, robot), list_physical_causes(published, robot)
     if run.unheld is not None or (run.worst is not None and run.worst.commanded_away):
         # Nothing holds a joint, or its ctrl is of another pose; on the way there any other change
         # may let it stand.
-        known, physics = ([one for one in of if one.code in COMMANDS] for of in (known, physics))
+        known, physics = (
+            [one for one in of if one.code in COMMAND_CODES] for of in (known, physics)
+        )
 
     def tried(changed: mujoco.MjModel) -> float | None:
         # Another step alone may leave what falls on the other side of an edge, by chance.
@@ -432,36 +444,41 @@ def _find_causes(run: OwnRun, bare: Bare, robot: Robot) -> tuple[Cause, ...]:
         for parts in (1, 2, 4) if finer else (1,):
             one = copy.copy(changed)
             one.opt.timestep /= parts
-            again = simulate_model_from_keyframe(replace(bare, model=one), robot)
+            again = simulate_model_from_keyframe(replace(published, model=one), robot)
             if again is None or again.fails:
                 return None
         return 0.0
 
-    return _tested_causes(bare, known, physics, tried)
+    return _tested_causes(published, known, physics, tried)
 
 
-def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
+def find_difference_causes(
+    published: PublishedModel, robot: Robot, wanted: PredictedRest, run: PublishedRun
+) -> tuple[Cause, ...]:
     """Finds what makes the file differ, tested both ways."""
 
     def tried(model: mujoco.MjModel) -> float | None:
-        again = run_as_published(replace(bare, model=model), robot, wanted)
+        again = simulate_prediction(replace(published, model=model), robot, wanted)
         if again is None or again.collapses:
             return None
         # Pyramids of more friction are stiffer ground: what is mended may sink by less.
-        sunk = abs(again.height_error or 0.0) <= SUNK and again.joint_error <= JOINT_TOLERANCE
-        mended = sunk and again.torque_error <= SAME < run.torque_error
+        sunk = (
+            abs(again.height_error or 0.0) <= MAX_REMAINING_SINKAGE
+            and again.joint_error <= JOINT_TOLERANCE
+        )
+        mended = sunk and again.torque_error <= TORQUE_RTOL < run.torque_error
         return again.torque_error if mended or not again.differs else None
 
-    if any(drive.bad for drive in bare.drives):
+    if any(drive.bad for drive in published.drives):
         return ()  # that is told, and what makes it fall later is none
-    known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
-    return _tested_causes(bare, known, physics, tried)
+    known, physics = list_candidate_causes(published, robot), list_physical_causes(published, robot)
+    return _tested_causes(published, known, physics, tried)
 
 
 def _tested_causes(
-    bare: Bare,
-    known: list[Candidate],
-    physics: list[Candidate],
+    published: PublishedModel,
+    known: list[CauseCandidate],
+    physics: list[CauseCandidate],
     tried: Callable[[mujoco.MjModel], float | None],
 ) -> tuple[Cause, ...]:
     """Finds what is wrong with a file, tested both ways, in copies in which it is switched off.
@@ -472,21 +489,21 @@ def _tested_causes(
     first, and by itself; then the rest with that as it is; what is computed with comes last.
 
     Args:
-        bare: The file.
+        published: The file.
         known: What may be switched off.
         physics: What of it is computed with.
         tried: Returns what deviation is left of a model that is sound; None of another.
     """
 
     @cache
-    def without(gone: frozenset[Candidate]) -> float | None:
-        model = copy.copy(bare.model)
+    def without(gone: frozenset[CauseCandidate]) -> float | None:
+        model = copy.copy(published.model)
         for candidate in gone:
             candidate.switch_off(model)
         return tried(model)
 
-    numerics = [one for one in known if one.code in NUMERICS]
-    rest = [one for one in known if one.code not in NUMERICS]
+    numerics = [one for one in known if one.code in NUMERICS_CODES]
+    rest = [one for one in known if one.code not in NUMERICS_CODES]
     for group in (numerics, rest, known, [*known, *physics]):
         if not group or without(frozenset(group)) is None:
             continue
@@ -502,5 +519,5 @@ def _tested_causes(
         ]
         left = without(frozenset(breaking)) if breaking else None
         if left is not None:
-            return tuple(one.cause(left) for one in breaking)
+            return tuple(one.to_cause(left) for one in breaking)
     return ()

@@ -1,13 +1,17 @@
-"""Gains of position servos: one tuner, for two requirements.
+"""Suggest gains of position servos.
 
-A servo gives way by tau / kp, so that stiffness follows from a torque and from what it may give
-way; it is bounded by what a time step can follow, h sqrt(kp / I) with I that the joint feels.
+A servo is deflected by tau / kp. The stiffness therefore follows from a torque and from the
+permitted deflection. The time step h bounds the stiffness: h sqrt(kp / I), with the inertia I of
+the joint, must remain well below 2.
 
-What is required differs by what holds a robot. On its feet (`Requirement.of_stand`) all joints hold
-one pose against one load and their feet against each other: they are as stiff as the one that holds
-most, and damp in proportion to stiffness, so that each mode of the robot is damped as much as it is
-fast. A robot that is held (`Requirement.of_held`), an arm, may be sent anywhere, and each joint
-moves by itself: it is as stiff as the worst pose asks of it, and critically damped by itself.
+The requirement depends on the base:
+
+* Standing robot (`ServoRequirement.of_stand`): all joints hold one posture against one load, and
+  the feet press against each other. Each joint is as stiff as the most loaded joint, and damping is
+  proportional to stiffness: then the damping ratio of a mode is proportional to its frequency.
+* Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
+  commanded, and each joint moves alone. Each joint is stiff enough for its worst posture, and
+  critically damped.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 Gains = tuple[Array, Array]
 
-SAG = 0.02
+DEFAULT_SAG = 0.02
 """What the joint of an arm that holds most gives way by default (rad, m for one that slides)."""
 
 _FASTEST = 1.5
@@ -54,39 +58,41 @@ gravity, and still is to be where it is commanded within some tenths of a second
 
 _POSES = 64
 
-FINER = (1, 2, 4)
+TIMESTEP_DIVISORS = (1, 2, 4)
 """Parts into which the model's time step is divided, the first with which the robot comes to rest.
 A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
 the ground at 2 ms, and is at rest at 0.5 ms."""
 
 
 @dataclass(frozen=True, eq=False)
-class Requirement:
+class ServoRequirement:
     """What the servos of some joints are to hold, each (n,).
 
     Attributes:
         torques: What a joint is given stiffness for (N m, N of a slide).
-        own: The part of it that it holds itself, for which it is stiff in any case.
+        own_torques: The part of it that it holds itself, for which it is stiff in any case.
         inertia: What it feels with everything else free (kg m^2, kg).
-        least: The least stiffness (N m/rad, N/m).
-        calm: The stiffness beyond which it is no stiffer than ``own`` asks.
-        most: The greatest.
+        min_stiffness: The least stiffness (N m/rad, N/m).
+        soft_limit: The stiffness beyond which it is no stiffer than ``own`` asks.
+        max_stiffness: The greatest.
     """
 
     torques: Array
-    own: Array
+    own_torques: Array
     inertia: Array
-    least: Array
-    calm: Array
-    most: Array
+    min_stiffness: Array
+    soft_limit: Array
+    max_stiffness: Array
 
     def stiffness(self, sag: float) -> Array:
         """Returns the stiffness (n,) with which each gives way by no more than a sag (rad, m)."""
-        wanted = np.maximum(np.minimum(self.torques / sag, self.calm), self.own / sag)
-        return np.asarray(np.minimum(np.maximum(wanted, self.least), self.most))
+        wanted = np.maximum(np.minimum(self.torques / sag, self.soft_limit), self.own_torques / sag)
+        return np.asarray(np.minimum(np.maximum(wanted, self.min_stiffness), self.max_stiffness))
 
     @classmethod
-    def of_stand(cls, robot: Robot, qpos: Array, torques: Array, *, parts: int = 1) -> Requirement:
+    def of_stand(
+        cls, robot: Robot, qpos: Array, torques: Array, *, parts: int = 1
+    ) -> ServoRequirement:
         """Returns what the servos of a robot that stands are to hold.
 
         Args:
@@ -95,7 +101,7 @@ class Requirement:
             torques: (nu,) what holds it (N m).
             parts: Into which the model's time step is divided.
         """
-        inertia = felt_inertia(robot, qpos)
+        inertia = compute_joint_inertia(robot, qpos)
         timestep = float(robot.mj_model.opt.timestep) / parts
         weight = robot.weight
         most = max(float(np.abs(torques).max()), _LEAST_LEVER * weight * robot.stand_height)
@@ -111,15 +117,15 @@ class Requirement:
             calm[leading] = alone[robot.nv - robot.nu :][leading] / (_DAMPING_TIME * timestep)
         return cls(
             torques=np.full(robot.nu, most),
-            own=np.abs(torques),
+            own_torques=np.abs(torques),
             inertia=inertia,
-            least=np.zeros(robot.nu),
-            calm=calm,
-            most=inertia * (_FASTEST / timestep) ** 2,
+            min_stiffness=np.zeros(robot.nu),
+            soft_limit=calm,
+            max_stiffness=inertia * (_FASTEST / timestep) ** 2,
         )
 
     @classmethod
-    def of_held(cls, model: mujoco.MjModel) -> Requirement:
+    def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
         """Returns what the servos of a robot that is held are to hold: an arm, say.
 
         Each joint's stiffness is for the greatest gravity torque that it holds in random poses, or
@@ -147,15 +153,15 @@ class Requirement:
             heaviest = np.maximum(heaviest, mass[dofs, dofs])
         return cls(
             torques=np.maximum(torque, _LEAST_SHARE * float(torque.max())),
-            own=torque,
+            own_torques=torque,
             inertia=inertia,
-            least=heaviest * _LEAST_RATE**2,
-            calm=np.full(len(hinges), np.inf),
-            most=inertia * (_FASTEST_HELD / float(model.opt.timestep)) ** 2,
+            min_stiffness=heaviest * _LEAST_RATE**2,
+            soft_limit=np.full(len(hinges), np.inf),
+            max_stiffness=inertia * (_FASTEST_HELD / float(model.opt.timestep)) ** 2,
         )
 
 
-def suggested_gains(
+def suggest_standing_gains(
     robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
 ) -> Gains:
     """Returns gains to try on a robot that stands: to two digits, as they are typed.
@@ -171,12 +177,12 @@ def suggested_gains(
     Returns:
         kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
     """
-    required = Requirement.of_stand(robot, stand.qpos, torques, parts=parts)
+    required = ServoRequirement.of_stand(robot, stand.qpos, torques, parts=parts)
     kp = np.array([_two_digits(value) for value in required.stiffness(sag)])
     return kp, np.array([_two_digits(value) for value in damping * _DAMPING_TIME * kp])
 
 
-def held_gains(model: mujoco.MjModel, sag: float = SAG) -> Gains:
+def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> Gains:
     """Computes the gains of a robot that is held: an arm, or one that cannot stand.
 
     A joint's damping is for the inertia that it moves with the others free, and the least without
@@ -189,13 +195,15 @@ def held_gains(model: mujoco.MjModel, sag: float = SAG) -> Gains:
     Returns:
         kp and kd, one for each joint that is not free, in the model's order.
     """
-    required = Requirement.of_held(model)
+    required = ServoRequirement.of_fixed_base(model)
     kp = required.stiffness(sag)
     kd = 2 * np.sqrt(kp * required.inertia)
-    return np.array([three_digits(v) for v in kp]), np.array([three_digits(v) for v in kd])
+    return np.array([round_to_three_digits(v) for v in kp]), np.array(
+        [round_to_three_digits(v) for v in kd]
+    )
 
 
-def felt_inertia(robot: Robot, qpos: Array) -> Array:
+def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
     """Returns what each joint feels (nu,) with everything else free, and loops closed (kg m^2)."""
     mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
     if robot.closure is None:
@@ -214,6 +222,6 @@ def _two_digits(value: float) -> float:
     return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 
 
-def three_digits(value: float) -> float:
+def round_to_three_digits(value: float) -> float:
     """Rounds to three digits, to be read in a file."""
     return float(f"{value:.3g}")

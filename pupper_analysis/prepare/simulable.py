@@ -135,7 +135,7 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
             raise make_file_error(urdf.place("joint", name), problem)
 
 
-INEXACT = 0.01
+MAX_SOLVER_RESIDUAL = 0.01
 """Of a robot's weight: what is left out of its equation of motion is to be below what simulations
 are compared to."""
 
@@ -146,7 +146,7 @@ _SOLVES = 20
 """Solvers of few iterations begin where they ended before, as they do from step to step."""
 
 
-def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
+def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     """Returns how much of the weight is missing in M qacc = f when a free base is pushed.
 
     Args:
@@ -174,15 +174,15 @@ def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
 _INTO_GROUND = 1e-3  # m: where feet that just touch push
 
 
-def solver_error(robot: Robot) -> float | None:
+def find_solver_error(robot: Robot) -> float | None:
     """Returns what the solver leaves out, in parts of the weight, if it is too much."""
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
     qpos = robot.home.copy()
     qpos[2] -= _INTO_GROUND
     robot.mj_convention.set_state(data, qpos)
-    share = left_out(model, data, base)
-    return share if share > INEXACT else None
+    share = compute_solver_residual(model, data, base)
+    return share if share > MAX_SOLVER_RESIDUAL else None
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
@@ -194,13 +194,13 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     Returns:
         The robot, and that it was done, or that nothing helps.
     """
-    part = solver_error(robot)
+    part = find_solver_error(robot)
     if part is None:
         return robot, []
     share = Quantity(part, "1")
     if mujoco.mj_isSparse(robot.mj_model):
         message = diagnose("solver-made-dense", share=share)
         dense = with_additions(robot, Options(message, {"jacobian": "dense"}))
-        if solver_error(dense) is None:
+        if find_solver_error(dense) is None:
             return dense, [message]
     return robot, [diagnose("solver-inexact", share=share)]

@@ -21,7 +21,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.prepare.feet import limbs_aside
+from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.robot.robot import Robot, lend
@@ -65,7 +65,7 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
     return found
 
 
-def resting_depths(model: mujoco.MjModel) -> dict[str, float]:
+def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     """Returns how deep the ground has a robot's feet in keyframes in which it carries the robot.
 
     With the legs as they are there the feet are below the ground, as they sink in, and the base is
@@ -185,7 +185,7 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
     return np.clip(values, robot.lower_limits, robot.upper_limits)
 
 
-def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
+def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
     """Tells whether a robot stands in a pose: within its limits, its feet at about one height."""
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
     if np.abs(values - clip_to_limits(robot, joints)).max() > _SLACK:
@@ -199,7 +199,7 @@ def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
     return max(heights) < 0 and float(np.ptp(heights)) < _UNEVEN * -min(heights)
 
 
-def first_stand(robot: Robot) -> Stand | None:
+def solve_nominal_stand(robot: Robot) -> Stand | None:
     """Returns the robot's nominal stand, or None if it is out of reach, or in no balance."""
     try:
         stand = solve_stand(robot, explain=False)
@@ -209,7 +209,7 @@ def first_stand(robot: Robot) -> Stand | None:
     return stand
 
 
-def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
+def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Finds a stand in the middle of the heights that the legs can reach.
 
     The horizontal positions of the feet are those of one of the poses; else beside the hips; else
@@ -310,7 +310,7 @@ def _from_middle(starts: Sequence[Robot]) -> Robot | None:
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
-    return next((starts[n] for n in ordered if first_stand(starts[n]) is not None), None)
+    return next((starts[n] for n in ordered if solve_nominal_stand(starts[n]) is not None), None)
 
 
 def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
@@ -372,14 +372,14 @@ def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[S
         margin: How far off their limits (rad).
         known: As many stands as this are known: fewer are of no use.
     """
-    length = leg_length(robot, robot.posed(pose))
+    length = compute_leg_length(robot, robot.posed(pose))
     heights = [float(h) for h in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS) if h > 0]
 
     def stand_at(height: float, seed: Stand | None = None) -> Stand | None:
         joints = None if seed is None else seed.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _calm(robot, task, pose)
-        return stand if stand is not None and clear_of_ground(robot, stand) else None
+        return stand if stand is not None and is_clear_of_ground(robot, stand) else None
 
     # A longer run has one of these heights in it.
     if known and not any(stand_at(height) for height in heights[known :: known + 1]):
@@ -394,7 +394,7 @@ def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[S
     return longest
 
 
-def touching_geoms(robot: Robot, stand: Stand, deeper: float) -> set[int]:
+def find_non_foot_contacts(robot: Robot, stand: Stand, deeper: float) -> set[int]:
     """Returns the geoms, but for those of the feet, that touch the ground in a stand that sank.
 
     Args:
@@ -415,19 +415,19 @@ def touching_geoms(robot: Robot, stand: Stand, deeper: float) -> set[int]:
     }
 
 
-def feet_bodies(robot: Robot) -> set[int]:
+def list_foot_bodies(robot: Robot) -> set[int]:
     """Returns the ids of the moving bodies that carry the feet."""
     weld = robot.mj_model.body_weldid
     return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
 
-def clear_of_ground(robot: Robot, stand: Stand) -> bool:
+def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
     """Tells whether only the feet, and the links that carry them, are near the ground."""
     model = robot.mj_model
-    own = feet_bodies(robot)
+    own = list_foot_bodies(robot)
     return all(
         int(model.body_weldid[model.geom_bodyid[geom]]) in own
-        for geom in touching_geoms(robot, stand, _CLEAR)
+        for geom in find_non_foot_contacts(robot, stand, _CLEAR)
     )
 
 
@@ -476,12 +476,12 @@ def _first_solved(context: SearchContext, goal: Goal, seeds: Iterable[Array]) ->
         if not goal.com_is_free:
             continue
         stand = meet_constraints(context, goal, make_seed(context.robot, goal, joints, goal.place))
-        if stand is not None and clear_of_ground(context.robot, stand):
+        if stand is not None and is_clear_of_ground(context.robot, stand):
             return stand
     return None
 
 
-def leg_length(robot: Robot, qpos: Array) -> float:
+def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Returns how far the base can be above the ground with the longest leg straight down (m).
 
     The lengths from joint to joint do not depend on how they are bent.
@@ -499,13 +499,13 @@ def leg_length(robot: Robot, qpos: Array) -> float:
     return max(lengths)
 
 
-def with_bare_feet(robot: Robot) -> Robot:
+def with_foot_contacts_only(robot: Robot) -> Robot:
     """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
 
     In which it is seen how a robot stands before ``touching`` knows what is in the
     way. What is built from its description has it all again.
     """
-    model, own = copy.copy(robot.mj_model), feet_bodies(robot)
+    model, own = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
         if int(model.body_weldid[model.geom_bodyid[geom]]) in own and geom not in robot.foot_geoms:
             model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
@@ -542,7 +542,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 
 
 def _objections(robot: Robot, name: str, joints: Mapping[str, float]) -> tuple[Diagnostic, ...]:
-    """Return the reasons why ``stands_at`` rejects a keyframe: joint limits, uneven feet."""
+    """Return the reasons why ``is_standing_pose`` rejects a keyframe: joint limits, uneven feet."""
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
     excess = np.abs(values - clip_to_limits(robot, joints))
@@ -570,15 +570,15 @@ def find_start_pose(
     Args:
         robot: Robot with feet.
         known: {keyframe: {joint: position}}, in order of priority.
-        sunk: {keyframe: penetration of the feet [m]}; see ``resting_depths``.
+        sunk: {keyframe: penetration of the feet [m]}; see ``compute_resting_depths``.
         rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
             from a keyframe, or None if it falls. It is called only if needed.
 
     Returns:
         Robot, and notes: which pose was taken, and what speaks against a keyframe.
     """
-    whole, robot = robot, with_bare_feet(robot)
-    standing = {name: pose for name, pose in known.items() if stands_at(robot, pose)}
+    whole, robot = robot, with_foot_contacts_only(robot)
+    standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}
     against: list[Diagnostic] = []
     sunk = dict(sunk)
     if not standing and rest_depth is not None:
@@ -599,7 +599,7 @@ def find_start_pose(
         elif against:  # a joint at its limit may not let the feet sink in
             starts.append(replace(_at(robot, home, 0.0), nominal=home))
         for tried in starts:
-            if first_stand(tried) is not None:
+            if solve_nominal_stand(tried) is not None:
                 notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
                 notes += [note for note in against if note.subject == notes[0].subject]
                 if tried.nominal is home:
@@ -609,16 +609,16 @@ def find_start_pose(
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2
-    found = found_start(robot, [*poses, middle])
+    found = search_start(robot, [*poses, middle])
     if found is None:  # refused are then the pose that the file asks for, and why that is none
         kept = _kept(whole, replace(at_home, nominal=home)) if standing else whole
-        return kept, [diagnose("no-start-pose"), *against, *limbs_aside(whole)]
+        return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
     height = Quantity(found.stand_height, "m")
     notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
     return _kept(whole, found), [*notes, *against]
 
 
-def start_of(
+def make_start_keyframe(
     robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
 ) -> StartKeyframe:
     """Returns the pose to start from: a stand, and the commands with which servos hold it.

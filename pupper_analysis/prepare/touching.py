@@ -17,8 +17,8 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import ContactExclusion, DisabledContacts
 from pupper_analysis.prepare import notes, start
-from pupper_analysis.prepare.contact_points import contact_points, lowest_point
-from pupper_analysis.prepare.feet import Foot, geoms_of, joints_to, with_feet
+from pupper_analysis.prepare.contact_points import compute_lowest_height, find_contact_points
+from pupper_analysis.prepare.feet import Foot, count_joints_to_base, list_ground_geoms, with_feet
 from pupper_analysis.robot.build import build_robot, with_additions
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
@@ -26,7 +26,7 @@ from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
-def leave_out_visuals(spec: mujoco.MjSpec) -> None:
+def discard_visuals(spec: mujoco.MjSpec) -> None:
     """Has MuJoCo compile a spec without what has no effect on its dynamics, in place.
 
     Of G1, with 393,000 faces, a model then takes 1 ms instead of 80 ms, and a copy of it 0.4 ms
@@ -41,7 +41,7 @@ def leave_out_visuals(spec: mujoco.MjSpec) -> None:
         spec.compiler.discardvisual = True
 
 
-def take_visuals_of(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
+def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
     """Has MuJoCo compile a spec as an original says, in place; tells whether that is a change."""
     before = spec.compiler.discardvisual
     spec.compiler.discardvisual = original.compiler.discardvisual
@@ -73,7 +73,7 @@ def find_carrying_hulls(
         Feet, with hulls as contact points, and a note. None if no hull carries most of the load.
     """
     try:
-        stand = solve_stand_on_soft_ground(start.with_bare_feet(robot), explain=False)
+        stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
     except PupperAnalysisError:
         return None
     model = footless.mj_model
@@ -84,20 +84,24 @@ def find_carrying_hulls(
         if len(foot.points) != 1 or foot.name not in stand.depths:
             continue  # a sole is flat: what is beside it is above it
         own, depth = foot.points[0].geom, stand.depths[foot.name]
-        others = [geom for geom in geoms_of(model, foot.body) if geom != own]
-        bottom = lowest_point(model, data, [own])
-        hull = min(others, key=lambda geom: lowest_point(model, data, [geom]), default=None)
-        gap = math.inf if hull is None else lowest_point(model, data, [hull]) - bottom
+        others = [geom for geom in list_ground_geoms(model, foot.body) if geom != own]
+        bottom = compute_lowest_height(model, data, [own])
+        hull = min(
+            others, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None
+        )
+        gap = math.inf if hull is None else compute_lowest_height(model, data, [hull]) - bottom
         if hull is None or not gap < depth:
             continue
-        points = contact_points(model, data, foot.body, [hull], joints_to(footless, foot.body))
+        points = find_contact_points(
+            model, data, foot.body, [hull], count_joints_to_base(footless, foot.body)
+        )
         if len(points) == 1:
             changed[foot.name] = Foot(foot.name, foot.body, points)
             gaps[foot.name], depths[foot.name] = gap, depth
     if not changed:
         return None
     new = tuple(changed.get(foot.name, foot) for foot in feet)
-    hulled = build_robot(with_feet(footless, new, notes.tell_balls(footless, new)))
+    hulled = build_robot(with_feet(footless, new, notes.report_balls(footless, new)))
     shares = []
     for name, gap in gaps.items():
         soft = GroundLaw.of(robot, name)
@@ -119,16 +123,16 @@ _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
 
 
-def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
+def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
-        stand = solve_stand_on_soft_ground(start.with_bare_feet(robot), explain=False)
+        stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
     except PupperAnalysisError:
         return robot, []
-    model, own = robot.mj_model, start.feet_bodies(robot)
+    model, own = robot.mj_model, start.list_foot_bodies(robot)
     beside = {
         geom
-        for geom in start.touching_geoms(robot, stand, _BESIDE)
+        for geom in start.find_non_foot_contacts(robot, stand, _BESIDE)
         if int(model.body_weldid[model.geom_bodyid[geom]]) in own
     }
     if not beside:
@@ -168,7 +172,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 def _start_of(robot: Robot) -> Array | None:
     """Returns the qpos (nq,) that a robot starts in, standing or held; None if it has none."""
     if robot.floating:
-        stand = start.first_stand(robot)
+        stand = start.solve_nominal_stand(robot)
         return None if stand is None else stand.qpos
     with contextlib.suppress(PupperAnalysisError):  # loops that do not close are told of there
         return find_posture(robot).qpos

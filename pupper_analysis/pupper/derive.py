@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.pupper.variants import BASES, VariantSpec
+from pupper_analysis.pupper.variants import BASE_MODELS, VariantSpec
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     Raises:
         ModelError: If the text is no URDF, or a leg is not of the expected make.
     """
-    base = BASES[variant.base]
+    base = BASE_MODELS[variant.base]
     model = yourdfpy.URDF.load(
         io.BytesIO(text.encode()),
         build_scene_graph=False,
@@ -95,11 +95,11 @@ def _stretch(
     rotation = _origin(inertial)[:3, :3]
     tensor = rotation @ np.asarray(inertial.inertia, dtype=float) @ rotation.T
     solid = capsule is not None and np.allclose(
-        tensor, capsule_inertia(inertial.mass, *capsule, axis), rtol=1e-6, atol=1e-12
+        tensor, compute_capsule_inertia(inertial.mass, *capsule, axis), rtol=1e-6, atol=1e-12
     )
     if capsule is not None and solid:
         radius, length = capsule
-        tensor = capsule_inertia(factor * inertial.mass, radius, factor * length, axis)
+        tensor = compute_capsule_inertia(factor * inertial.mass, radius, factor * length, axis)
     else:
         second = matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T * factor
         tensor = np.trace(second) * np.eye(3) - second
@@ -140,7 +140,7 @@ def _primitives(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]
         yield collision.geometry, _origin(collision)
 
 
-def capsule_inertia(mass: float, radius: float, length: float, axis: Array) -> Array:
+def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Array) -> Array:
     """Returns the inertia of a solid capsule about its centre: a cylinder and two hemispheres.
 
     With the cylinder's mass m_c and that of both hemispheres m_s (in proportion to their volumes):
@@ -180,7 +180,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         spec: The base model's spec.
         variant: Names the base and the scales.
     """
-    base = BASES[variant.base]
+    base = BASE_MODELS[variant.base]
     before = _keyframe_depths(spec, base.feet.values())
     torso = spec.site(next(iter(base.feet.values()))).parent
     while torso.parent.name != "world":

@@ -7,7 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pupper_analysis.pupper.variants import BASES, VARIANTS, model_folder, variant_spec
+from pupper_analysis.pupper.variants import (
+    BASE_MODELS,
+    VARIANTS,
+    find_model_folder,
+    get_variant_spec,
+)
 
 
 def is_variant(word: object) -> bool:
@@ -22,10 +27,10 @@ def variant_model_files(name: str) -> Iterator[tuple[Path, Path]]:
     A base model has files of its own. Those of a scaled one are written to a temporary folder,
     which is removed at the end.
     """
-    spec = variant_spec(name)
+    spec = get_variant_spec(name)
     if spec.leg_scale == spec.torso_mass_scale == 1.0:
-        base = BASES[spec.base]
-        yield model_folder("urdf") / base.urdf, model_folder("mjcf") / base.mjcf
+        base = BASE_MODELS[spec.base]
+        yield find_model_folder("urdf") / base.urdf, find_model_folder("mjcf") / base.mjcf
         return
     # Imports PlaCo and Clarabel, which `audit` and `crosscheck` of files do not need.
     from pupper_analysis.pupper.variant_files import write_variant

@@ -25,11 +25,11 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.published import DESCRIPTION_PREFIX
 from pupper_analysis.pupper.variants import (
-    BASES,
+    BASE_MODELS,
     VARIANTS,
     VariantSpec,
-    model_folder,
-    variant_spec,
+    find_model_folder,
+    get_variant_spec,
 )
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
@@ -49,10 +49,10 @@ def describe_variant(variant: str | VariantSpec) -> Description:
         VariantError: If the name is unknown.
         ModelError: If a base file is missing or damaged.
     """
-    spec = variant_spec(variant)
-    base = BASES[spec.base]
-    urdf_source = model_folder("urdf") / base.urdf
-    mjcf_source = model_folder("mjcf") / base.mjcf
+    spec = get_variant_spec(variant)
+    base = BASE_MODELS[spec.base]
+    urdf_source = find_model_folder("urdf") / base.urdf
+    mjcf_source = find_model_folder("mjcf") / base.mjcf
     urdf_text, mjcf_spec = _derived(
         spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
     )
@@ -165,9 +165,9 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
         VariantError: If the name is unknown.
         ModelError: If a model file is missing or damaged.
     """
-    spec = variant_spec(variant)
+    spec = get_variant_spec(variant)
     check_type("fixed_base", fixed_base, bool)
-    base = BASES[spec.base]
+    base = BASE_MODELS[spec.base]
     robot = build_robot(
         describe_variant(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
     )
@@ -187,7 +187,7 @@ _BOTH: Final = "+"
 """Between a robot's two files, where several robots are named."""
 
 
-def split_word(word: str) -> str | tuple[str, ...]:
+def parse_robot_word(word: str) -> str | tuple[str, ...]:
     """Returns a variant's name, or the files of a robot: one, or two with a plus between them.
 
     Raises:
@@ -201,7 +201,7 @@ def split_word(word: str) -> str | tuple[str, ...]:
     raise VariantError("name", word, diagnose("known-robots", variants=VARIANTS))
 
 
-def split_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
+def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Returns the variants and files of the robots that words name, each once.
 
     A URDF that is followed by an MJCF is one robot with it, in all commands; so are a URDF and an
@@ -211,7 +211,7 @@ def split_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
         VariantError: If a word names no robot.
     """
     found: list[str | tuple[str, ...]] = []
-    for meant in map(split_word, words):
+    for meant in map(parse_robot_word, words):
         last = found[-1] if found else None
         if _format(last) == "urdf" and _format(meant) == "mjcf":
             assert isinstance(last, tuple)
@@ -224,14 +224,14 @@ def split_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     return found
 
 
-def one_of_words(words: Sequence[str]) -> str | tuple[str, ...] | None:
+def parse_single_robot(words: Sequence[str]) -> str | tuple[str, ...] | None:
     """Returns the variant or the files of one robot, which may be two words; None without any.
 
     Raises:
         ConfigurationError: If it is more than one robot.
         VariantError: If it is none.
     """
-    found = split_words(words)
+    found = parse_robot_words(words)
     if len(found) > 1:
         raise ConfigurationError("ROBOT", diagnose("one-robot-at-a-time", robots=list(words)))
     return found[0] if found else None

@@ -17,7 +17,7 @@ _LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
-class Base:
+class BaseModel:
     """A pair of model files from which variants are derived.
 
     Attributes:
@@ -35,15 +35,15 @@ class Base:
     remarks: Callable[[], tuple[Diagnostic, ...]] = tuple
 
 
-BASES: Mapping[str, Base] = MappingProxyType(
+BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
     {
-        "skeleton": Base(
+        "skeleton": BaseModel(
             urdf="pupper_skeleton.urdf",
             mjcf="pupper_skeleton.xml",
             feet={leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")},
             foot_depth=lambda leg_scale: 0.14 * min(leg_scale, 1.5),
         ),
-        "v3": Base(
+        "v3": BaseModel(
             urdf="pupper_v3.urdf",
             mjcf="pupper_v3.xml",
             feet={
@@ -90,8 +90,8 @@ class VariantSpec:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.base, str) or self.base not in BASES:
-            raise VariantError("base", self.base, diagnose("valid-bases", bases=BASES))
+        if not isinstance(self.base, str) or self.base not in BASE_MODELS:
+            raise VariantError("base", self.base, diagnose("valid-bases", bases=BASE_MODELS))
         for what in ("leg_scale", "torso_mass_scale"):
             value = getattr(self, what)
             try:
@@ -100,8 +100,8 @@ class VariantSpec:
                 number = 0.0
             if number <= 0:
                 raise VariantError(what, value, diagnose("scale-not-positive"))
-            if number > LARGEST_SCALE:
-                raise VariantError(what, value, diagnose("scale-too-large", most=LARGEST_SCALE))
+            if number > MAX_SCALE:
+                raise VariantError(what, value, diagnose("scale-too-large", most=MAX_SCALE))
             object.__setattr__(self, what, number)
         _check_name(self.name)
         if not self.name:
@@ -109,7 +109,7 @@ class VariantSpec:
             object.__setattr__(self, "name", made)
 
 
-LARGEST_SCALE = 1000.0
+MAX_SCALE = 1000.0
 """Legs of 100 m, a torso of a tonne: beyond, engines compute nonsense, and nobody builds it."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
@@ -127,7 +127,7 @@ VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
 )
 
 
-def variant_spec(variant: str | VariantSpec) -> VariantSpec:
+def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
     """Returns the spec of a variant given by name; a spec is returned as it is.
 
     Raises:
@@ -141,7 +141,7 @@ def variant_spec(variant: str | VariantSpec) -> VariantSpec:
 
 
 @cache
-def model_folder(kind: str) -> Path:
+def find_model_folder(kind: str) -> Path:
     """Returns the folder ``urdf`` or ``mjcf`` of the model files.
 
     They are the package's own in an installed wheel, and stand at the top level of a checkout.
@@ -157,7 +157,7 @@ def model_folder(kind: str) -> Path:
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScalableVariant:
     """A variant that can be scaled.
 
     Attributes:

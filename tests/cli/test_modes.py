@@ -8,7 +8,7 @@ import click
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.cli import COMMANDS
+from pupper_analysis.cli import COMMAND_NAMES
 from pupper_analysis.cli.modes import refuse_unused
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -63,7 +63,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ),
     ("fit", "v3", "--log", "stands.csv"): (*(("--weight", "3kg"), ("--added", "1kg")),),
 }
-IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
+IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMAND_NAMES}
 """{command line: what does nothing in it}."""
 
 

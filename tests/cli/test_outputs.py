@@ -189,7 +189,7 @@ def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parame
         given = dict.fromkeys(str(one.name) for one in command.params)
         given |= {"count": 4 if "--plan" in line else None}
         assert isinstance(option.type, OutputPath)
-        holds = option.type.held(given)
+        holds = option.type.get_kind(given)
         if isinstance(holds, Folder):
             for name in list(holds.files)[:1]:
                 yield option, Path(name)
@@ -234,7 +234,7 @@ def aimed(
     return [*words, option.opts[0], str(target)]
 
 
-ALL = [cli.find_command(name) for name in cli.COMMANDS]
+ALL = [cli.find_command(name) for name in cli.COMMAND_NAMES]
 WRITING = [one for one in ALL if isinstance(one, Command) and one.outputs]
 
 

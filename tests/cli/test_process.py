@@ -19,7 +19,7 @@ import click
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.cli.process import Ended
+from pupper_analysis.cli.process import ProcessEnded
 from tests.support.repository import ROOT
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -122,8 +122,8 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
     script = """
         import os, sys
         from pupper_analysis import cli
-        from pupper_analysis.cli.process import patient_output
-        with patient_output():
+        from pupper_analysis.cli.process import tolerate_output_errors
+        with tolerate_output_errors():
             file = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
             assert file > 2, file
         cli.run(cli.group, ["stand", "original", "--json", "-"])
@@ -133,7 +133,7 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
         ["sh", "-c", 'exec "$@" >&-', "sh", *words],
         stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, check=False,
     )  # fmt: skip
-    assert result.returncode == cli.BAD_INPUT, result.stderr
+    assert result.returncode == cli.EXIT_BAD_INPUT, result.stderr
     assert result.stderr == (
         "error: cannot write -: standard output is closed; give the name of a file\n"
     )
@@ -173,7 +173,7 @@ def test_a_signal_that_is_swallowed_counts(
     def command() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
-        except Ended:
+        except ProcessEnded:
             if made_of_it is not None:
                 raise made_of_it("something") from None
 
@@ -186,7 +186,7 @@ def test_no_result_is_written_after_a_signal(tmp_path: Path) -> None:
 
     @click.command()
     def command() -> None:
-        with contextlib.suppress(Ended):
+        with contextlib.suppress(ProcessEnded):
             signal.raise_signal(signal.SIGINT)
         write_json(tmp_path / "out.json", {})
 
@@ -254,7 +254,7 @@ def test_what_the_system_lacks_is_no_bug(
         Path.cwd()
 
     for command, said in ((many, "Too many open files"), (here, "the current folder is gone")):
-        assert status_of(command, []) == cli.BAD_INPUT
+        assert status_of(command, []) == cli.EXIT_BAD_INPUT
         assert said in capsys.readouterr().err
 
 
@@ -288,10 +288,10 @@ def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
     """The exception is suppressed once; clean-up code and later code are not interrupted."""
     code = """
         import os, signal, time
-        from pupper_analysis.cli.process import Ended, ending_signals
+        from pupper_analysis.cli.process import ProcessEnded, catch_ending_signals
 
         swallowed = 0
-        with ending_signals() as ending:
+        with catch_ending_signals() as ending:
             try:
                 os.kill(os.getpid(), signal.SIGINT)
             except BaseException:
@@ -302,7 +302,7 @@ def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
                 finally:
                     time.sleep(1)  # what is tidied up is not disturbed
                     swallowed += 1
-            except Ended:
+            except ProcessEnded:
                 ending.caught = True
                 swallowed += 1
         time.sleep(1)  # nor what comes after

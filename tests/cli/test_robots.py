@@ -7,13 +7,16 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.cli.robots import RobotOptions, named_apart
+from pupper_analysis.cli.robots import RobotOptions, name_uniquely
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.commands import check_refusal, run_command
 
-URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
+URDF, MJCF = (
+    find_model_folder("urdf") / "pupper_v3.urdf",
+    find_model_folder("mjcf") / "pupper_v3.xml",
+)
 NOTHING = RobotOptions.taken_from({})
 
 
@@ -31,7 +34,7 @@ NOTHING = RobotOptions.taken_from({})
     ],
 )
 def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
-    found = NOTHING.one(words)
+    found = NOTHING.select_robot(words)
     assert (found.models if isinstance(found, RobotFiles) else found) == meant
 
 
@@ -46,7 +49,7 @@ def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
 def test_robots_of_one_name_are_told_apart() -> None:
     robot = load_variant("v3")
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
-    names = [one.name for one in named_apart([*meant, "v3"], [robot] * 4)]
+    names = [one.name for one in name_uniquely([*meant, "v3"], [robot] * 4)]
     assert names == ["v3 (a.urdf)", "v3 (b.xml)", "v3 (b.xml) 2", "v3"]
 
 
@@ -67,7 +70,7 @@ def test_what_names_no_robot_or_two_is_refused(
     words: tuple[str, ...], options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=message):
-        RobotOptions.taken_from(dict(options)).one(words)
+        RobotOptions.taken_from(dict(options)).select_robot(words)
 
 
 @pytest.mark.slow

@@ -9,18 +9,18 @@ import pytest
 
 from pupper_analysis import cli
 from pupper_analysis.cli.robots import RobotOptions
-from pupper_analysis.cli.stance_fields import TYPED
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS
 from pupper_analysis.cli.stance_options import RobotAndTask
 from pupper_analysis.pupper.variants import VariantSpec
 from tests.support.commands import answer
 
-OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.COMMANDS})
+OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.COMMAND_NAMES})
 
 
 def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     """Of the same name, kind, default and help: one list."""
     own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
-    names = {*own, *TYPED} - {"stance", "which", "fixed_base"}
+    names = {*own, *OPTION_FIELDS} - {"stance", "which", "fixed_base"}
     simulated = {"kp", "kd", "integrator", "cone", "impratio"}  # a workspace is of kinematics
     shared = []
     for command in OURS:
@@ -34,13 +34,13 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     analyze = {option.name: option for option in cli.find_command("analyze").params}
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.find_command("stand").params}
-    base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
+    base = [one for one in OPTION_FIELDS.values() if one.slider and one.slider.folder == "Base"]
     assert len(common) == 13 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 
 
-@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+@pytest.mark.parametrize("name", sorted(cli.COMMAND_NAMES))
 def test_the_help_fits_into_80_columns(name: str) -> None:
     command = cli.find_command(name)
     said = command.get_help(click.Context(command, info_name=name, terminal_width=80))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.servo_tuning import SAG, held_gains
+from pupper_analysis.prepare.servo_tuning import DEFAULT_SAG, suggest_fixed_base_gains
 from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import find_floor, level_ground
@@ -41,13 +41,13 @@ def rods(timestep: float) -> mujoco.MjModel:
 
 
 def test_a_held_joint_gives_way_by_the_sag_whichever_way_gravity_turns_it() -> None:
-    kp, _ = held_gains(rods(1e-3))
-    np.testing.assert_allclose(kp * SAG, 2 * GRAVITY * 0.1, rtol=1e-2)
+    kp, _ = suggest_fixed_base_gains(rods(1e-3))
+    np.testing.assert_allclose(kp * DEFAULT_SAG, 2 * GRAVITY * 0.1, rtol=1e-2)
 
 
 def test_a_held_joint_is_no_stiffer_than_the_time_step_allows() -> None:
     """The step is half a radian of the servo's own motion: h sqrt(kp / I)."""
-    kp, _ = held_gains(rods(1e-2))
+    kp, _ = suggest_fixed_base_gains(rods(1e-2))
     np.testing.assert_allclose(1e-2 * np.sqrt(kp / (2 * 0.1**2)), 0.5, rtol=1e-2)
 
 

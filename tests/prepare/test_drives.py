@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.self_check import published_nominal
-from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.prepare.self_check import compare_nominal_stand
+from pupper_analysis.pupper.variants import find_model_folder
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
@@ -31,7 +31,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     [steps] = [one for one in robot.description.added if "integrator" in getattr(one, "values", {})]
     assert "integrator implicitfast, 2 ms" in str(steps.reason)
     assert steps.values["timestep"] == 0.002
-    published = published_nominal(robot)
+    published = compare_nominal_stand(robot)
     assert published is not None
     assert not published.differs
     for run in published.runs:
@@ -74,7 +74,7 @@ def test_a_servo_that_leads_many_light_fingers_lets_the_robot_rest(tmp_path: Pat
             <limit lower="-1" upper="1" effort="1" velocity="1"/>{mimic}</joint>"""
         )
     file = tmp_path / "robot.urdf"
-    text = (model_folder("urdf") / "pupper_v3.urdf").read_text()
+    text = (find_model_folder("urdf") / "pupper_v3.urdf").read_text()
     file.write_text(text.replace("</robot>", f"{''.join(parts)}</robot>"))
     robot = pa.load_robot(file)
     assert robot.closure is not None

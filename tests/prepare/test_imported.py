@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.own_run import own_run, raw_model
+from pupper_analysis.prepare.own_run import get_published_model, own_run
 from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from tests.support.legged import biped, quadruped, rewritten
@@ -72,7 +72,7 @@ def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
-    model = raw_model(robot)
+    model = get_published_model(robot)
     assert model is not None
     assert model is not robot.mj_model
     assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value

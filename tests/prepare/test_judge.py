@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.judge import remarks_of_files
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.present.verdict import in_words
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import features
@@ -82,7 +82,7 @@ def test_a_gravity_that_is_not_the_earths_is_in_the_verdict(
     option = f'<option gravity="{gravity}"/><worldbody>'
     edited_by(pair.mjcf, lambda text: text.replace("<worldbody>", option))
     robot = pa.load_robot(*pair)
-    codes = {remark.code for remark in remarks_of_files(robot)}
+    codes = {remark.code for remark in list_file_remarks(robot)}
     assert ("gravity-not-the-earths" in codes) is named
 
 

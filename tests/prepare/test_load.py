@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare import drives
-from pupper_analysis.prepare.feet import limbs_aside
+from pupper_analysis.prepare.feet import report_sideways_limbs
 from pupper_analysis.robot.robot import Robot
 from tests.support.conversions import standing_urdf
 from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped, rewritten
@@ -202,7 +202,7 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
         f'<child link="trunk"/><origin rpy="{rpy}" xyz="0 0 0"/></joint></robot>'
     )
     rewritten(path, ("</robot>", lying))
-    told = " ".join(map(str, limbs_aside(pa.load_robot(path, fixed_base=True))))
+    told = " ".join(map(str, report_sideways_limbs(pa.load_robot(path, fixed_base=True))))
     if turn == "xx":
         with pytest.raises(PupperAnalysisError) as refused:
             pa.solve_stand(pa.load_robot(path))

@@ -11,21 +11,21 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.passes import PASSES, PassRun, Request, prepare_robot
+from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, PassRun, prepare_robot
 from tests.support.legged import Pair, quadruped, rewritten
 
 
 def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
-    return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(**asked))  # type: ignore[arg-type]
+    return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest(**asked))  # type: ignore[arg-type]
 
 
 def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
-    assert len({each.name for each in PASSES}) == len(PASSES)
+    assert len({each.name for each in PREPARATION_PASSES}) == len(PREPARATION_PASSES)
     pair = quadruped(tmp_path)
     before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
     mjcf = read_mjcf(pair.mjcf)
     bodies = mjcf.spec.to_xml()
-    prepare_robot(read_urdf(pair.urdf), mjcf, Request())
+    prepare_robot(read_urdf(pair.urdf), mjcf, LoadRequest())
     assert mjcf.spec.to_xml() == bodies
     assert (pair.urdf.read_bytes(), pair.mjcf.read_bytes()) == before
 

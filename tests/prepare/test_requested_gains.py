@@ -11,9 +11,13 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.transmission import Drive
-from pupper_analysis.prepare.bare import Bare, has_few_servos, with_unstated_options
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.own_run import own_run, raw_model
+from pupper_analysis.prepare.own_run import get_published_model, own_run
+from pupper_analysis.prepare.published_model import (
+    PublishedModel,
+    has_few_servos,
+    with_unstated_options,
+)
 from tests.prepare.test_own_run import slipped
 from tests.support.legged import quadruped, rewritten
 
@@ -77,9 +81,9 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
     rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), count=1)
     robot = pa.load_robot(*pair)
     robot.mj_model.opt.timestep = 0.001
-    model = raw_model(robot)
+    model = get_published_model(robot)
     assert model is not None
-    changed = with_unstated_options(Bare.of(model, robot), robot).model
+    changed = with_unstated_options(PublishedModel.of(model, robot), robot).model
     assert changed.opt.timestep == timestep
     assert changed.opt.integrator == integrator.value
     assert model.opt.timestep == (0.004 if "0.004" in option else 0.002)  # the file is unchanged
@@ -88,9 +92,9 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
 def test_options_of_a_file_with_servos_are_its_own(tmp_path: Path) -> None:
     """MuJoCo's defaults belong to the file if its own servos were made for them."""
     robot = slipped(tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', ""))
-    model = raw_model(robot)
+    model = get_published_model(robot)
     assert model is not None
-    bare = Bare.of(model, robot)
+    bare = PublishedModel.of(model, robot)
     assert with_unstated_options(bare, robot) is bare
 
 
@@ -109,9 +113,9 @@ def test_options_of_a_file_with_servos_are_its_own(tmp_path: Path) -> None:
 def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: bool) -> None:
     """A servo with zero or negative stiffness is meant to hold, so its file is not excused."""
     robot = slipped(tmp_path, lambda text: text + "\n")
-    model = raw_model(robot)
+    model = get_published_model(robot)
     assert model is not None
-    bare = Bare.of(model, robot)
+    bare = PublishedModel.of(model, robot)
     joints = len(bare.drives)
     most = (drive,) * 7 + (Drive.SERVO if few else Drive.MOTOR,) * (joints - 7)
     assert has_few_servos(replace(bare, drives=most)) is few

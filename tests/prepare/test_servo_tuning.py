@@ -8,10 +8,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.servo_tuning import (
-    Requirement,
-    felt_inertia,
-    held_gains,
-    suggested_gains,
+    ServoRequirement,
+    compute_joint_inertia,
+    suggest_fixed_base_gains,
+    suggest_standing_gains,
 )
 from tests.support.variants import load
 
@@ -24,10 +24,10 @@ def test_the_joint_that_holds_most_gives_way_by_the_sag() -> None:
     robot = load("v3")
     stand = pa.solve_stand(robot)
     torques = pa.stance.stand_statics(robot, stand).joint_torques
-    required = Requirement.of_stand(robot, stand.qpos, torques)
+    required = ServoRequirement.of_stand(robot, stand.qpos, torques)
     given = np.abs(torques) / required.stiffness(0.02)
     assert given.max() == pytest.approx(0.02, rel=1e-12)
-    kp, kd = suggested_gains(robot, stand, torques, 0.02)
+    kp, kd = suggest_standing_gains(robot, stand, torques, 0.02)
     assert np.all((kp <= required.stiffness(0.02)) & (kp > 0.9 * required.stiffness(0.02)))
     np.testing.assert_allclose(kd, 0.05 * kp, rtol=0.1)
 
@@ -36,7 +36,7 @@ def test_no_joint_is_stiffer_than_a_step_can_follow() -> None:
     """Without the mass matrix: the acceleration that a torque at the joint alone makes."""
     robot = load("v3")
     qpos = pa.solve_stand(robot).qpos
-    felt = felt_inertia(robot, qpos)
+    felt = compute_joint_inertia(robot, qpos)
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(robot.mj_model, data)
@@ -48,7 +48,7 @@ def test_no_joint_is_stiffer_than_a_step_can_follow() -> None:
         assert felt[joint] == pytest.approx(1 / column[dof], rel=1e-6)
     step = float(robot.mj_model.opt.timestep)
     for parts in (1, 2):
-        required = Requirement.of_stand(robot, qpos, np.full(robot.nu, 1e6), parts=parts)
+        required = ServoRequirement.of_stand(robot, qpos, np.full(robot.nu, 1e6), parts=parts)
         frequency = np.sqrt(required.stiffness(0.02) / felt) * step / parts
         np.testing.assert_allclose(frequency, 1.5, rtol=1e-12)
 
@@ -57,8 +57,10 @@ def test_no_joint_is_stiffer_than_a_step_can_follow() -> None:
 def test_a_rod_that_is_held_is_critically_damped(sag: float) -> None:
     """A point mass on a rod: 2 kg, 0.5 m, so 9.81 N m at the most, and 0.5 kg m^2."""
     model = mujoco.MjModel.from_xml_string(ROD.format(step=0.001))
-    kp, kd = held_gains(model, sag)
+    kp, kd = suggest_fixed_base_gains(model, sag)
     assert kp[0] == pytest.approx(9.81 / sag, rel=0.01)
     assert kd[0] == pytest.approx(2 * np.sqrt(kp[0] * 0.5), rel=0.01)
     coarse = mujoco.MjModel.from_xml_string(ROD.format(step=0.05))
-    assert held_gains(coarse, sag)[0][0] == pytest.approx(0.5 * (0.5 / 0.05) ** 2, rel=0.01)
+    assert suggest_fixed_base_gains(coarse, sag)[0][0] == pytest.approx(
+        0.5 * (0.5 / 0.05) ** 2, rel=0.01
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.self_check import published_nominal
+from pupper_analysis.prepare.self_check import compare_nominal_stand
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.legged import rewritten
@@ -83,7 +83,7 @@ def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
     pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
     robot = pa.load_robot(*pair)
     assert robot.floating
-    published = published_nominal(robot)
+    published = compare_nominal_stand(robot)
     assert published is not None
     assert [cause.code for cause in published.causes] == ["base-held"]
 

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.prepare.contact_points import (
+    can_keep_sole_flat,
+    compute_osculating_sphere,
+    find_sole_corners,
     fit_sphere,
-    osculating_sphere,
-    sole_corners,
-    stays_flat,
 )
 from pupper_analysis.robot.robot import Robot
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
@@ -100,13 +100,13 @@ def test_the_corners_of_a_hull_are_those_that_matter() -> None:
     angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(angles), 0.05 * np.sin(angles), np.zeros(60)])
     above = ring + np.array([0, 0, 0.01])
-    found = sole_corners(np.vstack([ring, above]), np.array([0.0, 0.0, -1.0]), 1e-3)
+    found = find_sole_corners(np.vstack([ring, above]), np.array([0.0, 0.0, -1.0]), 1e-3)
     assert len(found) == 8
     assert max(found) < 60
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0, 0], [0.5, 0.5, 0]])
-    assert sorted(sole_corners(square, np.array([0.0, 0.0, 1.0]), 1e-3)) == [0, 1, 2, 3]
+    assert sorted(find_sole_corners(square, np.array([0.0, 0.0, 1.0]), 1e-3)) == [0, 1, 2, 3]
     line = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    assert sole_corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
+    assert find_sole_corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
 
 
 @pytest.mark.slow
@@ -165,11 +165,11 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
     pair = held(biped(tmp_path), "_ankle", "_tilt")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     foot = model.body("left_tilt_link").id
-    assert not stays_flat(model, foot, np.array([0.0, 0.0, -1.0]))
+    assert not can_keep_sole_flat(model, foot, np.array([0.0, 0.0, -1.0]))
     whole = tmp_path / "whole"
     whole.mkdir()
     model = mujoco.MjModel.from_xml_path(str(biped(whole).mjcf))
-    assert stays_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
+    assert can_keep_sole_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
 
 
 @pytest.mark.slow
@@ -283,7 +283,7 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
     curvature = sum(
         (support(down + one) - 2 * support(down) + support(down - one)) / step**2 for one in eye
     )  # the trace: the direction itself adds nothing, as h is homogeneous of degree 1
-    centre, radius = osculating_sphere(shape, down)
+    centre, radius = compute_osculating_sphere(shape, down)
     np.testing.assert_allclose(centre + radius * down, gradient, atol=1e-8)
     assert radius == pytest.approx(curvature / 2, rel=1e-5)
 

@@ -97,7 +97,7 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
     deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
     rewritten(files.mjcf, ('<body name="FL_hip"', deep))
     robot = pa.load_robot(*files)
-    assert start.first_stand(robot) is None
+    assert start.solve_nominal_stand(robot) is None
     assert list_position_servos(robot).keys() == set(robot.joint_names)
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
 

@@ -10,8 +10,8 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.prepare.bare import published_model
-from pupper_analysis.prepare.touching import leave_out_visuals
+from pupper_analysis.prepare.published_model import compile_published_model
+from pupper_analysis.prepare.touching import discard_visuals
 from tests.support.legged import quadruped, rewritten
 
 SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
@@ -23,7 +23,7 @@ SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
 def test_a_body_weighs_what_it_does_with_its_visuals() -> None:
     spec = mujoco.MjSpec.from_string(SPEC)
     whole = spec.copy().compile()
-    leave_out_visuals(spec)
+    discard_visuals(spec)
     model = spec.copy().compile()
     assert (whole.ngeom, model.ngeom) == (3, 2)
     np.testing.assert_allclose(model.body_mass, whole.body_mass, rtol=1e-14)
@@ -34,7 +34,7 @@ def test_a_body_weighs_what_it_does_with_its_visuals() -> None:
 def test_in_a_fluid_they_stay() -> None:
     spec = mujoco.MjSpec.from_string(SPEC)
     spec.option.viscosity = 1e-3
-    leave_out_visuals(spec)
+    discard_visuals(spec)
     assert spec.copy().compile().ngeom == 3
 
 
@@ -58,7 +58,7 @@ def test_the_published_model_has_the_geoms_of_the_robot_in_their_order(tmp_path:
     pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
     robot = pa.load_robot(*pair)
     assert "ground-added" in {note.code for note in robot.notes}
-    model = published_model(read_mjcf(pair.mjcf), robot)
+    model = compile_published_model(read_mjcf(pair.mjcf), robot)
     assert model is not None
     for body in range(1, model.nbody):
         same = robot.mj_model.body(model.body(body).name)

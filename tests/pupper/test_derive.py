@@ -121,7 +121,7 @@ def integrated_capsule(mass: float, radius: float, length: float) -> tuple[float
 
 @given(mass=st.floats(0.01, 5), radius=st.floats(0.001, 0.2), length=st.floats(0, 1))
 def test_capsule_inertia_is_the_integral(mass: float, radius: float, length: float) -> None:
-    tensor = urdf.capsule_inertia(mass, radius, length, np.array([1.0, 0, 0]))
+    tensor = urdf.compute_capsule_inertia(mass, radius, length, np.array([1.0, 0, 0]))
     axial, lateral = integrated_capsule(mass, radius, length)
     np.testing.assert_allclose(tensor, np.diag([axial, lateral, lateral]), rtol=1e-11, atol=1e-18)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.runs import ensure_run
-from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES
 
@@ -96,4 +96,4 @@ def test_a_run_knows_the_files_of_a_variant_that_are_read() -> None:
         names = {Path(name).name for name in run.inputs.values()}
         assert names == {"pupper_v3.urdf", *parts, *meshes}
         with pytest.raises(pa.OutputError, match="which this run reads"):
-            run.expect(model_folder("mjcf") / "pupper_v3_body.xml")
+            run.expect(find_model_folder("mjcf") / "pupper_v3_body.xml")

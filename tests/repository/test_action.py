@@ -238,7 +238,7 @@ def test_the_hook_is_one() -> None:
     assert hook["pass_filenames"] is False
     program, command = hook["entry"].split()
     assert program == "pupper-analysis"
-    assert command in cli.COMMANDS
+    assert command in cli.COMMAND_NAMES
     for path in SAMPLE.iterdir():
         wanted = path.suffix in (".urdf", ".xml", ".toml")
         assert bool(re.search(hook["files"], path.name)) is wanted

@@ -12,7 +12,7 @@ from tests.support import pages
 from tests.support.repository import ROOT
 
 BLOCKS = {path.relative_to(ROOT).as_posix(): pages.blocks_of(path) for path in pages.pages()}
-BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMANDS}
+BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMAND_NAMES}
 BLOCKS = {name: found for name, found in BLOCKS.items() if found}
 
 

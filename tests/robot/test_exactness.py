@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare import simulable
-from pupper_analysis.prepare.simulable import INEXACT, left_out
+from pupper_analysis.prepare.simulable import MAX_SOLVER_RESIDUAL, compute_solver_residual
 from tests.support.legged import quadruped, rewritten
 from tests.support.variants import load, stand_of
 
@@ -26,7 +26,7 @@ def at_stand(iterations: int, kind: mujoco.mjtSolver) -> float:
     data, qpos = mujoco.MjData(model), stand_of("v3").qpos.copy()
     qpos[2] -= 1e-3
     robot.mj_convention.set_state(data, qpos)
-    return left_out(model, data, model.body(robot.mj_base).id)
+    return compute_solver_residual(model, data, model.body(robot.mj_base).id)
 
 
 def test_a_solver_with_enough_iterations_leaves_nothing_out() -> None:
@@ -35,7 +35,7 @@ def test_a_solver_with_enough_iterations_leaves_nothing_out() -> None:
 
 
 def test_a_solver_that_gives_up_is_seen() -> None:
-    assert at_stand(1, mujoco.mjtSolver.mjSOL_CG) > INEXACT
+    assert at_stand(1, mujoco.mjtSolver.mjSOL_CG) > MAX_SOLVER_RESIDUAL
 
 
 def test_what_is_left_out_is_the_part_of_a_push_that_does_not_move() -> None:
@@ -45,7 +45,7 @@ def test_what_is_left_out_is_the_part_of_a_push_that_does_not_move() -> None:
     qpos = stand_of("v3").qpos.copy()
     qpos[2] += 1.0
     robot.mj_convention.set_state(data, qpos)
-    assert left_out(model, data, model.body(robot.mj_base).id) < 1e-12
+    assert compute_solver_residual(model, data, model.body(robot.mj_base).id) < 1e-12
     com = data.subtree_com[model.body(robot.mj_base).id].copy()
     mujoco.mj_forward(model, data)
     assert not data.xfrc_applied.any()  # the push is taken away again
@@ -56,7 +56,9 @@ def test_what_is_left_out_is_the_part_of_a_push_that_does_not_move() -> None:
 def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """As it does for ToddlerBot; no small model was found for which it does."""
     monkeypatch.setattr(
-        simulable, "left_out", lambda model, data, base: 0.9 if mujoco.mj_isSparse(model) else 0.0
+        simulable,
+        "compute_solver_residual",
+        lambda model, data, base: 0.9 if mujoco.mj_isSparse(model) else 0.0,
     )
 
 

@@ -13,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.results import to_json
-from pupper_analysis.cli.stance_fields import TYPED, task_of
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task
 from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
 
@@ -101,14 +101,14 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
             pa.StandTask().with_values({field.name: 0.1})
 
 
-@pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
+@pytest.mark.parametrize("field", OPTION_FIELDS.values(), ids=OPTION_FIELDS)
 def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
     command = cli.find_command("stand")
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
-    typed = {name: context.params[name] for name in TYPED}
-    assert near(task_of(typed).values()[field.name], asked(field))
+    typed = {name: context.params[name] for name in OPTION_FIELDS}
+    assert near(make_task(typed).values()[field.name], asked(field))
     unasked = command.make_context("stand", [])
-    assert task_of({name: unasked.params[name] for name in TYPED}) == pa.StandTask()
+    assert make_task({name: unasked.params[name] for name in OPTION_FIELDS}) == pa.StandTask()
 
 
 ON_PAGE: dict[str, Any] = {

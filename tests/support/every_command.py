@@ -290,7 +290,7 @@ ASKED: dict[str, Ask] = {
     "live": _live,
 }
 
-COMMANDS = {name: ask for name, ask in ASKED.items() if name in (*cli.COMMANDS, "python")}
+COMMANDS = {name: ask for name, ask in ASKED.items() if name in (*cli.COMMAND_NAMES, "python")}
 
 FILES: dict[str, Ask] = {"convert": _convert, "written": _written, "stance": _stance}
 """Those of files that are made, or that state a stance."""

@@ -40,14 +40,14 @@ from pupper_analysis.models.xml import (
     write_halves,
     write_numbers,
 )
-from pupper_analysis.prepare.convert.meshes import Meshes
+from pupper_analysis.prepare.convert.meshes import MeshFiles
 from pupper_analysis.prepare.convert.repair import (
-    WORLD,
-    Bodies,
+    WORLD_LINK,
+    LinkBodies,
     Repair,
-    carry_shapes,
-    mend_inertials,
-    repaired_urdf,
+    move_massless_shapes,
+    repair_inertials,
+    write_repairs,
 )
 from pupper_analysis.prepare.passes import Feet
 
@@ -65,10 +65,10 @@ _SIZES = {
 """The attributes of a URDF's shapes that are lengths."""
 
 
-VISUAL: Final = "visual"
+VISUAL_CLASS: Final = "visual"
 """The class of geoms that are only seen."""
 
-COLLISION: Final = "collision"
+COLLISION_CLASS: Final = "collision"
 """The class of geoms that touch."""
 
 
@@ -91,9 +91,9 @@ class MjcfXml:
         root = etree.Element("mujoco", {"model": name})
         add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
         default = add_element(root, "default")
-        seen = add_element(default, "default", class_=VISUAL)
+        seen = add_element(default, "default", class_=VISUAL_CLASS)
         add_element(seen, "geom", contype="0", conaffinity="0", group="2")
-        add_element(add_element(default, "default", class_=COLLISION), "geom", group="3")
+        add_element(add_element(default, "default", class_=COLLISION_CLASS), "geom", group="3")
         add_element(root, "asset")
         add_element(root, "worldbody")
         return MjcfXml(root)
@@ -129,7 +129,7 @@ class MjcfXml:
     def remove_visuals(self) -> None:
         """Takes out what is only seen."""
         for geom in self.geoms:
-            if geom.get("class") == VISUAL:
+            if geom.get("class") == VISUAL_CLASS:
                 geom.getparent().remove(geom)
 
     def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
@@ -139,12 +139,12 @@ class MjcfXml:
             "joint",
             joint1=follower,
             joint2=leader,
-            polycoef=f"{text_of(offset)} {text_of(multiplier)} 0 0 0",
+            polycoef=f"{format_number(offset)} {format_number(multiplier)} 0 0 0",
             solref=write_numbers([COUPLING_TIME_CONSTANT, 1.0]),
         )
 
 
-def text_of(number: Number) -> str:
+def format_number(number: Number) -> str:
     """Returns how a number is written, or what was written of it."""
     return number if isinstance(number, str) else write_numbers(number)
 
@@ -171,7 +171,7 @@ class UrdfBodies:
 
     urdf: UrdfFile
     tree: UrdfTree
-    meshes: Meshes
+    meshes: MeshFiles
     armature: Mapping[str, float]
     notes: list[Diagnostic] = field(default_factory=list)
     materials: dict[str, str] = field(default_factory=dict)
@@ -195,10 +195,10 @@ class UrdfBodies:
             ModelError: If a link cannot be a body of MuJoCo.
         """
         links, worldbody = self.tree.links, mjcf.section("worldbody")
-        if WORLD in links and (self.root != WORLD or free):
-            problem = diagnose("link-named-world", subject=("link", WORLD))
-            raise make_element_error(self.urdf.path, links[WORLD].element, problem)
-        if self.root == WORLD:
+        if WORLD_LINK in links and (self.root != WORLD_LINK or free):
+            problem = diagnose("link-named-world", subject=("link", WORLD_LINK))
+            raise make_element_error(self.urdf.path, links[WORLD_LINK].element, problem)
+        if self.root == WORLD_LINK:
             self._fill(worldbody, links[self.root])
             return
         body = add_element(worldbody, "body", name=self.root)
@@ -400,7 +400,7 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
 # A URDF as an MJCF in memory, before anything is added.
 
 
-LIMBS = 2
+MIN_FREE_BASE_LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""
 
 
@@ -424,7 +424,7 @@ class MjcfOptions:
 
 
 @dataclass(frozen=True)
-class BareMjcf:
+class ConvertedMjcf:
     """A URDF's links, shapes and couplings as an MJCF, before anything is added.
 
     Attributes:
@@ -439,28 +439,30 @@ class BareMjcf:
 
     urdf: UrdfFile
     mjcf: MjcfXml
-    meshes: Meshes
+    meshes: MeshFiles
     bodies: UrdfBodies
     free: bool
     notes: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
 
     @staticmethod
-    def of(urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None) -> BareMjcf:
+    def of(
+        urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None
+    ) -> ConvertedMjcf:
         """Makes it; whether its base is free is found, if it is not said."""
         if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
             raise ModelError(urdf.path, diagnose("no-joint-moves"))
         tree = urdf.tree.copy()
         floats = _take_floating(tree)
         freed = _is_free(tree, floats=floats) if free is None else free
-        links = Bodies(tree, freed)
-        moved, repairs = mend_inertials(urdf, links, repair=options.repair_inertia)
-        mended = repaired_urdf(urdf, links, repairs)
+        links = LinkBodies(tree, freed)
+        moved, repairs = repair_inertials(urdf, links, repair=options.repair_inertia)
+        mended = write_repairs(urdf, links, repairs)
         notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
-        carried = carry_shapes(links)
+        carried = move_massless_shapes(links)
         if carried:
             notes.append(diagnose("shapes-carried", links=carried))
-        meshes, rotors = Meshes(urdf, output, copied=options.copy_meshes), options.armature or {}
+        meshes, rotors = MeshFiles(urdf, output, copied=options.copy_meshes), options.armature or {}
         bodies = UrdfBodies(urdf, tree, meshes, rotors)
         mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
         bodies.add(mjcf, free=freed)
@@ -468,7 +470,7 @@ class BareMjcf:
             add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
         for follower, mimic in bodies.mimics.items():
             mjcf.add_coupling(follower, *mimic)
-        return BareMjcf(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
+        return ConvertedMjcf(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
         """Returns the MJCF as far as it is made, as if it were read from the URDF's file.
@@ -504,7 +506,7 @@ class BareMjcf:
         return UrdfImport(self.urdf.path, to_text(tree.root), assets)
 
 
-def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
+def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Makes the MJCF of a URDF in memory, its base fixed as it is in the URDF.
 
     Links whose inertia no body can have get the nearest that one can, and a gram if they have no
@@ -516,7 +518,7 @@ def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     Raises:
         ModelError: If MuJoCo cannot have the robot, or nothing that moves has a mass.
     """
-    bare = BareMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
+    bare = ConvertedMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
     made_up = {repair.link for repair in bare.repairs if not repair.mass > 0}
     if {joint.child for joint in bare.bodies.tree.moving} <= made_up:
         # Whatever is said of its motors would be of masses that nobody stated.
@@ -543,7 +545,7 @@ def _take_floating(tree: UrdfTree) -> bool:
 def _is_free(tree: UrdfTree, *, floats: bool) -> bool:
     """Tells whether the base carries two limbs or more, and is not the world."""
     base = tree.base.name
-    if base == WORLD or floats:
+    if base == WORLD_LINK or floats:
         return floats
     carried = [joint for link in tree.fixed_group(base) for joint in tree.below.get(link, ())]
-    return sum(not joint.is_fixed for joint in carried) >= LIMBS
+    return sum(not joint.is_fixed for joint in carried) >= MIN_FREE_BASE_LIMBS

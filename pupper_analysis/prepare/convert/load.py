@@ -19,9 +19,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.prepare.convert.from_urdf import bare_mjcf
-from pupper_analysis.prepare.convert.to_urdf import BareUrdf, with_one_robot
-from pupper_analysis.prepare.passes import Feet, robot_of
+from pupper_analysis.prepare.convert.from_urdf import convert_urdf_in_memory
+from pupper_analysis.prepare.convert.to_urdf import ConvertedUrdf, with_one_robot
+from pupper_analysis.prepare.passes import Feet, make_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _OF_A_URDF = ("armature-from-mjcf", "effort-unstated", "fixed-base-stands", "root-link-left-out")
@@ -53,7 +53,7 @@ class ModelPair:
             ModelError: If the other format cannot have the robot.
         """
         if isinstance(file, UrdfFile):
-            urdf, mjcf, imported = bare_mjcf(file)
+            urdf, mjcf, imported = convert_urdf_in_memory(file)
             return ModelPair(urdf, mjcf, "mjcf", imported)
         return ModelPair(_bare_urdf(file), file, "urdf")
 
@@ -76,7 +76,7 @@ def _bare_urdf(file: MjcfFile) -> UrdfFile:
     Raises:
         ModelError: If a URDF cannot have the robot.
     """
-    text = BareUrdf.of(file, file.path, fix_balls=True).text
+    text = ConvertedUrdf.of(file, file.path, fix_balls=True).text
     made = urdf_from(file.path, text, parse_text(text), None)
     if all(joint.is_fixed for joint in made.tree.joints.values()):
         raise ModelError(file.path, diagnose("no-joints"))
@@ -186,7 +186,7 @@ def load_robot(
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
     """
     pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
-    robot = robot_of(
+    robot = make_robot(
         pair.urdf,
         pair.mjcf,
         feet=feet,

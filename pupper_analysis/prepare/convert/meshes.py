@@ -23,7 +23,7 @@ from pupper_analysis.models.xml import add_element, make_unique_name
 _PACKAGE = "package://"
 
 
-class Meshes:
+class MeshFiles:
     """The meshes of a new MJCF, each file with each scale once.
 
     Attributes:
@@ -177,12 +177,12 @@ class Meshes:
     def _place(self, path: Path) -> Path:
         """Returns the file that the MJCF names for a file of the URDF."""
         ending = path.suffix.lower()
-        if ending in READABLE and not self.copied:
+        if ending in MUJOCO_MESH_SUFFIXES and not self.copied:
             return path
         if path not in self._places:  # two of one name may come from different folders
             folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
             stem = make_unique_name(path.stem, self._stems)
-            name = f"{stem}{ending if ending in READABLE else '.obj'}"
+            name = f"{stem}{ending if ending in MUJOCO_MESH_SUFFIXES else '.obj'}"
             self._places[path] = folder / name
         return self._places[path]
 
@@ -192,10 +192,10 @@ class Meshes:
         Raises:
             UnreadableError: If it cannot be, or is too large.
         """
-        place, readable = self._place(path), path.suffix.lower() in READABLE
+        place, readable = self._place(path), path.suffix.lower() in MUJOCO_MESH_SUFFIXES
         content = self.made.get(place)
         if content is None:
-            content = read_mesh(path) if readable else obj_of(path)
+            content = read_mesh(path) if readable else convert_to_obj(path)
         if place != path:
             self.made[place] = content
 
@@ -216,7 +216,9 @@ def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, sh
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     name = path.name
     if content is not None:
-        name = f"{path.stem}{path.suffix if path.suffix.lower() in READABLE else '.obj'}"
+        name = (
+            f"{path.stem}{path.suffix if path.suffix.lower() in MUJOCO_MESH_SUFFIXES else '.obj'}"
+        )
         spec.assets = {name: content}
     mesh = spec.add_mesh(
         name="mesh",
@@ -238,17 +240,17 @@ def _said(error: ValueError) -> str:
     return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")
 
 
-READABLE: Final = (".stl", ".obj")
+MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
 """Endings of the mesh files that MuJoCo reads."""
 
 _CONVERTIBLE: Final = (".dae", ".glb", ".off", ".ply")
 """Endings of those that are read here: no archives, whose content may be of any size and kind."""
 
-MOST_BYTES: Final = 50_000_000
+MAX_MESH_BYTES: Final = 50_000_000
 """Largest mesh file that is read: twice the largest of a published robot that was seen, and of
 as much text MuJoCo works out the hull within a minute."""
 
-MOST_VERTICES: Final = 1_000_000
+MAX_MESH_VERTICES: Final = 1_000_000
 """Most vertices of a mesh: MuJoCo takes 5 s and 2 GB to compile so many, each time it does. The
 most of a published robot that was seen are 830,000, three for each triangle (Go1's trunk)."""
 
@@ -265,7 +267,7 @@ class UnreadableError(Exception):
         super().__init__(str(reason))
 
 
-def obj_of(path: Path) -> bytes:
+def convert_to_obj(path: Path) -> bytes:
     """Returns a mesh as OBJ, all its parts in one.
 
     Raises:
@@ -273,7 +275,7 @@ def obj_of(path: Path) -> bytes:
     """
     ending = path.suffix.lower()
     if ending not in _CONVERTIBLE:
-        formats = (*READABLE, *_CONVERTIBLE)
+        formats = (*MUJOCO_MESH_SUFFIXES, *_CONVERTIBLE)
         raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
     import trimesh  # comes with yourdfpy, and is slow to import
 
@@ -284,7 +286,7 @@ def obj_of(path: Path) -> bytes:
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
         )
-        _check_count(count, MOST_VERTICES)
+        _check_count(count, MAX_MESH_VERTICES)
         for shape in scene.geometry.values():
             shape.visual = None  # else pictures are put together for all parts: 200 MB a mesh
         text: str = trimesh.exchange.obj.export_obj(
@@ -304,10 +306,12 @@ def read_mesh(path: Path) -> bytes:
         UnreadableError: If it is, or cannot be read.
     """
     try:
-        return read_input(path, MOST_BYTES)
+        return read_input(path, MAX_MESH_BYTES)
     except InputError as error:
         if error.cause.code == "file-too-large":
-            raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6)) from error
+            raise UnreadableError(
+                diagnose("mesh-too-large", most=MAX_MESH_BYTES // 10**6)
+            ) from error
         raise UnreadableError(diagnose("mesh-broken")) from error
 
 

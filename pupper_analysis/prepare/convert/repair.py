@@ -21,7 +21,7 @@ from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
 
 Array = NDArray[np.float64]
 
-WORLD: Final = "world"
+WORLD_LINK: Final = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""
 
 _TRIANGLE: Final = 1e-12
@@ -30,7 +30,7 @@ _TRIANGLE: Final = 1e-12
 _LEAST_INERTIA: Final = 1e-14
 """Least mass (kg) and principal moment (kg m^2) of a body that moves: ten times MuJoCo's."""
 
-LIGHT: Final = 1e-3
+ADDED_MASS: Final = 1e-3
 """Mass that a moved link without any is given (kg): what exporters give helper links."""
 
 _GYRATION: Final = 0.01
@@ -72,7 +72,7 @@ class Repair(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class LinkBodies:
     """The links of a URDF as the bodies of an MJCF.
 
     Attributes:
@@ -87,12 +87,12 @@ class Bodies:
     def names(self) -> list[str]:
         """All bodies, parents first; the world is none."""
         base = self.tree.base.name
-        return [name for name in self.tree.subtree(base) if name != base or base != WORLD]
+        return [name for name in self.tree.subtree(base) if name != base or base != WORLD_LINK]
 
     def parent(self, body: str) -> str | None:
         """Returns the body that carries one; None for the base, and a child of the world."""
         above = self.tree.parent(body)
-        return None if above == self.tree.base.name == WORLD else above
+        return None if above == self.tree.base.name == WORLD_LINK else above
 
     def moves(self, body: str) -> bool:
         """Tells whether a body can move against what carries it."""
@@ -127,8 +127,8 @@ class Bodies:
                     waiting.append((other, there * placement))
 
 
-def mend_inertials(
-    urdf: UrdfFile, bodies: Bodies, *, repair: bool
+def repair_inertials(
+    urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Makes inertials such that MuJoCo takes them.
 
@@ -155,7 +155,7 @@ def mend_inertials(
             bodies.tree.links[body].remove("inertial")  # it states nothing
     for body in bodies.names:
         inertia = bodies.inertia(body)
-        if inertia is None or is_possible(inertia):
+        if inertia is None or is_valid_inertia(inertia):
             continue
         said = _moved(bodies, body, inertia)
         if said is not None:
@@ -172,7 +172,7 @@ def mend_inertials(
     return moved, repairs
 
 
-def repaired_urdf(urdf: UrdfFile, bodies: Bodies, repairs: list[Repair]) -> UrdfFile:
+def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> UrdfFile:
     """Returns a URDF with the inertials that were repaired: what the new MJCF is of."""
     if not repairs:
         return urdf
@@ -183,7 +183,7 @@ def repaired_urdf(urdf: UrdfFile, bodies: Bodies, repairs: list[Repair]) -> Urdf
     return replace(urdf, text=to_text(root), root=root)
 
 
-def is_possible(inertia: pin.Inertia) -> bool:
+def is_valid_inertia(inertia: pin.Inertia) -> bool:
     """Says whether a body can have an inertia, as MuJoCo sees it: or nothing, without mass."""
     if inertia.mass <= 0:
         return not np.array(inertia.inertia).any()
@@ -191,7 +191,7 @@ def is_possible(inertia: pin.Inertia) -> bool:
     return bool(low > _LEAST_INERTIA and low + middle >= high * (1 - _TRIANGLE))
 
 
-def nearest_moments(moments: Array, mass: float) -> Array:
+def find_nearest_moments(moments: Array, mass: float) -> Array:
     """Returns the principal moments of a body that are nearest to some that no body has.
 
     The condition is A + B >= C for the greatest C; what is missing is made up in equal parts by
@@ -212,32 +212,32 @@ def nearest_moments(moments: Array, mass: float) -> Array:
     return np.maximum(result, 10 * _LEAST_INERTIA)
 
 
-def _moved(bodies: Bodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
+def _moved(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
     """Gives what a body cannot have to one that it is fixed to; says which, or None."""
     moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
     for other, placement in group[1:]:
         there, total = bodies.inertia(other), placement.act(inertia)
-        if there is not None and is_possible(there + total):
+        if there is not None and is_valid_inertia(there + total):
             links[other].set_inertia(there + total, NUM_DIGITS)
             links[body].remove("inertial")
             return diagnose("inertia-moved", subject=moved, mass=mass, moments=moments, to=other)
     return None
 
 
-def _weighs(bodies: Bodies, body: str) -> bool:
+def _weighs(bodies: LinkBodies, body: str) -> bool:
     """Says whether a body, or one that is fixed to it, has a mass."""
     inertias = (bodies.inertia(other) for other, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
 
-def _repaired(bodies: Bodies, body: str) -> Repair:
+def _repaired(bodies: LinkBodies, body: str) -> Repair:
     """Gives a body the nearest inertia that it can have."""
     stated = bodies.inertia(body)
     old = pin.Inertia.Zero() if stated is None else stated
     moments, axes = np.linalg.eigh(np.array(old.inertia))
-    mass = float(old.mass if old.mass > 0 else LIGHT)
-    wanted = nearest_moments(moments, mass)
+    mass = float(old.mass if old.mass > 0 else ADDED_MASS)
+    wanted = find_nearest_moments(moments, mass)
     new = make_inertia(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
     bodies.tree.links[body].set_inertia(new, NUM_DIGITS)
     moved = _carrier(bodies, body)[0]
@@ -252,7 +252,7 @@ def _repaired(bodies: Bodies, body: str) -> Repair:
     )
 
 
-def _carrier(bodies: Bodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
+def _carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
     """Returns the body that carries a fixed one, itself if none does, and where it is in that.
 
     Args:
@@ -289,7 +289,7 @@ def _three(values: Array) -> tuple[float, float, float]:
     return one, two, three
 
 
-def carry_shapes(bodies: Bodies) -> list[str]:
+def move_massless_shapes(bodies: LinkBodies) -> list[str]:
     """Moves collision shapes of bodies without joint and mass to the body that carries them.
 
     MuJoCo's ground is the softer under a shape the more lightly the shape's body can be pushed, at

@@ -218,7 +218,7 @@ class UrdfLinks:
 
 
 @dataclass(frozen=True)
-class BareUrdf:
+class ConvertedUrdf:
     """An MJCF's links, shapes and couplings as a URDF.
 
     Attributes:
@@ -238,7 +238,7 @@ class BareUrdf:
     left: tuple[Diagnostic, ...]
 
     @staticmethod
-    def of(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> BareUrdf:
+    def of(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConvertedUrdf:
         """Makes the URDF of an MJCF.
 
         Args:
@@ -264,7 +264,7 @@ class BareUrdf:
         if has_free_joint(model):
             notes.append(diagnose("free-base-not-in-urdf"))
         bodies = frozenset(links.links)
-        return BareUrdf(file.path.name, model, tree, bodies, tuple(notes), tuple(left))
+        return ConvertedUrdf(file.path.name, model, tree, bodies, tuple(notes), tuple(left))
 
     @property
     def text(self) -> str:
@@ -304,7 +304,7 @@ def _couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
     return left
 
 
-Geometry = tuple[str, dict[str, str], pin.SE3]
+ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
 
 _SHOWN = 3
 """Geom groups below this are shown by MuJoCo's viewer by default."""
@@ -361,7 +361,7 @@ class UrdfShapes:
                     if kind == "visual":
                         self._paint(shape, geom)
 
-    def _geometries(self, geom: int) -> list[Geometry]:
+    def _geometries(self, geom: int) -> list[ShapeGeometry]:
         """Returns what a geom is made of in a URDF, with its placement in the body's frame."""
         shape = read_shape(self.model, geom)
         placed, size = shape.pose.placed, np.array(shape.size)
@@ -383,7 +383,7 @@ class UrdfShapes:
         self.left.append(diagnose("shape-not-in-urdf", subject=subject, kind=Term(shape.kind)))
         return []
 
-    def _mesh(self, geom: int, placed: pin.SE3) -> list[Geometry]:
+    def _mesh(self, geom: int, placed: pin.SE3) -> list[ShapeGeometry]:
         model = self.model
         mesh = int(model.geom_dataid[geom])
         name = str(model.mesh(mesh).name)

@@ -12,7 +12,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.prepare.judge import judge
+from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
@@ -221,7 +221,7 @@ def analyze_variant(
     ]
     thigh, calf = leg_lengths(robot)
     statics = stand_statics(robot, stand)
-    verdict = judge(robot, stand, verification, sagging, statics=statics)
+    verdict = judge_simulation(robot, stand, verification, sagging, statics=statics)
     return Analysis(
         name=robot.name,
         nq=robot.nq,

@@ -13,16 +13,16 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     RobotOptions,
     add_options,
-    named_apart,
-    robot_from,
+    load_selected_robot,
+    name_uniquely,
+    pass_robot_options,
     robots_argument,
-    with_robot,
 )
-from pupper_analysis.cli.stance_fields import options_of, task_of
+from pupper_analysis.cli.stance_fields import make_options, make_task
 from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _FIGURES = kinds.Folder(
 
 @shared.command("analyze")
 @robots_argument
-@add_options(FILES, VARIANT, options_of("Base"))
+@add_options(FILE_OPTIONS, VARIANT_OPTIONS, make_options("Base"))
 @shared.output_option(
     "-o",
     "--output",
@@ -53,7 +53,7 @@ _FIGURES = kinds.Folder(
 @shared.json_option
 @shared.report_option
 @click.option("--no-figures", is_flag=True, help="Draw no figures.")
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 @shared.output_option(
     "--write",
@@ -61,7 +61,7 @@ _FIGURES = kinds.Folder(
     holds=kinds.Folder({}),
     help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
-@with_robot
+@pass_robot_options
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
@@ -98,19 +98,19 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.variant_files import write_variant
-    from pupper_analysis.pupper.variants import VARIANTS, variant_spec
+    from pupper_analysis.pupper.variants import VARIANTS, get_variant_spec
     from pupper_analysis.tools.analyze.document import comparison_table
 
     if no_figures:
         refuse_idle("--no-figures", "output")
     meant = [
-        robot if isinstance(robot, RobotFiles) else variant_spec(robot)
-        for robot in which.all(words) or VARIANTS.values()
+        robot if isinstance(robot, RobotFiles) else get_variant_spec(robot)
+        for robot in which.select_robots(words) or VARIANTS.values()
     ]
     specs = [robot for robot in meant if not isinstance(robot, RobotFiles)]
     if write_folder is not None and len(specs) < len(meant):
         raise ConfigurationError("--write", diagnose("written-are-variants"))
-    task = task_of(stance)
+    task = make_task(stance)
     shown = style == "text"
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
@@ -133,7 +133,7 @@ def command(
             for path in write_variant(spec, write_folder):
                 shared.confirm_written(path)
     if good < len(analyses):
-        click.get_current_context().exit(shared.FAILED)
+        click.get_current_context().exit(shared.EXIT_FAILED)
 
 
 def _analyze_all(
@@ -145,7 +145,7 @@ def _analyze_all(
     from pupper_analysis.tools.analyze.analysis import analyze_variant
     from pupper_analysis.tools.analyze.document import analysis_document
 
-    robots = named_apart(meant, [robot_from(robot) for robot in meant])
+    robots = name_uniquely(meant, [load_selected_robot(robot) for robot in meant])
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
     out = make_console()

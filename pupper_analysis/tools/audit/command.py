@@ -75,7 +75,7 @@ def command(
         return
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
-    folders = shared.package_folders(packages)
+    folders = shared.parse_packages(packages)
     with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
         results = [audit_model(one, packages=folders, disabled=disabled) for one in files]
         if style in ("text", "markdown"):

@@ -60,7 +60,7 @@ _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIO
 )
 @shared.package_option
 @shared.json_option
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 def command(
     source: Path,
@@ -97,7 +97,7 @@ def command(
 
     if output.suffix.lower() in _USED_OPTIONS:
         refuse_unused(output.suffix.lower(), _USED_OPTIONS)
-    folders = shared.package_folders(packages)
+    folders = shared.parse_packages(packages)
     named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}

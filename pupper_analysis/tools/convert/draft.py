@@ -28,20 +28,20 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import Value, element_values, find_collidable_geoms
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, new_file_text, write_numbers
-from pupper_analysis.prepare.bare import Bare, place_as
-from pupper_analysis.prepare.contact_points import lowest_point
+from pupper_analysis.prepare.contact_points import compute_lowest_height
 from pupper_analysis.prepare.convert.from_urdf import (
-    COLLISION,
-    BareMjcf,
+    COLLISION_CLASS,
+    ConvertedMjcf,
     MjcfOptions,
     MjcfXml,
     UrdfBodies,
-    text_of,
+    format_number,
 )
-from pupper_analysis.prepare.convert.repair import WORLD, Repair
-from pupper_analysis.prepare.convert.to_urdf import BareUrdf
+from pupper_analysis.prepare.convert.repair import WORLD_LINK, Repair
+from pupper_analysis.prepare.convert.to_urdf import ConvertedUrdf
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.passes import ground_of_urdf, robot_of
+from pupper_analysis.prepare.passes import list_urdf_ground_additions, make_robot
+from pupper_analysis.prepare.published_model import PublishedModel, place_at_state
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
@@ -97,7 +97,7 @@ class NewMjcf(MjcfXml):
     @property
     def touches(self) -> bool:
         """Whether the robot has collision shapes."""
-        return any(geom.get("class") == COLLISION for geom in self.geoms)
+        return any(geom.get("class") == COLLISION_CLASS for geom in self.geoms)
 
     def remove_empty_sections(self) -> None:
         """Remove sections without content, except ``<worldbody>``."""
@@ -111,7 +111,7 @@ class NewMjcf(MjcfXml):
         if option is None:
             option = etree.Element("option")
             self.root.insert(1, option)
-        option.attrib.update({name: text_of(value) for name, value in values.items()})
+        option.attrib.update({name: format_number(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
         """Add a light, and a floor with its material."""
@@ -157,7 +157,7 @@ class NewMjcf(MjcfXml):
             joint=joint,
             kp=write_numbers(kp),
             kv=write_numbers(kd),
-            forcerange=None if limits is None else " ".join(map(text_of, limits)),
+            forcerange=None if limits is None else " ".join(map(format_number, limits)),
         )
 
     def exclude_contact(self, one: str, two: str) -> None:
@@ -184,7 +184,7 @@ class NewMjcf(MjcfXml):
             self.body(body),
             "geom",
             name=name,
-            class_=COLLISION,
+            class_=COLLISION_CLASS,
             type="sphere",
             size=write_numbers(radius),
             pos=write_numbers(place),
@@ -218,7 +218,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
             cannot be built.
     """
     free = None if options.fixed_base is None else not options.fixed_base
-    bare = BareMjcf.of(urdf, output, options, free=free)
+    bare = ConvertedMjcf.of(urdf, output, options, free=free)
     mjcf, meshes = NewMjcf(bare.mjcf.root), bare.meshes
     left = [*bare.bodies.notes, *meshes.notes, *_list_losses_in_mjcf(urdf)]
     notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
@@ -275,7 +275,7 @@ def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
 
 
 def _add_stand(
-    bare: BareMjcf, options: MjcfOptions
+    bare: ConvertedMjcf, options: MjcfOptions
 ) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
     """Add the ground, feet, servos and start pose that `load_robot` determines.
 
@@ -284,12 +284,12 @@ def _add_stand(
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:
-        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+        robot = make_robot(bare.urdf, bare.file(), feet=options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
-        apply_additions(ground_of_urdf(), mjcf)
-        messages = [addition.reason for addition in ground_of_urdf()]
+        apply_additions(list_urdf_ground_additions(), mjcf)
+        messages = [addition.reason for addition in list_urdf_ground_additions()]
         messages += _add_servos_of_fixed_base(bare, options)
         _lift_base(mjcf, bodies, bare.file().model)
         problem = diagnose("does-not-stand", missing=meshes.missing, problem=error.cause)
@@ -301,7 +301,7 @@ def _add_stand(
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         added = tuple(addition for addition in added if not isinstance(addition, StartKeyframe))
-    published = Bare.of(bare.file().model, robot)
+    published = PublishedModel.of(bare.file().model, robot)
     apply_additions([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
     _lift_base(mjcf, bodies, published.model)
     messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
@@ -318,7 +318,7 @@ def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
     )
 
 
-def _convert_start_pose(addition: Addition, published: Bare, robot: Robot) -> Addition:
+def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Robot) -> Addition:
     """Express a start pose in the coordinates of the new file; return other additions unchanged.
 
     The frame of the base in the new file may be below the feet, where `load_robot` moves it.
@@ -327,16 +327,16 @@ def _convert_start_pose(addition: Addition, published: Bare, robot: Robot) -> Ad
         return addition
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = addition.qpos
-    placed = place_as(published, robot, data)
+    placed = place_at_state(published, robot, data)
     return addition if placed is None else replace(addition, qpos=tuple(placed.qpos.tolist()))
 
 
-def _add_servos_of_fixed_base(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
+def _add_servos_of_fixed_base(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
     """Add the servos of a robot with a fixed base, and return a note for each addition."""
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
         return [diagnose("nothing-moves")]
-    robot = _free_legged_robot(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
+    robot = _free_legged_robot(bare, options) or make_robot(bare.urdf, bare.file(), fixed_base=True)
     # A robot that hangs from the world needs neither a ground nor a pose of its base.
     added = [
         addition
@@ -347,16 +347,16 @@ def _add_servos_of_fixed_base(bare: BareMjcf, options: MjcfOptions) -> list[Diag
     return list(dict.fromkeys(addition.reason for addition in added))
 
 
-def _free_legged_robot(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
+def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | None:
     """Load a legged robot, whose URDF fixes it to the link "world", with a free base.
 
     The servos are then those with which the robot stands. None if the caller specifies the base,
     the root link has another name, or the robot does not stand (an arm, a hand).
     """
-    if options.fixed_base is not None or bare.bodies.root != WORLD:
+    if options.fixed_base is not None or bare.bodies.root != WORLD_LINK:
         return None
     try:
-        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+        robot = make_robot(bare.urdf, bare.file(), feet=options.feet)
         solve_stand_on_soft_ground(robot)
     except PupperAnalysisError:
         return None
@@ -415,7 +415,7 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
         if model.body_weldid[model.geom_bodyid[geom]]
         and (model.geom_contype[geom] or model.geom_conaffinity[geom])
     ]
-    heights = [-lowest_point(model, data, touching)] if touching else []
+    heights = [-compute_lowest_height(model, data, touching)] if touching else []
     home = mjcf.home
     if home is not None:
         heights.append(float(home[2]))
@@ -475,7 +475,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     Raises:
         ModelError: If a URDF cannot represent the robot.
     """
-    bare = BareUrdf.of(file, output)
+    bare = ConvertedUrdf.of(file, output)
     left = [*bare.left, *_list_losses_in_urdf(bare.model, bare.bodies)]
     left += _list_lost_contact_numbers(bare.model, bare.bodies)
     missing, why = file.lacking, diagnose("no-such-mesh-file")

@@ -29,8 +29,8 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.judge import remarks_of_files
-from pupper_analysis.prepare.passes import Feet, robot_of
+from pupper_analysis.prepare.judge import list_file_remarks
+from pupper_analysis.prepare.passes import Feet, make_robot
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
@@ -133,8 +133,8 @@ def convert_model(
     unlike: tuple[Diagnostic, ...] = ()
     if draft.failure is None:
         pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
-        robot = robot_of(*pair, feet=feet, fixed_base=not draft.stands)
-        unlike = (*report_limbs_without_feet(robot), *remarks_of_files(robot))
+        robot = make_robot(*pair, feet=feet, fixed_base=not draft.stands)
+        unlike = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))

@@ -8,10 +8,10 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import (
+    change_tolerances,
     frame_option,
     map_option,
-    mapped_names,
-    with_changes,
+    parse_name_map,
 )
 
 
@@ -87,11 +87,11 @@ def command(
     elif mjcf is None:
         raise click.MissingParameter(ctx=context, param=context.command.params[1])
     else:
-        urdf, mjcf = shared.urdf_first(urdf, mjcf)
-    names = mapped_names(pairs)
-    folders = shared.package_folders(packages)
+        urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
+    names = parse_name_map(pairs)
+    folders = shared.parse_packages(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
-    tolerances = with_changes(tolerances, changes)
+    tolerances = change_tolerances(tolerances, changes)
     comparison = compare_models(
         urdf,
         mjcf,

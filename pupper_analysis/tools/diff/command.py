@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.shared import fine_tolerance_option, with_changes
+from pupper_analysis.cli.shared import change_tolerances, fine_tolerance_option
 
 
 @shared.command("diff")
@@ -16,7 +16,7 @@ from pupper_analysis.cli.shared import fine_tolerance_option, with_changes
 @shared.package_option
 @fine_tolerance_option
 @shared.json_option
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 def command(
     old: str,
@@ -45,7 +45,7 @@ def command(
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.diff.compare import diff_models
 
-    tolerances = with_changes(Tolerances.strict(), changes)
-    result = diff_models(old, new, packages=shared.package_folders(packages), tolerances=tolerances)
+    tolerances = change_tolerances(Tolerances.strict(), changes)
+    result = diff_models(old, new, packages=shared.parse_packages(packages), tolerances=tolerances)
     shared.show_results([("", result)], style, everything=everything)
     shared.finish_command(json_path, result, passed=result.same)

@@ -16,16 +16,16 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     RobotOptions,
     add_options,
+    load_selected_robot,
+    pass_robot_options,
     print_notes,
     robot_argument,
-    robot_from,
-    with_robot,
 )
-from pupper_analysis.cli.stance_options import GAINS, parse_gain
+from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
@@ -133,12 +133,12 @@ _USES = {
 @click.option(
     "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
 )
-@add_options(FILES, VARIANT, GAINS)
+@add_options(FILE_OPTIONS, VARIANT_OPTIONS, GAIN_OPTIONS)
 @shared.verbose_option
-@shared.look_option
+@shared.text_format_option
 @shared.json_option
 @shared.report_option
-@with_robot
+@pass_robot_options
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
@@ -196,8 +196,8 @@ def command(
     load = None if added is None else shared.parse_measure("added", "mass", added)
     if load == 0:
         refuse_alone(("--added",), "added_at")
-    meant = which.one(words) or "v3"
-    robot = robot_from(meant)
+    meant = which.select_robot(words) or "v3"
+    robot = load_selected_robot(meant)
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording
     if record is not None:

@@ -8,16 +8,16 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     add_options,
     robot_argument,
 )
 from pupper_analysis.cli.stance_options import (
-    AS_IS,
-    EFFORT,
-    LOOK,
-    SERVOS,
+    AS_IS_OPTION,
+    EFFORT_OPTION,
+    OUTPUT_OPTIONS,
+    SERVO_OPTIONS,
     RobotAndTask,
 )
 
@@ -41,7 +41,9 @@ from pupper_analysis.cli.stance_options import (
 @click.option(
     "--payload", type=shared.QuantityType("mass"), default=0.0, help="Mass at the tool; e.g. 2kg."
 )
-@add_options(FILES, (AS_IS,), VARIANT, (EFFORT,), SERVOS, LOOK)
+@add_options(
+    FILE_OPTIONS, (AS_IS_OPTION,), VARIANT_OPTIONS, (EFFORT_OPTION,), SERVO_OPTIONS, OUTPUT_OPTIONS
+)
 @shared.figure_option
 @shared.json_option
 @shared.report_option
@@ -80,7 +82,7 @@ def command(
     from pupper_analysis.tools.hold.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
-    asked = RobotAndTask.of_held(**robot_options)
+    asked = RobotAndTask.of_fixed_base(**robot_options)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):

@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
-from pupper_analysis.prepare.judge import judge
+from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
@@ -424,7 +424,7 @@ def hold_posture(
         unsettled=unsettled,
         tool_sag=sag,
         simulated_tool_sag=simulated,
-        verdict=judge(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
+        verdict=judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         worst=worst,
         payload=more,
         carried=float(payload),

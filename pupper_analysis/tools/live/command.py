@@ -13,17 +13,17 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     RobotOptions,
     add_options,
+    load_selected_robot,
+    pass_robot_options,
     print_notes,
     robot_argument,
-    robot_from,
-    with_robot,
 )
-from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
-from pupper_analysis.cli.stance_options import GAINS, LOAD
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_options, make_task, stance_option
+from pupper_analysis.cli.stance_options import GAIN_OPTIONS, PAYLOAD_OPTIONS
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
@@ -48,7 +48,7 @@ _USES = {
 
 @shared.command("live")
 @robot_argument
-@add_options(FILES, VARIANT)
+@add_options(FILE_OPTIONS, VARIANT_OPTIONS)
 @click.option(
     "--stance",
     type=click.Path(path_type=Path),
@@ -84,7 +84,7 @@ _USES = {
 @shared.file_option("--policy", help="Let this policy walk it: command it, and push it.")
 @CONTRACT_OPTION
 @COMMAND_OPTION
-@with_robot
+@pass_robot_options
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
@@ -125,7 +125,7 @@ def command(
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _USES)
-    meant = which.one(words) or "v3"
+    meant = which.select_robot(words) or "v3"
     where: ServeOptions = {"language": language, "host": host, "port": port}
     if policy is not None:
         _open_walk(meant, policy, contract, asked, browser=not no_browser, **where)
@@ -133,14 +133,14 @@ def command(
     if mode != "the page":
         from pupper_analysis.tools.live import window
 
-        robot = robot_from(meant, fixed_base=fixed_base)
+        robot = load_selected_robot(meant, fixed_base=fixed_base)
         if isinstance(meant, RobotFiles):
             print_notes(robot)
         if not dropped:
             window.view_robot(robot, headless=headless)
             return
         if not window.drop_and_report(robot, headless=headless):
-            click.get_current_context().exit(shared.FAILED)
+            click.get_current_context().exit(shared.EXIT_FAILED)
         return
     _open_page(meant, stance, browser=not no_browser, **where)
 
@@ -160,7 +160,7 @@ def read_stance(path: Path) -> State:
     def typed(**_: object) -> None:
         """Takes the options of a stance."""
 
-    options = add_options((stance_option,), LOAD, GAINS, options_of())
+    options = add_options((stance_option,), PAYLOAD_OPTIONS, GAIN_OPTIONS, make_options())
     given = click.command(options(typed)).make_context("stance", ["--stance", str(path)]).params
     more = {"payload": given["payload"]}
     if given["payload_at"] is not None:
@@ -169,7 +169,7 @@ def read_stance(path: Path) -> State:
     for name in ("kp", "kd"):
         for gain in given[name]:
             _, more[name] = shared.parse_number_assignment(name, f"*={gain}")
-    return make_state(task_of({name: given[name] for name in TYPED}), **more)
+    return make_state(make_task({name: given[name] for name in OPTION_FIELDS}), **more)
 
 
 def _open_page(

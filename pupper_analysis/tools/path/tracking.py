@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import judge
+from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -306,7 +306,7 @@ def study_path(
         stand=stand,
         path=path,
         tracking=tracking,
-        verdict=judge(
+        verdict=judge_simulation(
             robot, stand, ran, statics=stand_statics(robot, held), asked=Asked.TRACKED, kp=kp, kd=kd
         ),
     )

@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.limits import driven_limits
+from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
@@ -290,7 +290,7 @@ def payload_limit(
     carries = 0 < most < math.inf
     held = search.at(most if math.isfinite(most) else 0.0)
     unknown = _unknown_limits(robot, place)
-    null = any(limit.without_torque for limit in driven_limits(robot))
+    null = any(limit.without_torque for limit in list_driven_limits(robot))
     known = EffortCode.ZERO if null else EffortCode.STATED
     assert held.stand is not None
     assert held.statics is not None
@@ -320,7 +320,9 @@ def payload_limit(
 def _unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
     """Return the joints that carry a foot or the payload and whose torque limit no file states."""
     aside = set(free_joints(robot)) - set(place.chain)
-    unknown = (limit.joint for limit in driven_limits(robot) if limit.code is EffortCode.UNKNOWN)
+    unknown = (
+        limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
+    )
     return tuple(name for name in unknown if name not in aside)
 
 

@@ -16,8 +16,8 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortCode
-from pupper_analysis.prepare.judge import judge
-from pupper_analysis.prepare.limits import driven_limits
+from pupper_analysis.prepare.judge import judge_simulation
+from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
@@ -111,10 +111,12 @@ def study_pushes(
             verification=fed,
         )
         statics = stand_statics(robot, held)
-        verdict = judge(robot, stand, fed, statics=statics, asked=Asked.LASTS, kp=kp, kd=kd)
+        verdict = judge_simulation(
+            robot, stand, fed, statics=statics, asked=Asked.LASTS, kp=kp, kd=kd
+        )
         unknown = unknown_push_limits(robot)
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
-        if any(limit.without_torque for limit in driven_limits(robot)):
+        if any(limit.without_torque for limit in list_driven_limits(robot)):
             code = EffortCode.ZERO
         if unknown:
             code, impulse = EffortCode.UNKNOWN, math.nan
@@ -142,7 +144,9 @@ def study_pushes(
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
     """Return the joints that carry a foot and whose torque limit no file states."""
     aside = free_joints(robot)
-    unknown = (limit.joint for limit in driven_limits(robot) if limit.code is EffortCode.UNKNOWN)
+    unknown = (
+        limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
+    )
     return tuple(name for name in unknown if name not in aside)
 
 

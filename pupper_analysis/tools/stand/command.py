@@ -116,18 +116,18 @@ def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
     """Lists what two files lack to be a robot that can stand, and what is done about it."""
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
-    from pupper_analysis.prepare.passes import Request, feet_frames
+    from pupper_analysis.prepare.passes import LoadRequest, parse_feet
     from pupper_analysis.present.document import Report
     from pupper_analysis.tools.stand.document import preparation_document
     from pupper_analysis.tools.stand.stance import explain_loading
 
-    meant = asked.which.one(words)
+    meant = asked.which.select_robot(words)
     if not isinstance(meant, RobotFiles):
         raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
     said = meant.options
     with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
-        request = Request(
-            feet=feet_frames(said["feet"]) if "feet" in said else None,
+        request = LoadRequest(
+            feet=parse_feet(said["feet"]) if "feet" in said else None,
             fixed_base=False,
             joints=said.get("joints"),
             keyframe=said.get("keyframe"),

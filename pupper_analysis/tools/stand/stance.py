@@ -18,8 +18,8 @@ from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare.judge import judge
-from pupper_analysis.prepare.passes import PassRun, Request, prepare_robot
+from pupper_analysis.prepare.judge import judge_simulation
+from pupper_analysis.prepare.passes import LoadRequest, PassRun, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict
@@ -156,7 +156,7 @@ def study_stance(
         min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
         verification=fed,
         sagging=alone,
-        verdict=judge(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
+        verdict=judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
         presses=largest_presses(robot, held),
@@ -230,7 +230,9 @@ class Preparation(Result):
     notes: tuple[Diagnostic, ...]
 
 
-def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Preparation, Robot]:
+def explain_loading(
+    urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
+) -> tuple[Preparation, Robot]:
     """Makes two files a robot, and tells how.
 
     Raises:

@@ -77,7 +77,7 @@ _STUDY_FOLDER = kinds.Folder(
 )
 @shared.report_option
 @shared.json_option
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 def command(
     file: Path,

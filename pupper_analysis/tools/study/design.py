@@ -46,8 +46,13 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import spec_to_data
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
-from pupper_analysis.pupper.variant_files import describe_variant, split_word
-from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
+from pupper_analysis.pupper.variant_files import describe_variant, parse_robot_word
+from pupper_analysis.pupper.variants import (
+    BASE_MODELS,
+    ScalableVariant,
+    VariantSpec,
+    get_variant_spec,
+)
 from pupper_analysis.robot.build import build_robot, rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
@@ -163,7 +168,7 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
 
 
 @dataclass(frozen=True)
-class Variants(Scaled):
+class Variants(ScalableVariant):
     """Source of the robots that result from scaling a variant.
 
     Attributes:
@@ -181,7 +186,7 @@ class Variants(Scaled):
         """
         spec = self.scaled(scales)
         described = describe_variant(spec)
-        depth = BASES[spec.base].foot_depth(spec.leg_scale)
+        depth = BASE_MODELS[spec.base].foot_depth(spec.leg_scale)
         return build_robot(
             described if self.whole else without_visuals(described), foot_depth=depth
         )
@@ -203,15 +208,15 @@ def make_robot_source(robot: Any) -> RobotSource:
         VariantError: If the named variant does not exist.
     """
     if isinstance(robot, str):
-        parsed = split_word(robot)
+        parsed = parse_robot_word(robot)
         if isinstance(parsed, tuple):
             return load_file_source({"models": parsed})
-        return Variants(variant_spec(parsed))
+        return Variants(get_variant_spec(parsed))
     if isinstance(robot, VariantSpec):
         return Variants(robot)
     if isinstance(robot, Mapping) and "base" in robot:
         base, options = robot["base"], {key: value for key, value in robot.items() if key != "base"}
-        parsed = split_word(base) if isinstance(base, str) else base
+        parsed = parse_robot_word(base) if isinstance(base, str) else base
         if isinstance(parsed, tuple):
             return load_file_source({"models": parsed, **options})
         field_names = [field.name for field in fields(VariantSpec)]

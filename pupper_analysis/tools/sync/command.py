@@ -9,10 +9,10 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.shared import (
+    change_tolerances,
     fine_tolerance_option,
     map_option,
-    mapped_names,
-    with_changes,
+    parse_name_map,
 )
 
 
@@ -37,13 +37,13 @@ from pupper_analysis.cli.shared import (
 @click.option(
     "--force",
     is_flag=True,
-    help=f"Write even to files with uncommitted changes. {shared.FORCE}",
+    help=f"Write even to files with uncommitted changes. {shared.FORCE_HELP}",
 )
 @map_option
 @shared.package_option
 @fine_tolerance_option
 @shared.json_option
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 def command(
     urdf: Path,
@@ -86,9 +86,9 @@ def command(
         refuse_idle("--dry-run", "backup")
     if not take:
         refuse_alone(("--take",), "partial", "backup")
-    urdf, mjcf = shared.urdf_first(urdf, mjcf)
-    names, folders = mapped_names(pairs), shared.package_folders(packages)
-    tolerances = with_changes(Tolerances(), changes)
+    urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
+    names, folders = parse_name_map(pairs), shared.parse_packages(packages)
+    tolerances = change_tolerances(Tolerances(), changes)
 
     result = sync_models(
         urdf,

@@ -10,12 +10,12 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
-    FILES,
-    VARIANT,
+    FILE_OPTIONS,
+    VARIANT_OPTIONS,
     RobotOptions,
     add_options,
+    pass_robot_options,
     robot_argument,
-    with_robot,
 )
 from pupper_analysis.tools.walk.modes import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @shared.command("walk")
 @robot_argument
-@add_options(FILES, VARIANT)
+@add_options(FILE_OPTIONS, VARIANT_OPTIONS)
 @shared.file_option(
     "--policy",
     help="The policy: ONNX, RTNeural's JSON, or TorchScript; e.g. policy.json.",
@@ -55,11 +55,11 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Is it this robot's policy: rank orders and signs of its joints, scales and histories.",
 )
-@shared.look_option
+@shared.text_format_option
 @shared.verbose_option
 @shared.json_option
 @shared.report_option
-@with_robot
+@pass_robot_options
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
@@ -108,7 +108,7 @@ def command(
 
     wanted = shared.parse_point("command", asked, 3)
     brain = Policy.load(policy, contract)
-    meant = which.one(words) or "v3"
+    meant = which.select_robot(words) or "v3"
     robot = load_walking_robot(meant, style, everything=everything)
     given: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:

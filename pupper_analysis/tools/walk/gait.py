@@ -15,7 +15,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import remarks_of_files
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
@@ -236,7 +236,7 @@ def simulate_walk(
         timestep=stage.timestep,
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
-        remarks=remarks_of_files(robot),
+        remarks=list_file_remarks(robot),
     )
 
 

@@ -19,7 +19,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.results import Result
-from pupper_analysis.prepare.judge import remarks_of_files
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import check_command, check_runs, evaluate_tracking
 from pupper_analysis.tools.walk.policy import Policy
@@ -323,7 +323,7 @@ def tracked_intervals(
         intervals=tuple(found),
         rollouts=count,
         seconds=float(seconds),
-        remarks=remarks_of_files(robot),
+        remarks=list_file_remarks(robot),
     )
 
 

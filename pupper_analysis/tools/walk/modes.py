@@ -19,9 +19,9 @@ from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.robots import (
     RobotOptions,
     add_options,
-    named_apart,
+    load_selected_robot,
+    name_uniquely,
     print_notes,
-    robot_from,
 )
 from pupper_analysis.cli.shared import Command
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -54,7 +54,7 @@ def load_walking_robot(
     meant: str | VariantSpec | RobotFiles, style: str, *, everything: bool
 ) -> Robot:
     """Loads a robot as its files have it, and prints what was added to them."""
-    robot = robot_from(meant)
+    robot = load_selected_robot(meant)
     if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
         print_notes(robot, everything=everything)
     return robot
@@ -119,9 +119,11 @@ def _vary(
     wanted = shared.parse_point("command", asked, 3)
     brain = Policy.load(policy, contract)
     several = name == "push"
-    meant = (which.all(words) if several else [which.one(words) or "v3"]) or ["v3"]
+    meant = (which.select_robots(words) if several else [which.select_robot(words) or "v3"]) or [
+        "v3"
+    ]
     robots = [load_walking_robot(one, style, everything=everything) for one in meant]
-    robots = named_apart(meant, robots) if several else robots
+    robots = name_uniquely(meant, robots) if several else robots
     given: dict[str, Any] = {"seeds": seeds, "seconds": seconds}
     given = {key: value for key, value in given.items() if value is not None}
     found = {}

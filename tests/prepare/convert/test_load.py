@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.corpus import INERTIAL, LIMIT, joint, link, urdf
 from tests.support.legged import quadruped, rewritten
 from tests.support.robots import Part, mjcf_text
 
-URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
+URDF, MJCF = (
+    find_model_folder("urdf") / "pupper_v3.urdf",
+    find_model_folder("mjcf") / "pupper_v3.xml",
+)
 FEET = {
     "FR": "leg_front_r_3_foot_site",
     "FL": "leg_front_l_3_foot_site",

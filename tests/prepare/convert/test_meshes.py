@@ -13,7 +13,7 @@ import trimesh
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert import meshes
-from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of
+from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj
 from pupper_analysis.tools.convert import Conversion
 from tests.support.conversions import compiled, shape_of
 from tests.support.robots import arm, urdf_text
@@ -28,7 +28,7 @@ def hostile(folder: Path) -> dict[str, str]:
         archive.write(folder / "box.obj", "box.obj")
     BOX.export(folder / "box.3mf")
     with (folder / "large.stl").open("wb") as file:
-        file.truncate(meshes.MOST_BYTES + 1)
+        file.truncate(meshes.MAX_MESH_BYTES + 1)
     (folder / "broken.dae").write_text("<COLLADA/>")
     (folder / "text.ply").write_text("no mesh")
     os.mkfifo(folder / "pipe.dae")
@@ -71,11 +71,11 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
             transform=trimesh.transformations.translation_matrix([number, 0, 0]),
         )
     scene.export(tmp_path / "many.glb")
-    whole = trimesh.load(io.BytesIO(obj_of(tmp_path / "many.glb")), file_type="obj")
+    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "many.glb")), file_type="obj")
     assert len(whole.faces) == 10 * len(BOX.faces)
-    monkeypatch.setattr(meshes, "MOST_VERTICES", 9 * len(BOX.vertices))
+    monkeypatch.setattr(meshes, "MAX_MESH_VERTICES", 9 * len(BOX.vertices))
     with pytest.raises(UnreadableError, match="vertices"):
-        obj_of(tmp_path / "many.glb")
+        convert_to_obj(tmp_path / "many.glb")
 
 
 def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:

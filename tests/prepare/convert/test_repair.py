@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.convert.repair import is_possible, nearest_moments
+from pupper_analysis.prepare.convert.repair import find_nearest_moments, is_valid_inertia
 from tests.support.conversions import compiled, converted, same_dynamics
 from tests.support.robots import Part, Parts, arm, changed, urdf_text
 
@@ -92,7 +92,7 @@ def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
     random = np.random.default_rng(seed)
     moments = np.sort(10.0 ** random.uniform(-6, 0, 3))
     moments[2] += moments[0] + moments[1]
-    new = nearest_moments(moments, 1.0)
+    new = find_nearest_moments(moments, 1.0)
     assert new.min() > 0
     assert new[0] + new[1] >= new[2] * (1 - 1e-9)
     distance = np.linalg.norm(new - moments)
@@ -106,8 +106,8 @@ def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
 def test_a_mass_without_inertia_gets_one() -> None:
     import pinocchio as pin
 
-    new = nearest_moments(np.zeros(3), 0.5)
+    new = find_nearest_moments(np.zeros(3), 0.5)
     np.testing.assert_allclose(new, 0.5 * 1e-4)
     inertia = pin.Inertia.Zero()
     inertia.mass, inertia.inertia = 0.5, np.diag(new)
-    assert is_possible(inertia)
+    assert is_valid_inertia(inertia)

@@ -138,7 +138,7 @@ def test_what_is_no_robot_is_refused(
 
 
 def test_a_urdf_has_one_robot() -> None:
-    from pupper_analysis.pupper.variants import model_folder
+    from pupper_analysis.pupper.variants import find_model_folder
 
     with pytest.raises(pa.ConfigurationError, match="it names a body of an MJCF"):
-        pa.load_robot(model_folder("urdf") / "pupper_v3.urdf", body="base_link")
+        pa.load_robot(find_model_folder("urdf") / "pupper_v3.urdf", body="base_link")

@@ -22,7 +22,7 @@ from tests.support.repository import ROOT
 )
 def test_bad_input_is_one_line(arguments: list[str], message: str) -> None:
     result = answer("audit", *arguments)
-    assert result.returncode == cli.BAD_INPUT
+    assert result.returncode == cli.EXIT_BAD_INPUT
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert "Traceback" not in result.stderr

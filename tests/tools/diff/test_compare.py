@@ -360,7 +360,7 @@ REFUSED = {
 @pytest.mark.parametrize(("given", "said"), REFUSED.values(), ids=REFUSED)
 def test_diff_refuses_what_is_no_version(repository: Path, given: str, said: str) -> None:
     result = run(repository, given, "robot.urdf")
-    assert result.returncode == cli.BAD_INPUT
+    assert result.returncode == cli.EXIT_BAD_INPUT
     assert result.stdout == ""
     assert said in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
@@ -422,7 +422,7 @@ def test_a_file_of_git_lfs(repository: Path) -> None:
     urdf.write_text(pointer)
     _commit(repository)
     urdf.write_bytes(text)
-    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.BAD_INPUT
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.EXIT_BAD_INPUT
     store = repository.parent / ".git" / "lfs" / "objects" / name[:2] / name[2:4]
     store.mkdir(parents=True)
     (store / name).write_bytes(text)

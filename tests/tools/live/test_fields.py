@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.cli.stance_fields import TYPED, task_of
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task
 from pupper_analysis.stance.fields import Field
 from pupper_analysis.tools.live.controls import CONTROL_BY_NAME, make_slider_ranges
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -54,5 +54,5 @@ def test_each_field_is_in_the_file_that_is_saved(field: Field, tmp_path: Path) -
     file.write_text(write_stance_file(state_with(field)))
     words = ["--stance", str(file)]
     context = cli.find_command("stand").make_context("stand", words)
-    typed = task_of({name: context.params[name] for name in TYPED})
+    typed = make_task({name: context.params[name] for name in OPTION_FIELDS})
     assert near(typed.values()[field.name], asked(field))

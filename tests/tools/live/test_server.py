@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.cli import GARBAGE
+from pupper_analysis.cli import GC_THRESHOLDS
 from pupper_analysis.tools.live import server
 from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve
 from pupper_analysis.tools.live.server import Page
@@ -66,7 +66,7 @@ def test_a_served_page_collects_garbage_as_python_does(
     found: list[tuple[int, int, int]] = []
     monkeypatch.setattr(server, "serve", lambda *_, **__: found.append(gc.get_threshold()))
     before = gc.get_threshold()
-    gc.set_threshold(*GARBAGE)
+    gc.set_threshold(*GC_THRESHOLDS)
     try:
         _serve(page, "127.0.0.1", browser=False)
         assert gc.get_freeze_count() > 0

@@ -11,7 +11,7 @@ import pytest
 from pupper_analysis import StandTask, load_variant, solve_stand
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.passes import Request, prepare_robot
+from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
 from pupper_analysis.pupper import VariantSpec
 from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance
@@ -140,8 +140,8 @@ def test_bad_input_is_one_line_and_exit_status_2(
 def test_what_is_told_is_what_the_robot_has(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     files = read_urdf(pair.urdf), read_mjcf(pair.mjcf)
-    explained, robot = explain_loading(*files, Request())
+    explained, robot = explain_loading(*files, LoadRequest())
     assert explained.feet == tuple(robot.feet)
     assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
-    _, runs = prepare_robot(*files, Request())
+    _, runs = prepare_robot(*files, LoadRequest())
     assert [one.name for one in explained.passes] == [one.name for one in runs]

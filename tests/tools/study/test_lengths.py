@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.pupper.variants import variant_spec
+from pupper_analysis.pupper.variants import get_variant_spec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.design import Variants
@@ -54,7 +54,7 @@ def test_a_stretched_box_is_the_longer_box() -> None:
 
 def test_pupper_by_patterns_is_pupper_by_scale() -> None:
     """``leg_scale`` goes through yourdfpy and MjSpec, by code of its own."""
-    source = Variants(variant_spec("v3"))
+    source = Variants(get_variant_spec("v3"))
     expected = source.robot({"leg_scale": 1.3})
     found = scale_robot(source.robot({}), {"length:*_2": 1.3, "length:*_3": 1.3})
     for name in ("body_mass", "body_pos", "body_ipos", "body_inertia", "site_pos", "key_qpos",

@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_fields import TYPED, read_stance_file, task_of
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task, read_stance_file
 from pupper_analysis.tools.study.write import WrittenDesign, format_stance, write_design
 from tests.support.legged import quadruped
 
@@ -120,6 +120,6 @@ def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
     (tmp_path / "stance.toml").write_text(format_stance(task))
     values = read_stance_file(tmp_path / "stance.toml")
     for name, value in values.items():
-        if not (TYPED[name].per or TYPED[name].axes or TYPED[name].choices):
-            values[name] = shared.parse_measure(name, TYPED[name].kind, value, value)
-    assert task_of(values) == task
+        if not (OPTION_FIELDS[name].per or OPTION_FIELDS[name].axes or OPTION_FIELDS[name].choices):
+            values[name] = shared.parse_measure(name, OPTION_FIELDS[name].kind, value, value)
+    assert make_task(values) == task

@@ -55,29 +55,29 @@ _COMMAND = 1e-6  # to a motor, within any limit of it
 
 _LEAST_STIFFNESS = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
 
-SETTLES = 0.5
+MAX_SETTLED_TIME_CONSTANT = 0.5
 """A servo's filter that is slower is where the file has it at first (s): no command of a stand
 brings it there, as ``timeconst="1e5"``; a faster one is where its command has brought it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bare:
+class PublishedModel:
     """The MJCF as it was published.
 
     Attributes:
         model: What MuJoCo compiles it to.
-        ground: The height of its level ground (m); None if it has another.
-        base: Its body that is the robot's base.
+        ground_height: The height of its level ground (m); None if it has another.
+        base_body: Its body that is the robot's base.
         drives: (nu,) what moves each of the robot's joints in it.
     """
 
     model: mujoco.MjModel
-    ground: float | None
-    base: int
+    ground_height: float | None
+    base_body: int
     drives: tuple[Drive, ...]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, robot: Robot) -> Bare:
+    def of(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
         """Finds a robot's base and joints in a model that has them."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
@@ -88,7 +88,7 @@ class Bare:
     @property
     def floating(self) -> bool:
         """Whether joints leave its base free to move."""
-        return int(self.model.body_dofnum[self.base]) >= 6
+        return int(self.model.body_dofnum[self.base_body]) >= 6
 
 
 _STEPPING = ("timestep", "integrator")
@@ -100,13 +100,13 @@ _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
 negative is meant to, and its file fails because of it (``Drive.bad``)."""
 
 
-def has_few_servos(bare: Bare) -> bool:
+def has_few_servos(published: PublishedModel) -> bool:
     """Return True if most joints have a torque motor, a velocity servo or no actuator."""
-    others = sum(drive in _NOT_POSITION_SERVOS for drive in bare.drives)
-    return 2 * others > len(bare.drives)
+    others = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
+    return 2 * others > len(published.drives)
 
 
-def with_unstated_options(bare: Bare, robot: Robot) -> Bare:
+def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
     """Return a published model with the time step and integrator chosen for the added servos.
 
     Servos of our choice need a time step and an integrator. If the file has few servos, and states
@@ -114,31 +114,31 @@ def with_unstated_options(bare: Bare, robot: Robot) -> Bare:
     states is kept, as are all options of a file with servos of its own.
 
     Args:
-        bare: Published model.
+        published: Published model.
         robot: Prepared robot, with the added servos.
     """
     file = None if robot.published is None else robot.published.file
-    if file is None or not robot.description.made_servos or not has_few_servos(bare):
-        return bare
+    if file is None or not robot.description.made_servos or not has_few_servos(published):
+        return published
     stated = {name for attributes, _ in file.elements("option") for name in attributes}
-    model = copy.copy(bare.model)
+    model = copy.copy(published.model)
     for name in _STEPPING:
         if name not in stated:
             setattr(model.opt, name, getattr(robot.mj_model.opt, name))
-    return replace(bare, model=model)
+    return replace(published, model=model)
 
 
 def with_requested_gains(
-    bare: Bare, robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None
-) -> tuple[Bare, Robot]:
+    published: PublishedModel, robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None
+) -> tuple[PublishedModel, Robot]:
     """Return a published model, and its robot, whose joints have the requested servo gains.
 
     An actuator of the file becomes a position servo by the rule of ``model_with_servos``. A joint
-    with a torque motor, or without actuator, is held by the external law of ``Hold``. The returned
-    robot is for comparisons only: its MuJoCo model has gains that its description lacks.
+    with a torque motor, or without actuator, is held by the external law of ``HoldCommands``. The
+    returned robot is for comparisons only: its MuJoCo model has gains that its description lacks.
 
     Args:
-        bare: Published model.
+        published: Published model.
         robot: Prepared robot.
         kp: Requested stiffness [N m/rad], one or (nu,); None: that of the prepared robot.
         kd: Requested damping [N m s/rad], one or (nu,); None: that of the prepared robot.
@@ -147,23 +147,23 @@ def with_requested_gains(
         ConfigurationError: See ``model_with_servos``.
         ModelError: See ``model_with_servos``.
     """
-    drive, model = model_with_servos(robot, kp, kd), copy.copy(bare.model)
+    drive, model = model_with_servos(robot, kp, kd), copy.copy(published.model)
     added = []
     for index, name in enumerate(robot.joint_names):
         stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
         if stiffness == 0:  # the joint follows others
             continue
-        kind, actuators = bare.drives[index], list_joint_actuators(model, model.joint(name).id)
+        kind, actuators = published.drives[index], list_joint_actuators(model, model.joint(name).id)
         if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:
             added.append(MadeServo(name, stiffness, damping, kind))
         else:
             write_position_servos(model, np.array(actuators), stiffness, damping)
     described = replace(robot.description, made_servos=tuple(added))
     changed = replace(robot, description=described, mj_model=drive.model)
-    return Bare.of(model, robot), changed
+    return PublishedModel.of(model, robot), changed
 
 
-def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
+def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
 
     It has names, and a floor if it is to stand, if it has none: nothing else is put into it. What
@@ -185,7 +185,7 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     return model if _has(model, robot) else None
 
 
-def imported_model(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
+def compile_urdf_import(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
     """Returns the model of a URDF as MuJoCo itself imports it, with what no URDF can state.
 
     That is a free base, and what the robot was given: a floor, how MuJoCo steps, and contacts and
@@ -261,27 +261,29 @@ def _ground(model: mujoco.MjModel) -> float | None:
     return None
 
 
-def place_published(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | None:
+def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData | None:
     """Returns the published model's data in a configuration of the robot; None if it cannot be.
 
     Args:
-        bare: The published model.
+        published: The published model.
         robot: The robot.
         qpos: (nq,) its configuration, above ground at z = 0.
     """
     there = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(there, qpos)
-    return place_as(bare, robot, there)
+    return place_at_state(published, robot, there)
 
 
-def place_as(bare: Bare, robot: Robot, there: mujoco.MjData) -> mujoco.MjData | None:
+def place_at_state(
+    published: PublishedModel, robot: Robot, there: mujoco.MjData
+) -> mujoco.MjData | None:
     """Returns the published model's data with everything where the robot's model has it."""
     mujoco.mj_kinematics(robot.mj_model, there)
-    model, same = bare.model, robot.mj_model.body(robot.mj_base)
+    model, same = published.model, robot.mj_model.body(robot.mj_base)
     base = int(same.jntadr[0]) if same.jntnum[0] == 1 else -1
     data = mujoco.MjData(model)
     for joint in range(model.njnt):
-        if int(model.jnt_bodyid[joint]) == bare.base or model.jnt_type[joint] < 2:
+        if int(model.jnt_bodyid[joint]) == published.base_body or model.jnt_type[joint] < 2:
             if base >= 0 and model.jnt_type[joint] == robot.mj_model.jnt_type[base] == 0:
                 place, other = model.jnt_qposadr[joint], robot.mj_model.jnt_qposadr[base]
                 data.qpos[place : place + 7] = there.qpos[other : other + 7]  # mostly it is there
@@ -290,30 +292,35 @@ def place_as(bare: Bare, robot: Robot, there: mujoco.MjData) -> mujoco.MjData | 
         same = mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, name)
         known = same >= 0 and robot.mj_model.jnt_type[same] == model.jnt_type[joint]
         data.qpos[place] = there.qpos[robot.mj_model.jnt_qposadr[same]] if known else 0.0
-    return data if _base_placed(bare, robot, there, data) else None
+    return data if _base_placed(published, robot, there, data) else None
 
 
-def place_held(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData:
+def place_fixed_base(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData:
     """Returns the data of a published model whose base is held, at joint positions (nu,)."""
-    data = mujoco.MjData(bare.model)
+    data = mujoco.MjData(published.model)
     for name, angle in zip(robot.joint_names, qpos.tolist(), strict=True):
-        data.qpos[bare.model.jnt_qposadr[bare.model.joint(name).id]] = angle
+        data.qpos[published.model.jnt_qposadr[published.model.joint(name).id]] = angle
     return data
 
 
-def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.MjData) -> bool:
+def _base_placed(
+    published: PublishedModel, robot: Robot, there: mujoco.MjData, data: mujoco.MjData
+) -> bool:
     """Puts the base where the first joint's body is as it is in the robot's model, in place.
 
     The base's own frame may be elsewhere on it. By Newton's method on the base's joints, as they
     may be three slides and three hinges as well as a free joint.
     """
-    model, name = bare.model, robot.joint_names[0]
+    model, name = published.model, robot.joint_names[0]
     anchor = int(model.jnt_bodyid[model.joint(name).id])
     goal = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(name).id])
-    first, count = int(model.body_dofadr[bare.base]), int(model.body_dofnum[bare.base])
+    first, count = (
+        int(model.body_dofadr[published.base_body]),
+        int(model.body_dofnum[published.base_body]),
+    )
     moved, turned, step = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros(model.nv)
     turn, back, whole = np.zeros(4), np.zeros(4), np.zeros(3)
-    target = there.xpos[goal] + (0.0, 0.0, bare.ground or 0.0)
+    target = there.xpos[goal] + (0.0, 0.0, published.ground_height or 0.0)
     for _ in range(_STEPS):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -333,43 +340,47 @@ def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.Mj
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class HoldCommands:
     """What the drives of a published model are given, so that they hold a configuration.
 
     Attributes:
         ctrl: (model.nu,) of its own servos; zero for the others.
         act: (model.na,) the state of their filters.
-        outside: (dofs, kp, kd, targets, torques) of the joints that a law from outside holds.
-        motors: {dof: (control, lever, offset)} of those of them with an actuator whose force at the
-            joint is lever x ctrl + offset at rest (N m).
+        external: (dofs, kp, kd, targets, torques) of the joints that a law from outside holds.
+        motor_laws: {dof: (control, lever, offset)} of those of them with an actuator whose force at
+            the joint is lever x ctrl + offset at rest (N m).
     """
 
     ctrl: Array
     act: Array
-    outside: tuple[NDArray[np.intp], Array, Array, Array, Array]
-    motors: dict[int, tuple[int, float, float]]
+    external: tuple[NDArray[np.intp], Array, Array, Array, Array]
+    motor_laws: dict[int, tuple[int, float, float]]
 
 
-def hold_of(
-    bare: Bare, robot: Robot, data: mujoco.MjData, torques: Array | None, targets: Array
-) -> Hold:
+def compute_hold_commands(
+    published: PublishedModel,
+    robot: Robot,
+    data: mujoco.MjData,
+    torques: Array | None,
+    targets: Array,
+) -> HoldCommands:
     """Works out what holds joints at targets (nu,) with torques (nu,) ahead, or none.
 
     Args:
-        bare: The published model.
+        published: The published model.
         robot: The robot, with the servos that were made up.
         data: The model's data, which are not changed.
         torques: (nu,) N m; None: positions alone are commanded.
         targets: (nu,) rad.
     """
-    model = bare.model
-    at_joints = np.setdiff1d(np.arange(model.nactuator), other_motors(model))
+    model = published.model
+    at_joints = np.setdiff1d(np.arange(model.nactuator), list_uncommanded_actuators(model))
     ctrl = make_neutral_commands(model, data.qpos, at_joints)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}
     for index, name in enumerate(robot.joint_names):
-        joint, drive = model.joint(name).id, bare.drives[index]
+        joint, drive = model.joint(name).id, published.drives[index]
         torque = 0.0 if torques is None else float(torques[index])
         goal = float(targets[index])
         if drive in _COMMANDED or _is_unequal(model, list_joint_actuators(model, joint), drive):
@@ -382,7 +393,9 @@ def hold_of(
                 motors[dof] = lever
     dofs, kp, kd, goals, ahead = np.array(rows, dtype=float).reshape(-1, 5).T
     outside = (dofs.astype(np.intp), kp, kd, goals, ahead)
-    return Hold(ctrl, settled_activations(model, ctrl, SETTLES), outside, motors)
+    return HoldCommands(
+        ctrl, settled_activations(model, ctrl, MAX_SETTLED_TIME_CONSTANT), outside, motors
+    )
 
 
 _COMMANDED = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
@@ -416,7 +429,7 @@ def _command(
         ctrl[int(model.actuator_ctrladr[motor])] = ahead
 
 
-LAST = 1.0
+FORCE_WINDOW = 1.0
 """Of a simulation (s), in which it is looked at what drives give."""
 
 
@@ -425,17 +438,18 @@ _STEPS = 25
 
 
 def simulate_published(
-    bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float
+    published: PublishedModel, data: mujoco.MjData, hold: HoldCommands, seconds: float
 ) -> tuple[Array, Array]:
     """Simulates the published model from its data on, in place, until MuJoCo loses it.
 
     Returns:
-        (model.nv,) each: the least and the most that its drives gave in the ``LAST`` second (N m).
+        (model.nv,) each: the least and the most that its drives gave in the ``FORCE_WINDOW``
+        second (N m).
     """
-    model = bare.model
-    dofs, kp, kd, goals, ahead = hold.outside
+    model = published.model
+    dofs, kp, kd, goals, ahead = hold.external
     steps = max(1, round(seconds / float(model.opt.timestep)))
-    last = max(1, min(steps, round(LAST / float(model.opt.timestep))))
+    last = max(1, min(steps, round(FORCE_WINDOW / float(model.opt.timestep))))
     low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
     outside = np.zeros(model.nv)
     places = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
@@ -454,8 +468,8 @@ def simulate_published(
                 torque = ahead + kp * (goals - data.qpos[places])
                 outside[:] = 0.0
                 for dof, wanted in zip(dofs.tolist(), torque.tolist(), strict=True):
-                    if dof in hold.motors:
-                        control, lever, offset = hold.motors[dof]
+                    if dof in hold.motor_laws:
+                        control, lever, offset = hold.motor_laws[dof]
                         data.ctrl[control] = (wanted - offset) / lever
                     else:
                         outside[dof] = wanted
@@ -487,31 +501,31 @@ def _lever(
     return (control, lever, forces[0]) if abs(lever) > _LEAST_STIFFNESS else None
 
 
-def self_controlled(bare: Bare, robot: Robot) -> tuple[str, ...]:
+def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
     """Returns the joints whose actuator has a controller of its own, as MuJoCo's ``pid``.
 
     It has several commands, or a state: no law from outside makes it hold a pose.
     """
-    model, found = bare.model, []
-    for name, drive in zip(robot.joint_names, bare.drives, strict=True):
+    model, found = published.model, []
+    for name, drive in zip(robot.joint_names, published.drives, strict=True):
         motors = list_joint_actuators(model, model.joint(name).id) if drive.has_other_law else []
         if any(model.actuator_ctrlnum[m] > 1 or model.actuator_actnum[m] for m in motors):
             found.append(name)
     return tuple(found)
 
 
-def loose_joints(bare: Bare, robot: Robot) -> list[int]:
+def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
     """Returns the published model's joints that the robot holds at zero."""
-    model = bare.model
+    model = published.model
     return [
         joint
         for joint in scalar_joints(model).tolist()
-        if int(model.jnt_bodyid[joint]) != bare.base
+        if int(model.jnt_bodyid[joint]) != published.base_body
         and mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, model.joint(joint).name)
         < 0
     ]
 
 
-def other_motors(model: mujoco.MjModel) -> list[int]:
+def list_uncommanded_actuators(model: mujoco.MjModel) -> list[int]:
     """Returns the actuators that drive no hinge or slide of their own."""
     return [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
