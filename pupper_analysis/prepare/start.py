@@ -243,7 +243,7 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     jacobians = Configuration(robot, robot.posed(pose)).foot_jacobians().values()
     if not any((np.abs(jacobian[:, 6:]) > _LIMIT_CLEARANCE).any() for jacobian in jacobians):
         return None
-    length = leg_length(robot, robot.posed(pose))
+    length = compute_leg_length(robot, robot.posed(pose))
     heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
     heights = heights[heights > 0]
     for margin in _MARGINS:
