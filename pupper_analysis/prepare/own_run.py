@@ -163,8 +163,12 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     simulate_published(published, data, hold, _SETTLING_TIME)
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
         return False
-    initial = initial_height(published.model, start, published.base_body, published.ground_height or 0.0)
-    motion = measure_motion(published.model, start, data, published.base_body, _SETTLING_TIME, initial)
+    initial = initial_height(
+        published.model, start, published.base_body, published.ground_height or 0.0
+    )
+    motion = measure_motion(
+        published.model, start, data, published.base_body, _SETTLING_TIME, initial
+    )
     return not motion.collapses
 
 
@@ -376,7 +380,9 @@ def _simulate_commands(
         simulate_published(published, state, hold, seconds)
 
     if robot.floating:
-        motion, end = simulate_keyframe(published.model, start, published.base_body, published.ground_height or 0.0, advance)
+        motion, end = simulate_keyframe(
+            published.model, start, published.base_body, published.ground_height or 0.0, advance
+        )
     else:
         motion, end = simulate_held_keyframe(published.model, start, advance)
     joints = _joint_deviations(published, robot, start, end, hold.ctrl)

@@ -305,7 +305,9 @@ def simulate_prediction(
     if robot.floating:
         com = float(start.subtree_com[published.base_body][2])
         predicted = InitialHeight(com, 0.0, published.ground_height or 0.0)
-        motion = measure_motion(model, start, data, published.base_body, SETTLING_TIME + NUDGED_TIME, predicted)
+        motion = measure_motion(
+            model, start, data, published.base_body, SETTLING_TIME + NUDGED_TIME, predicted
+        )
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= HEIGHT_RTOL * motion.height
     else:  # where it may stick after a nudge
