@@ -24,7 +24,7 @@ def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
+def test_leg_with_a_misplaced_calf_is_reported_without_foot(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
@@ -46,7 +46,7 @@ def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     assert "RR_calf has none" in str(message)
 
 
-def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
+def test_named_feet_are_used_without_a_report(tmp_path: Path) -> None:
     robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3
     assert report_limbs_without_feet(robot) == ()

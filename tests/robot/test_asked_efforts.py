@@ -21,7 +21,7 @@ from tests.support.variants import load
 
 
 @pytest.mark.parametrize("effort", [0.7, 30.0])  # less, and more, than the file's
-def test_asked_efforts_bound_statics_and_simulation(effort: float) -> None:
+def test_requested_efforts_bound_statics_and_simulation(effort: float) -> None:
     robot = load("v3")
     knees = [name for name in robot.joint_names if name.endswith("_3")]
     asked = with_efforts(robot, dict.fromkeys(knees, effort))
@@ -47,7 +47,7 @@ def test_efforts_that_are_none_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path) -> None:
+def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())
     path.write_text(re.sub(f'effort="({efforts})"', 'effort="2000"', arm.URDF))
@@ -76,7 +76,7 @@ def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path)
         (Motor("knee", 1e3, 1e-9), None),  # between two marks on a link
     ],
 )
-def test_one_motor_is_held_against_its_links_and_its_armature(
+def test_placeholder_effort_is_judged_by_the_links_and_armature_of_its_motor(
     motor: Motor, code: str | None
 ) -> None:
     codes = [message.code for _, message in placeholder_efforts([motor], 100.0)]

@@ -29,14 +29,14 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
         '<option><flag gravity="disable"/></option>',
     ],
 )
-def test_without_weight_nothing_stands(option: str, tmp_path: Path) -> None:
+def test_stand_is_refused_without_gravity(option: str, tmp_path: Path) -> None:
     robot = loaded(tmp_path, option)
     with pytest.raises(pa.ConfigurationError, match="gravity of the MJCF is"):
         pa.solve_stand(robot)
 
 
 @pytest.mark.slow
-def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
+def test_friction_of_a_free_joint_does_not_hold_the_base(tmp_path: Path) -> None:
     """With 500 N of dry friction it would stand on servos that are switched off, too."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
     robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
@@ -64,7 +64,7 @@ def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
         ('ixx="0.001"', 'ixx="-1"', "what joint 'bend' moves"),
     ],
 )
-def test_negative_masses_and_inertias_are_refused_where_it_would_stand(
+def test_negative_masses_and_inertias_are_refused_for_a_stand(
     old: str, new: str, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     urdf, mjcf = tiny_with(tmp_path, old, new)

@@ -86,7 +86,7 @@ def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray])
 
 
 @pytest.mark.slow
-def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
+def test_motor_of_a_belt_has_the_torque_of_the_closed_form(tmp_path: Path) -> None:
     """In closed form: q_knee = -0.2 - 0.8 q_motor, so tau_motor = tau'_motor - 0.8 tau'_knee."""
     robot = load(belts(tmp_path))
     assert any(note.code == "joints-follow" for note in robot.notes)
@@ -106,7 +106,7 @@ def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
+def test_stand_with_elastic_belts_is_as_predicted(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = holds(robot)
     assert robot.closure is not None
@@ -118,7 +118,7 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
-def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
+def test_stand_with_soft_constraints_is_as_predicted(pair, tmp_path: Path) -> None:
     """Where they are closed they are 30 times as soft as where they are open."""
     words = 'solref="0.0173 1.936" solimp="0.814 0.986 0.00042 0.47 1"'
     robot = load(pair(tmp_path, words=words))
@@ -146,7 +146,7 @@ def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> None:
+def test_crank_of_a_parallelogram_has_the_torque_of_the_closed_form(tmp_path: Path) -> None:
     """In closed form: knee = motor - pitch and pin = pitch - motor, by virtual work."""
     robot = load(four_bars(tmp_path))
     stand = pa.solve_stand(robot)
@@ -190,7 +190,7 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> None:
+def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> None:
     """Without them all feet are in place, and a refusal had nothing to name."""
     robot = load(four_bars(tmp_path))
     task = pa.StandTask(
@@ -210,7 +210,7 @@ def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
+def test_loop_jacobian_equals_the_finite_difference_of_the_residual(tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
     assert closure is not None
@@ -231,7 +231,7 @@ def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
+def test_constraint_opening_equals_mujoco_at_rest(tmp_path: Path) -> None:
     """A constraint's force and opening at rest, from a simulation that knows no prediction."""
     robot = load(belts(tmp_path, words=""))
     stand = pa.solve_stand(robot)
@@ -271,7 +271,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
+def test_coupled_legs_that_cannot_compensate_softness_are_reported(tmp_path: Path) -> None:
     """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
     pair = quadruped(tmp_path)
     motors = ((f'<motor joint="{end}R_knee" ctrlrange="-30 30"/>', "") for end in "FR")
@@ -284,7 +284,7 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
+def test_inactive_coupling_constrains_no_joint(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
     assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
@@ -293,7 +293,7 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
+def test_configuration_that_violates_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
@@ -303,7 +303,7 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
+def test_unsupported_computation_for_coupled_joints_is_refused_by_name(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.solve_stand(robot)
     config = pa.Configuration(robot, stand.qpos)
@@ -337,7 +337,7 @@ def test_loops_with_rods_that_the_urdf_lacks_are_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> None:
+def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
     """A weld ties three ways in the plane: with another hinge at the rod's end it is a connect."""
     folders = [tmp_path / name for name in ("one", "two")]
     for folder in folders:
@@ -378,7 +378,7 @@ def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
+def test_equality_of_tendon_lengths_couples_joints(tmp_path: Path) -> None:
     pair = belts(tmp_path)
     text = pair.mjcf.read_text()
     begin, end = text.index("<equality>"), text.index("</equality>")
@@ -398,7 +398,7 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
+def test_constraint_to_the_world_is_named_if_the_stand_fails(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
     rewritten(pair.mjcf, ("<actuator>", tie))

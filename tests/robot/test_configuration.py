@@ -27,7 +27,7 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_frames_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
+def test_frame_poses_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
     config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
     model = any_robot.mj_model
@@ -46,7 +46,7 @@ def test_frames_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObje
 
 @pytest.mark.slow
 @given(data=st.data())
-def test_joints_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
+def test_joint_axes_and_anchors_equal_mujoco(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
     config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
     for name in any_robot.joint_names:
@@ -153,7 +153,7 @@ def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
 
 
 @given(data=st.data())
-def test_imu_reads_what_mujocos_sensors_read(data: st.DataObject) -> None:
+def test_imu_equals_the_sensors_of_mujoco(data: st.DataObject) -> None:
     robot = load(data.draw(st.sampled_from(NAMES)))
     qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
     mj = mujoco_at(robot, qpos, qvel)
@@ -197,7 +197,7 @@ def test_bad_state_is_refused(qpos: object, qvel: object, field: str) -> None:
     assert caught.value.field == field
 
 
-def test_unknown_names_list_the_valid_ones() -> None:
+def test_unknown_frame_and_foot_are_refused_with_the_valid_names() -> None:
     config = pa.Configuration(load("v3"), load("v3").neutral())
     with pytest.raises(pa.UnknownNameError, match="leg_back_l_3_foot_site") as link:
         config.frame_position("tail")

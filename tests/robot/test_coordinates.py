@@ -24,7 +24,7 @@ def test_velocity_map_agrees_with_both_engines_integration(
     np.testing.assert_allclose(measured, velocity_map(convention, qpos) @ qvel, atol=1e-8)
 
 
-def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None:
+def test_joints_are_in_actuator_order_followed_by_joints_without_actuator(tiny: pa.Robot) -> None:
     assert tiny.joint_names == ("bend", "push", "turn")
     assert list(tiny.mj_convention.actuator_index) == [0, 1, -1]
 

@@ -29,16 +29,16 @@ def at_stand(iterations: int, kind: mujoco.mjtSolver) -> float:
     return compute_solver_residual(model, data, model.body(robot.mj_base).id)
 
 
-def test_a_solver_with_enough_iterations_leaves_nothing_out() -> None:
+def test_residual_is_negligible_for_a_solver_with_enough_iterations() -> None:
     assert at_stand(100, mujoco.mjtSolver.mjSOL_NEWTON) < 1e-6
     assert at_stand(100, mujoco.mjtSolver.mjSOL_PGS) < 1e-6  # its accelerations follow its forces
 
 
-def test_a_solver_that_gives_up_is_seen() -> None:
+def test_solver_that_stops_early_is_inexact() -> None:
     assert at_stand(1, mujoco.mjtSolver.mjSOL_CG) > MAX_SOLVER_RESIDUAL
 
 
-def test_what_is_left_out_is_the_part_of_a_push_that_does_not_move() -> None:
+def test_missing_force_is_the_part_of_a_push_without_acceleration() -> None:
     """In the air nothing is left out, and a push of a tenth of the weight gives 0.1 g."""
     robot = load("v3")
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
@@ -63,7 +63,7 @@ def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("sparse_newton_fails")
-def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: Path) -> None:
+def test_dense_jacobian_is_used_if_the_sparse_one_loses_forces(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     rewritten(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
     robot = pa.load_robot(*pair)
@@ -74,7 +74,7 @@ def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: P
 
 
 @pytest.mark.slow
-def test_an_inexact_solver_is_told_and_stays(tmp_path: Path) -> None:
+def test_inexact_solver_is_kept_with_a_note(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     option = '<option solver="CG" iterations="1" ls_iterations="1"/>'
     rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))

@@ -68,7 +68,7 @@ def test_the_clearance_above_a_sphere_is_vertical() -> None:
     assert clearance == pytest.approx(0.5 - math.sqrt(0.04 - 0.01), abs=1e-5)
 
 
-def test_a_drop_counts_as_lost_height_only_if_the_robot_lies_at_the_end() -> None:
+def test_drop_counts_as_height_loss_only_if_the_robot_lies_at_the_end() -> None:
     """A drop of 0.1 m is a third of 0.3 m; ``MAX_HEIGHT_LOSS_RATIO`` is 0.3."""
     lands = BodyMotion(5.0, 0.2, 0.18, 0.0, 0.0, diverged=False, clearance=0.1, lies=False)
     lies = BodyMotion(5.0, 0.2, 0.18, 0.0, 0.0, diverged=False, clearance=0.1, lies=True)

@@ -80,7 +80,7 @@ def test_the_level_plane_is_the_floor_if_a_wall_comes_first(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
+def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
     stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'
     table = '<body name="table"><geom type="box" size="1 1 0.01"/></body>'
@@ -95,7 +95,7 @@ def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
+def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -> None:
     """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'
     names = (("foot0", "ground"), ("ground", "foot1"), ("foot2", "ground"), ("ground", "foot3"))
@@ -135,7 +135,7 @@ def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.3}
 
 
-def test_softness_of_a_pairs_friction_is_not_left_out_in_silence(tmp_path: Path) -> None:
+def test_dropped_friction_softness_of_a_pair_gives_a_note(tmp_path: Path) -> None:
     pairs = '<pair geom1="ground" geom2="foot0" solreffriction="0.05 1"/>'
     notes = loaded(scene(tmp_path, PLANE + "/>", pairs)).notes
     assert any(note.code == "friction-softness-dropped" for note in notes)

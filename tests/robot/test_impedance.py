@@ -49,7 +49,7 @@ def tied(kind: str, seed: int) -> mujoco.MjModel:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(8))
-def test_what_opens_at_rest_is_as_simulated(kind: str, seed: int) -> None:
+def test_predicted_constraint_opening_equals_the_simulation_at_rest(kind: str, seed: int) -> None:
     """From MuJoCo's forces alone, at a configuration that knows nothing of the opening."""
     model = tied(kind, seed)
     data = mujoco.MjData(model)
@@ -67,7 +67,7 @@ def test_what_opens_at_rest_is_as_simulated(kind: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_softness_does_not_depend_on_where_it_is_asked(kind: str) -> None:
+def test_constraint_compliance_does_not_depend_on_the_configuration(kind: str) -> None:
     model = tied(kind, 3)
     data = mujoco.MjData(model)
     found = []
@@ -97,7 +97,7 @@ def test_impedance_is_mujocos(seed: int) -> None:
 
 
 @pytest.mark.parametrize("force", [1e-4, 1e-3, 5e-3])
-def test_an_opening_is_that_of_its_own_impedance(force: float) -> None:
+def test_opening_satisfies_the_equation_of_its_impedance(force: float) -> None:
     """It is within the width over which the impedance rises: x = F (1 - d(x)) / d(x)^2."""
     solimp = clip_solimp((0.6, 0.95, 0.01, 0.5, 2))
     opened = _solve_opening(solimp, force)

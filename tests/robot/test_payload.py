@@ -18,7 +18,7 @@ POINT = (0.05, -0.02, 0.08)
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_the_weight_of_a_payload_is_the_gradient_of_its_potential_energy(name: str) -> None:
+def test_payload_force_is_the_gradient_of_its_potential_energy(name: str) -> None:
     """m g dz/dq, by finite differences of where the point is on a tilted base."""
     robot, mass = load(name), 3.0
     qpos, _ = random_state(robot, 2)

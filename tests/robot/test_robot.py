@@ -79,7 +79,9 @@ def test_unusable_files_are_refused(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("urdf_foot", "mjcf_foot"), [("toe_tip", "foot"), ("foot", "toe_tip")])
-def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot: str) -> None:
+def test_foot_that_one_file_names_is_sufficient(
+    tmp_path: Path, urdf_foot: str, mjcf_foot: str
+) -> None:
     whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))
     urdf = TINY_URDF.replace('link name="foot"', f'link name="{urdf_foot}"')
     urdf = urdf.replace('child link="foot"', f'child link="{urdf_foot}"')
@@ -117,7 +119,7 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
     assert "base_link" in bodies
 
 
-def test_what_is_made_of_a_robot_is_made_once_and_its_own() -> None:
+def test_derived_values_are_computed_once_per_robot() -> None:
     made = []
 
     def mass_and(robot: pa.Robot, more: float) -> float:

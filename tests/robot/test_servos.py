@@ -135,7 +135,7 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
-def test_motors_of_tendons_exert_nothing_and_are_told(
+def test_motor_of_a_tendon_exerts_no_force_and_gives_a_note(
     kind: str, pulls: bool, tmp_path: Path
 ) -> None:
     pair = quadruped(tmp_path)
@@ -158,7 +158,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     assert not [note for note in notes if note.code == "motors-commanded-zero"]
 
 
-def test_contacts_are_simulated_as_asked_and_it_is_said() -> None:
+def test_requested_contact_options_are_simulated_with_a_note() -> None:
     plain = load_variant("v3")
     robot = with_options(plain, cone="elliptic", impratio=50.0)
     assert robot.mj_model.opt.impratio == robot.description.mjcf.option.impratio == 50.0

@@ -59,7 +59,7 @@ def euler(kp: float, kd: float, step: float, implicit: bool) -> np.ndarray:
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
-def test_an_inverted_pendulum_buckles_at_its_rate(integrator: str) -> None:
+def test_inverted_pendulum_diverges_at_the_rate_of_the_closed_form(integrator: str) -> None:
     """Kp below m g l: one real mode grows."""
     kp, kd, step = 5.0, 0.4, 0.002
     found = judged(pendulum(kp, kd, integrator, step))
@@ -77,7 +77,7 @@ def test_an_inverted_pendulum_buckles_at_its_rate(integrator: str) -> None:
     assert mode.joints == ("hinge",)
 
 
-def test_a_servo_that_holds_it_has_the_damping_of_its_oscillator() -> None:
+def test_damping_ratio_of_a_servo_equals_the_closed_form() -> None:
     kp, kd, step = 80.0, 1.2, 1e-4
     found = judged(pendulum(kp, kd, "implicitfast", step))
     inertia = INERTIA + (MOMENT / 9.81) ** 2
@@ -93,7 +93,7 @@ def test_a_servo_that_holds_it_has_the_damping_of_its_oscillator() -> None:
 
 @pytest.mark.parametrize("kd", [0.0, 600.0])
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
-def test_a_servo_beyond_its_discrete_limit_shakes(kd: float, integrator: str) -> None:
+def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator: str) -> None:
     """Every other step on the other side: at half the sampling frequency, with Euler's radius."""
     step, kp = 0.02, 9000.0
     values = euler(kp, kd, step, integrator != "Euler")
@@ -120,7 +120,7 @@ def test_own_differences_are_mujocos() -> None:
     assert _differences(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
 
 
-def test_what_still_sags_is_not_judged() -> None:
+def test_stability_of_a_robot_that_still_sinks_is_not_judged() -> None:
     """On servos of which it sags by centimetres, v3 is half way down after half a second."""
     from pupper_analysis.simulation.rollout import begin_stand
     from pupper_analysis.simulation.stability import evaluate_stability
@@ -153,7 +153,7 @@ def test_a_wheel_that_rolls_freely_is_drift() -> None:
         assert judged(xml, settle=1.0).stable
 
 
-def test_dry_friction_hides_what_shakes_until_it_is_overcome() -> None:
+def test_dry_friction_hides_an_unstable_servo_until_a_push_overcomes_it() -> None:
     """A servo far beyond Euler's limit rests on a joint that rubs, and is thrown off by a push."""
     step, kp, kd = 0.02, 80.0, 100.0
     rubbing = pendulum(kp, kd, "Euler", step).replace("armature", 'frictionloss="0.5" armature')
@@ -205,7 +205,9 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("examples", "nudges"), [(10, 2), (60, 20)])
-def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
+def test_stability_verdicts_of_random_stands_agree_with_simulation(
+    examples: int, nudges: int
+) -> None:
     """Of random stands, payloads and gains; each judgement is taken at its word."""
     module = benchmark("stability")
     module.NUDGES = nudges
@@ -225,7 +227,7 @@ def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: in
     assert message == {True, False}
 
 
-def test_what_leaves_and_comes_back_has_left() -> None:
+def test_transient_excursion_counts_as_leaving() -> None:
     """A damped swing is furthest at v/w exp(-z acos(z) / sqrt(1 - z^2)), and forgotten at last."""
     natural, damping, speed = 20.0, 0.3, 1.0
     model = mujoco.MjModel.from_xml_string(
@@ -249,7 +251,7 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     assert not find_instability(stability, replace(found, farthest=9e-3))
 
 
-def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
+def test_stability_at_a_joint_limit_is_judged_on_both_sides() -> None:
     """Differences half beyond the limit told a swing of neither: a mean of servo and stop.
 
     Off the limit it is the servo's, sqrt(kp/I), which hardly decays.
@@ -276,7 +278,7 @@ def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
     ("frequency", "time_constant", "shakes"),
     [(2.0, 1.0, True), (2.0, 0.05, False), (0.07, 100.0, False), (0.1, 100.0, True)],
 )
-def test_shaking_swings_sooner_than_it_grows_and_than_a_stand_lasts(
+def test_mode_shakes_if_it_oscillates_faster_than_it_grows(
     frequency: float, time_constant: float, shakes: bool
 ) -> None:
     """Faster than once in 12 s, and by more than a radian of its phase while it grows by e."""

@@ -59,7 +59,7 @@ def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
 
 
 @pytest.mark.slow
-def test_a_copy_keeps_its_workspace(any_robot: pa.Robot) -> None:
+def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
     config = pa.Configuration(any_robot, *random_state(any_robot, 7))
     order = np.arange(len(QUANTITIES))
     before, twin = looked_at(config, order), copy.copy(config)
@@ -72,7 +72,7 @@ def test_a_copy_keeps_its_workspace(any_robot: pa.Robot) -> None:
 
 
 @pytest.mark.slow
-def test_threads_do_not_change_each_others_configurations(any_robot: pa.Robot) -> None:
+def test_configurations_are_not_changed_by_other_threads(any_robot: pa.Robot) -> None:
     """Configurations that are made in one thread, asked in another, and dropped in a third."""
     states = [random_state(any_robot, seed) for seed in range(6)]
     order = np.arange(len(QUANTITIES))

@@ -20,7 +20,7 @@ ROPE = '<spatial limited="true" range="0 1"><site site="a"/><site site="b"/></sp
 
 
 @pytest.mark.slow
-def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
+def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
     """Of a sum of joints' positions, and of a way through space."""
     pair = quadruped(tmp_path)
     assert all(note.code != "tendon-ranges-not-kept" for note in pa.load_robot(*pair).notes)
@@ -37,7 +37,7 @@ def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
     assert all(note.code != message.code for note in pa.load_robot(*pair).notes)
 
 
-def test_every_kind_of_equality_is_kept_told_or_gone() -> None:
+def test_each_equality_type_of_mujoco_is_supported_reported_or_removed() -> None:
     """By MuJoCo's own list: a kind that a new version brings is to be looked at."""
     known = {kind.name for kind in SUPPORTED_EQUALITIES} | {*TOLD, GONE}
     assert {name for name in dir(mujoco.mjtEq) if name.startswith("mjEQ_")} == known

@@ -16,7 +16,7 @@ from tests.support.variants import NAMES, load
 
 
 @pytest.mark.parametrize("frame", ["leg_front_l_2", "leg_back_r_3_foot_site"])
-def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> None:
+def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame: str) -> None:
     """By virtual work: it adds m |g| times the rate at which its point rises."""
     robot, mass, place = load("v3"), 0.3, np.array([0.01, -0.02, 0.03])
     loaded = with_payload(robot, mass, find_tool(robot, frame).moved(place))
@@ -49,7 +49,7 @@ POINT = (0.05, -0.02, 0.08)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_both_models_carry_the_same_payload(name: str) -> None:
+def test_payload_is_equal_in_both_models(name: str) -> None:
     loaded = with_payload(load(name), 2.5, POINT)
     check = pa.cross_check(loaded)
     assert check.passed, check.worst
@@ -81,7 +81,7 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     np.testing.assert_allclose(two, one, atol=1e-12)
 
 
-def test_a_fixed_base_carries_nothing() -> None:
+def test_payload_on_a_fixed_base_is_refused() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         with_payload(load("v3", fixed_base=True), 1.0)
     with pytest.raises(pa.ConfigurationError, match="point"):

@@ -61,7 +61,7 @@ def swing(folder: Path, **values: Any) -> tuple[Explanation, np.ndarray, np.ndar
 # ------------------------------------------------------------------------------------- effects
 
 
-def test_a_mass_weighs_what_it_weighs(tmp_path: Path) -> None:
+def test_gravity_effect_of_an_extra_mass_equals_its_weight(tmp_path: Path) -> None:
     effects = only(
         explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.25))
     ).effects
@@ -73,7 +73,7 @@ def test_a_mass_weighs_what_it_weighs(tmp_path: Path) -> None:
     assert "foot positions" not in effects
 
 
-def test_shares_of_two_masses_add_up_and_exceed_one_where_they_cancel(tmp_path: Path) -> None:
+def test_shares_of_two_masses_exceed_one_if_their_effects_cancel(tmp_path: Path) -> None:
     for thigh, expected in ((1.1, (0.75, 0.25)), (0.9, (1.5, -0.5))):
         mjcf = changed(changed(quadruped(), "base", mass=6.3), "thigh0", mass=thigh)
         shares = {
@@ -123,7 +123,7 @@ def test_zero_angle_of_a_pendulum(tmp_path: Path) -> None:
     )
 
 
-def test_armature_is_given_to_both_and_told(tmp_path: Path) -> None:
+def test_armature_of_the_mjcf_is_given_to_both_models_with_a_note(tmp_path: Path) -> None:
     explanation, _, _ = swing(tmp_path, armature=0.03)
     assert explanation.differences == ()
     (note,) = explanation.notes
@@ -146,7 +146,7 @@ def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_pa
     }
 
 
-def test_a_joint_moved_moves_what_it_carries(tmp_path: Path) -> None:
+def test_effect_of_a_shifted_joint_equals_the_shift_of_its_subtree(tmp_path: Path) -> None:
     shift = np.array([0.003, -0.001, 0.002])
     mjcf = changed(quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift))
     robot = robot_of(tmp_path, quadruped(), mjcf)
@@ -193,7 +193,7 @@ def shaken(parts: Parts, seed: int) -> Parts:
 
 @pytest.mark.slow
 @given(seed=st.integers(0, 10**6), fixed=st.booleans())
-def test_all_differences_taken_away_nothing_is_left(
+def test_models_agree_after_all_differences_are_removed(
     tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
 ) -> None:
     folder = tmp_path_factory.getbasetemp()
@@ -211,7 +211,7 @@ def test_a_mass_that_no_body_has_is_named_and_explained(tmp_path: Path) -> None:
     assert explanation.complete
 
 
-def test_what_is_overlooked_is_not_explained(
+def test_explanation_is_incomplete_if_mass_differences_are_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The proof can fail: with masses and inertias left out of the comparison, it does."""
@@ -265,7 +265,7 @@ def test_each_tolerance_passes_just_below_and_fails_just_above(
             assert found(explained(tmp_path, quadruped(), mjcf, tolerances)) == expected
 
 
-def test_an_unknown_tolerance_names_the_valid_ones() -> None:
+def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
     with pytest.raises(ConfigurationError, match=r"no kind 'masses'; valid: mass, com, inertia,"):
         Tolerances().changed({"masses": 1.0})
 
@@ -335,7 +335,9 @@ def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("word", "kind"), [("frictionloss", "dry friction"), ("stiffness", "spring")]
 )
-def test_what_holds_the_free_joint(word: str, kind: str, base: str, tmp_path: Path) -> None:
+def test_springs_and_friction_of_a_free_joint_are_differences(
+    word: str, kind: str, base: str, tmp_path: Path
+) -> None:
     """It said AGREE, though MuJoCo holds the base; whatever the MJCF calls it."""
     text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
     text = text.replace('<body name="base"', f'<body name="{base}"')
@@ -360,7 +362,7 @@ def test_armature_of_the_free_joint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("odd", "wrong"), [("shank0", "left_knee"), ("shank1", "right_knee")])
-def test_of_two_legs_one_has_the_armature_of_the_other(
+def test_armature_that_differs_between_left_and_right_is_reported(
     odd: str, wrong: str, tmp_path: Path
 ) -> None:
     """K1's left knee with ten times the armature; all other pairs are alike."""

@@ -89,7 +89,7 @@ def in_pinocchio(robot: pa.Robot, values: MultibodyTree, states: States) -> dict
 
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
-def test_a_tree_in_mujoco_is_the_one_in_pinocchio(name: str, fixed: bool) -> None:
+def test_behaviour_of_a_tree_in_mujoco_equals_pinocchio(name: str, fixed: bool) -> None:
     """What differences are judged by is MuJoCo's alone; this is the second way."""
     robot = load(name, fixed_base=fixed)
     tree, states = kinematic_trees(robot)[0], random_states(robot, 5, seed=1)
@@ -111,7 +111,7 @@ def test_a_tree_in_mujoco_is_the_one_in_pinocchio(name: str, fixed: bool) -> Non
             )
 
 
-def test_limits_and_efforts_are_kept() -> None:
+def test_mujoco_tree_keeps_limits_efforts_and_damping() -> None:
     tree = kinematic_trees(load("v3"))[0]
     model = MujocoTree(tree).model
     for name, joint in tree.joints.items():
@@ -154,7 +154,7 @@ def test_a_large_robot_that_agrees(written: Written) -> None:
     assert set(worse.check.quantities[1].between) == {URDF_MUJOCO, "MJCF in MuJoCo"}
 
 
-def test_of_a_very_large_robot_less_is_compared_and_said() -> None:
+def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
     robot = load("v3")
 
     class Large:

@@ -78,7 +78,7 @@ def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- verdict
 
 
-def test_the_engines_disagreement_is_told_from_the_models(
+def test_engine_disagreement_is_distinguished_from_model_difference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """MuJoCo is made to weigh the URDF's base wrongly: no number in the files is to blame."""
@@ -105,7 +105,7 @@ def test_the_engines_disagreement_is_told_from_the_models(
 @pytest.mark.parametrize(
     ("names", "agree"), [(("left_hip", "right_hip"), False), (("thumb", "index"), True)]
 )
-def test_legs_without_their_base_do_not_agree_and_a_bolted_hand_does(
+def test_files_without_base_mass_disagree_for_legs_and_agree_for_a_hand(
     names: tuple[str, str], agree: bool, tmp_path: Path
 ) -> None:
     parts = {"base": Part("base", mass=16.0)}

@@ -117,7 +117,9 @@ TORQUES: dict[str, tuple[dict[str, str], Callable[[np.ndarray, np.ndarray], np.n
 
 
 @pytest.mark.parametrize("kind", TORQUES)
-def test_what_accelerates_a_pendulum_does_so_as_physics_says(kind: str, tmp_path: Path) -> None:
+def test_passive_forces_change_pendulum_acceleration_as_in_closed_form(
+    kind: str, tmp_path: Path
+) -> None:
     edits, torque = TORQUES[kind]
     effects, angle, speed = swing(tmp_path, **edits)
     assert set(effects) == {"forward dynamics"}
@@ -320,7 +322,7 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 
 @pytest.mark.parametrize("kind", PASSIVE)
-def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
+def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_path: Path) -> None:
     comparison = pair(tmp_path, acting(kind, "0.5", MJCF))
     assert comparison.engines == ()
     assert not comparison.agree
@@ -334,7 +336,9 @@ def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: P
 
 
 @pytest.mark.parametrize("kind", UNFELT)
-def test_what_no_acceleration_feels_is_a_difference_all_the_same(kind: str, tmp_path: Path) -> None:
+def test_attribute_without_effect_on_acceleration_is_still_a_difference(
+    kind: str, tmp_path: Path
+) -> None:
     for old, new in UNFELT[kind]:
         comparison = pair(tmp_path, with_(MJCF, **{old: new}))
         assert [one for one, _ in found(comparison)] == [kind], new
@@ -376,7 +380,7 @@ MIMIC = {KNEE: f'{KNEE}<mimic joint="hip0" multiplier="2" offset="0.1"/>'}
 
 
 @pytest.mark.slow
-def test_a_mimic_without_its_equality_is_named_and_an_equality_that_says_otherwise(
+def test_mimic_without_equal_equality_is_a_difference(
     tmp_path: Path,
 ) -> None:
     urdf = with_(URDF, **MIMIC)
@@ -427,7 +431,7 @@ HINGED = (
 
 
 @pytest.mark.parametrize(("scene", "extra"), [(BALL + MOCAP + DOOR, HINGED), (CLOTH, "")])
-def test_what_acts_on_other_objects_is_none_of_the_robots(
+def test_elements_of_other_objects_are_no_difference_of_the_robot(
     scene: str, extra: str, tmp_path: Path
 ) -> None:
     """A cloth's edges are kept by an equality, which said that the robot is held."""
@@ -435,7 +439,7 @@ def test_what_acts_on_other_objects_is_none_of_the_robots(
 
 
 @pytest.mark.parametrize("inertial", ["", '<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>'])
-def test_what_is_moved_by_hand_is_no_mass_of_a_fixed_base(inertial: str, tmp_path: Path) -> None:
+def test_mocap_body_adds_no_mass_to_a_fixed_base(inertial: str, tmp_path: Path) -> None:
     target = f'<body name="hand" mocap="true">{inertial}<geom size="0.1"/></body>'
     text = mjcf_text(arm(), free=False, scene=target)
     assert pair(tmp_path, text, urdf_text(arm())).agree
@@ -453,7 +457,7 @@ def test_what_is_moved_by_hand_is_no_mass_of_a_fixed_base(inertial: str, tmp_pat
         ),
     ],
 )
-def test_what_ties_the_robot_to_other_objects_is_found(
+def test_equality_between_robot_and_object_is_a_difference(
     extra: str, kind: str, tmp_path: Path
 ) -> None:
     """The object is taken out of the scene to compare; what held the robot must not vanish."""
@@ -468,7 +472,7 @@ def test_what_ties_the_robot_to_other_objects_is_found(
 
 
 @pytest.mark.slow
-def test_flags_switch_off_what_is_written(tmp_path: Path) -> None:
+def test_disable_flags_remove_the_forces_that_the_file_states(tmp_path: Path) -> None:
     def flagged(word: str, text: str = MJCF) -> Comparison:
         option = f'<option><flag {word}="disable"/></option><worldbody>'
         return pair(tmp_path, with_(text, **{"<worldbody>": option}))

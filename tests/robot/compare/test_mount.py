@@ -38,7 +38,7 @@ def on_a_root(text: str, turn: Rotation) -> str:
     return text.replace("</robot>", root)
 
 
-def test_a_pendulum_on_its_side(tmp_path: Path) -> None:
+def test_mount_tilt_is_reported_for_a_pendulum_on_its_side(tmp_path: Path) -> None:
     """As it lies it is tilted; turned about gravity it is not."""
     urdf, mjcf = urdf_text(pendulum(), ()), mjcf_text(pendulum(), (), free=False)
     lying = Rotation.from_euler("y", 90, degrees=True)
@@ -56,7 +56,9 @@ def test_a_pendulum_on_its_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_tilt_is_between_gravity_as_both_files_have_it(seed: int, tmp_path: Path) -> None:
+def test_mount_tilt_is_the_angle_between_the_gravity_of_both_files(
+    seed: int, tmp_path: Path
+) -> None:
     """With a root link, turned as well, whose place is lost when it is left out."""
     turns = Rotation.random(2, rng=np.random.default_rng(seed))
     urdf = on_a_root(urdf_text(arm(), ()), turns[0])

@@ -453,14 +453,14 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
     assert tried >= PLACES, f"{kind} was tried at {tried} places"
 
 
-def test_a_renamed_joint_is_matched_by_structure_and_said_so(tmp_path: Path) -> None:
+def test_renamed_joint_is_matched_by_structure(tmp_path: Path) -> None:
     urdf, mjcf = sources("v3")
     comparison = compared(tmp_path, urdf.replace('"leg_back_l_2"', '"left_hind_roll"'), mjcf)
     assert comparison.guessed == {"left_hind_roll": "leg_back_l_2"}
     assert comparison.agree
 
 
-def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
+def test_joint_that_is_fixed_in_one_file_is_reported(tmp_path: Path) -> None:
     urdf, mjcf = sources("original")
     root = ElementTree.fromstring(urdf.encode())
     joint = next(joint for joint in root.iter("joint") if joint.get("name") == "RL_KFE")

@@ -25,14 +25,14 @@ OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
-def test_of_one_plausible_slip_nothing_is_said_that_is_not_so(name: str, tmp_path: Path) -> None:
+def test_findings_of_one_plausible_slip_are_true(name: str, tmp_path: Path) -> None:
     for number in range(5):  # none of those in docs/data/slips.csv, whose seed is 0
         result = one_slip.case((name, 1, number, str(tmp_path)))
         assert not one_slip.wrong(result), result
 
 
 @pytest.mark.slow
-def test_of_attributes_at_their_ends_nothing_is_said_that_is_not_so(tmp_path: Path) -> None:
+def test_findings_of_extreme_attribute_values_are_true(tmp_path: Path) -> None:
     cases = attributes.cases(str(tmp_path), ())
     assert len(cases) > 5000
     for index in np.random.default_rng(0).choice(len(cases), 40, replace=False):

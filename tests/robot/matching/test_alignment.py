@@ -17,7 +17,7 @@ def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
     )
 
 
-def test_a_base_seen_from_another_frame_is_the_same_matter() -> None:
+def test_base_inertia_in_another_frame_equals_the_sum_of_point_masses() -> None:
     """Point masses are moved one by one, x' = R x + p, and summed up again."""
     random = np.random.default_rng(1)
     points, masses = random.normal(size=(5, 3)), random.uniform(0.1, 1.0, 5)

@@ -78,7 +78,7 @@ def pair(folder: Path, mjcf: Parts, frames: Frames = FEET, urdf: Parts | None = 
 # ------------------------------------------------------------------------------------- link frames
 
 
-def test_frames_that_are_turned_in_a_row_and_back_after_the_last_are_nothing(
+def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
     tmp_path: Path,
 ) -> None:
     """As the thumb of a Shadow Hand: by itself no link's frame is nearer to the other file's."""
@@ -103,7 +103,7 @@ def test_frames_that_are_turned_in_a_row_and_back_after_the_last_are_nothing(
     assert "turned by 5.73 deg" in comparison.differences[0].message
 
 
-def test_what_is_off_the_axis_is_found_at_its_size(tmp_path: Path) -> None:
+def test_offset_across_the_axis_is_reported_with_its_size(tmp_path: Path) -> None:
     """138 mm along the axis, 0.7 mm off it: 0.7 mm is what is wrong."""
     parts = quadruped()
     mjcf, feet = reframed(parts, FEET, "shank0", Rotation.identity(), np.array([0, 0.138, 0]))
@@ -114,7 +114,7 @@ def test_what_is_off_the_axis_is_found_at_its_size(tmp_path: Path) -> None:
     assert comparison.complete
 
 
-def test_a_real_slip_along_the_axis_is_still_one(tmp_path: Path) -> None:
+def test_offset_along_the_axis_that_nothing_compensates_is_a_difference(tmp_path: Path) -> None:
     """Nothing compensates for it: the whole leg is elsewhere."""
     place = np.array(quadruped()["shank0"].position) + rotation_of(quadruped()["shank0"]).apply(
         [0, 0.01, 0]
@@ -138,7 +138,7 @@ def zero_elsewhere(parts: Parts, link: str, offset: float) -> Parts:
 
 
 @pytest.mark.parametrize("offset", [0.3, -2.0])
-def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offset: float) -> None:
+def test_joint_zero_shifted_with_its_limits_is_one_cause(tmp_path: Path, offset: float) -> None:
     comparison = compared(pair(tmp_path, zero_elsewhere(quadruped(), "shank1", offset)))
     assert found(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
@@ -154,7 +154,7 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
 
 
 @pytest.mark.slow
-def test_other_coordinates_are_one_robot_and_no_agreement(tmp_path: Path) -> None:
+def test_different_conventions_are_the_same_robot_but_disagree(tmp_path: Path) -> None:
     """All else still counts."""
     mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
     mjcf, feet = reframed(mjcf, FEET, "base", *POSES["both"])
@@ -190,7 +190,7 @@ POSES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
-def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: str) -> None:
+def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str) -> None:
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])
     comparison = compared(pair(tmp_path, mjcf, feet))
     assert found(comparison) == [("base frame", "base")]
@@ -213,7 +213,7 @@ def test_the_frame_of_a_fixed_base_elsewhere_is_a_note(tmp_path: Path, pose: str
 
 
 @pytest.mark.parametrize("names", [True, False])
-def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, names: bool) -> None:
+def test_rotated_fixed_base_gives_one_note(tmp_path: Path, names: bool) -> None:
     urdf = arm()
     if not names:
         urdf = {name: replace(part, joint=f"j_{part.joint}_x") for name, part in arm().items()}

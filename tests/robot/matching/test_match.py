@@ -55,7 +55,7 @@ def with_root(kind: str, origin: str = "", urdf: str = URDF) -> str:
 
 
 @pytest.mark.parametrize("kind", ["fixed", "floating"])
-def test_a_root_link_without_mass_is_left_out_and_said_so(tmp_path: Path, kind: str) -> None:
+def test_massless_root_link_is_left_out_with_a_note(tmp_path: Path, kind: str) -> None:
     comparison = compare_texts(tmp_path, with_root(kind), MJCF)
     assert comparison.agree
     assert "robot.urdf: root link 'world' has no mass and was left out" in map(
@@ -86,7 +86,7 @@ def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind:
     assert str(note).startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
 
 
-def test_robots_that_have_nothing_in_common(tmp_path: Path) -> None:
+def test_robots_without_a_common_joint_are_refused(tmp_path: Path) -> None:
     """Names and structure differ: no guess, but a hint at mappings."""
     other = {name: replace(part, joint=f"x{part.joint}") for name, part in arm().items()}
     with pytest.raises(ModelError, match=r"no joint in common .*name the pairs with a mapping"):
@@ -117,7 +117,7 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("where", ["urdf", "mjcf"])
-def test_a_joint_of_one_file_is_fixed_at_zero_and_named(tmp_path: Path, where: str) -> None:
+def test_joint_of_one_file_alone_is_fixed_at_zero_and_reported(tmp_path: Path, where: str) -> None:
     tail = {"tail": light("tail", "base")}
     still = {"tail": replace(tail["tail"], kind="fixed")}
     urdf = quadruped() | (tail if where == "urdf" else still)
@@ -143,7 +143,9 @@ def test_a_joint_of_one_file_is_fixed_at_zero_and_named(tmp_path: Path, where: s
         "",
     ],
 )
-def test_what_refers_to_a_joint_of_the_mjcf_alone_goes_with_it(tmp_path: Path, extra: str) -> None:
+def test_references_to_a_joint_of_the_mjcf_alone_are_removed_with_the_joint(
+    tmp_path: Path, extra: str
+) -> None:
     mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
@@ -172,7 +174,7 @@ def other_links(parts: Parts) -> Parts:
     }
 
 
-def test_names_that_all_differ_are_matched_by_structure_and_said_so(tmp_path: Path) -> None:
+def test_joints_are_matched_by_structure_if_all_names_differ(tmp_path: Path) -> None:
     names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
     files = write_parts(tmp_path, renamed(quadruped(), **names), other_links(quadruped()))
     comparison = compared(files)
@@ -181,7 +183,7 @@ def test_names_that_all_differ_are_matched_by_structure_and_said_so(tmp_path: Pa
     assert set(comparison.joints) == JOINTS
 
 
-def test_what_matches_in_part_without_a_name_in_common_is_left_open(tmp_path: Path) -> None:
+def test_ambiguous_partial_match_without_common_names_is_left_open(tmp_path: Path) -> None:
     """As Cassie's two models: turned by half a turn about z, its legs match as well, exchanged."""
 
     def walker(x: float, words: tuple[str, ...], last: tuple[float, float, float]) -> Parts:
@@ -227,7 +229,7 @@ def test_prefixes_and_suffixes_are_tried(tmp_path: Path) -> None:
     }
 
 
-def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
+def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
     twins = twins_at_one_place()
     middle = {
         "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
@@ -259,7 +261,7 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
-def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> None:
+def test_gripper_of_one_file_alone_is_reported_as_a_part(tmp_path: Path, where: str) -> None:
     """A hand is fixed to the rod, and carries two fingers."""
     hand = light("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
     fingers = {
@@ -279,7 +281,7 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
 # ------------------------------------------------------------------------------------- mappings
 
 
-def test_a_mapping_goes_before_equal_names(tmp_path: Path) -> None:
+def test_mapping_takes_precedence_over_equal_names(tmp_path: Path) -> None:
     """The files have swapped the names of two legs."""
     swapped = renamed(quadruped(), hip0="hip1", knee0="knee1", hip1="hip0", knee1="knee0")
     files = write_parts(tmp_path, swapped, quadruped())
@@ -292,7 +294,7 @@ def test_a_mapping_goes_before_equal_names(tmp_path: Path) -> None:
     ("one", "other", "file"),
     [("hop", "hip0", "urdf"), ("hip0", "hop", "xml"), ("hip0", "foot0", "xml")],
 )
-def test_an_unknown_name_lists_the_valid_ones(
+def test_unknown_name_in_a_mapping_is_refused_with_the_valid_names(
     tmp_path: Path, one: str, other: str, file: str
 ) -> None:
     """A joint is no frame: what makes no sense is refused, not passed over."""
@@ -306,7 +308,7 @@ def test_an_unknown_name_lists_the_valid_ones(
 # ------------------------------------------------------------------------------------- fused
 
 
-def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -> None:
+def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Path) -> None:
     """As MuJoCo converts a URDF: all four legs are the robot's, and the base's mass is no cause.
 
     Nor do they agree: what the base weighs is in one file alone.
