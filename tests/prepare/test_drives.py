@@ -41,7 +41,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [701, 708])
-def test_servos_are_made_for_the_files_own_time_step(tmp_path: Path, seed: int) -> None:
+def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) -> None:
     """At 2 ms 701's file shook on the servos that stood at 1 ms, kp 2700 and kd 130."""
     robot = pa.load_robot(written(drawn(seed), tmp_path).mjcf)
     assert robot.published is not None

@@ -51,7 +51,7 @@ def verdict_of(robot: pa.Robot) -> Verdict:
 
 
 @pytest.mark.slow
-def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
+def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Path) -> None:
     """Two routes from the URDF to MuJoCo, ours and its own: one robot."""
     robot = pa.load_robot(four_legs(tmp_path))
     verdict = verdict_of(robot)
@@ -70,7 +70,7 @@ def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -> None:
+def test_imported_model_is_mujocos_with_free_joint_ground_and_no_motors(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
     model = get_published_model(robot)
     assert model is not None
@@ -84,7 +84,7 @@ def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_what_falls_as_mujoco_imports_it_does_not_hold(tmp_path: Path) -> None:
+def test_verdict_fails_if_the_mujoco_import_falls(tmp_path: Path) -> None:
     """Whatever is made of it: here two feet of the import are points, 18 mm higher."""
     robot = pa.load_robot(four_legs(tmp_path))
     assert robot.published is not None
@@ -110,7 +110,7 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:
+def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
     """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
     verdict = verdict_of(pa.load_robot(urdf))

@@ -57,7 +57,7 @@ def slipped(folder: Path, slip: Slip) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", SLIPS)
-def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule: str) -> None:
+def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
     slip, message = SLIPS[rule]
     urdf = slipped(tmp_path, slip)
     errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}

@@ -38,7 +38,7 @@ def stands(robot: Robot) -> pa.simulation.StandVerification:
     return found
 
 
-def test_limbs_that_hang_in_the_world_are_told_from_a_base(tmp_path: Path) -> None:
+def test_limbs_attached_to_the_world_are_not_a_fixed_base(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
     robot = load(fused(quadruped(tmp_path, keyframe="", floor=True)))
     assert not robot.floating
@@ -51,7 +51,7 @@ def test_limbs_that_hang_in_the_world_are_told_from_a_base(tmp_path: Path) -> No
     ("name", "frame"),
     [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
 )
-def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path: Path) -> None:
+def test_feet_named_in_one_file_are_used_for_both(name: str, frame: object, tmp_path: Path) -> None:
     foot = '<geom name="{}" type="sphere" size="0.02" pos="0 0 -0.2"/>'
     pair = quadruped(tmp_path, foot="@")
     text = pair.mjcf.read_text()
@@ -68,7 +68,7 @@ def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path
     assert robot.contact_radius["FL"] == 0.02
 
 
-def test_a_keyframe_that_is_not_there(tmp_path: Path) -> None:
+def test_unknown_keyframe_is_refused_with_the_valid_names(tmp_path: Path) -> None:
     with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
         load(quadruped(tmp_path), keyframe="crouch")
 
@@ -105,7 +105,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
+def test_sag_on_flat_feet_equals_the_settled_simulation(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     sag = pa.steady_state(robot, stand)
@@ -117,7 +117,9 @@ def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
-def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
+def test_biped_tips_if_the_com_is_beyond_the_edge_of_its_soles(
+    ahead: float, held: bool, tmp_path: Path
+) -> None:
     """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
     robot = load(biped(tmp_path))
     points = pa.solve_stand(robot).contact_points
@@ -132,7 +134,7 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
 
 
 @pytest.mark.slow
-def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
+def test_flat_feet_stand_on_steps_of_a_slope_and_one_is_lifted(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
     ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
@@ -179,7 +181,7 @@ def test_a_base_frame_on_the_ground_between_the_feet(
 
 
 @pytest.mark.slow
-def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
+def test_tilted_base_frame_gives_a_note(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     text = re.sub(r"<keyframe>.*</keyframe>", "", pair.mjcf.read_text(), flags=re.DOTALL)
     turned = text.replace('<body name="trunk"', '<body name="trunk" quat="0.7 0 0.7 0"', 1)
@@ -192,7 +194,7 @@ def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("turn", "axis", "back"), [("x", "+y", (-1, 0)), ("y", "-x", (0, -1)), ("xx", "+z", (2, 0))]
 )
-def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
+def test_urdf_with_a_lying_base_is_refused_with_a_remedy(
     turn: str, axis: str, back: tuple[int, int], tmp_path: Path
 ) -> None:
     path = standing_urdf(tmp_path)
@@ -241,7 +243,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
+def test_foot_mesh_that_is_not_round_gives_a_note(tmp_path: Path) -> None:
     corners = itertools.product((-0.03, 0.03), (-0.02, 0.02), (-0.02, 0.02))
     vertices = " ".join(str(value) for corner in corners for value in corner)
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
@@ -310,7 +312,7 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
 
 
 @pytest.mark.slow
-def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
+def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
     pair = quadruped(tmp_path, keyframe="")
     rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
@@ -331,7 +333,7 @@ def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     stands(robot)
 
 
-def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
+def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path) -> None:
     """A slide is a direction: where a file puts its origin says nothing of the foot's place."""
     pair = quadruped(tmp_path, floor=True, keyframe="0 0.1 0")
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
@@ -375,7 +377,7 @@ def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
     stands(robot)
 
 
-def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
+def test_servos_that_need_feed_forward_are_used_if_no_others_hold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As HyQ's, whose feet slide by 5 mm and more as it sags."""

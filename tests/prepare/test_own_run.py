@@ -195,7 +195,7 @@ def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) 
 
 
 @pytest.mark.slow
-def test_what_sleeps_is_judged(tmp_path: Path) -> None:
+def test_robot_with_sleeping_enabled_is_judged(tmp_path: Path) -> None:
     """MuJoCo does not differentiate a step of what may sleep."""
     asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
     robot = slipped(tmp_path, asleep)
@@ -204,7 +204,7 @@ def test_what_sleeps_is_judged(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_file_does_is_no_matter_of_what_a_task_welds(tmp_path: Path) -> None:
+def test_own_run_does_not_depend_on_the_welds_of_the_task(tmp_path: Path) -> None:
     """A foot that is welded carries nothing; in the file it carries as the others do."""
 
     def with_motors(text: str) -> str:

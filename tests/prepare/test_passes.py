@@ -30,7 +30,7 @@ def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
     assert (pair.urdf.read_bytes(), pair.mjcf.read_bytes()) == before
 
 
-def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
+def test_each_note_is_reported_by_one_preparation_step(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path))
     done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
@@ -42,7 +42,7 @@ def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
     assert list(robot.notes[: len(of_passes)]) == of_passes
 
 
-def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path) -> None:
+def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path, foot="", free=False, keyframe=""))
     assert not robot.floating
     assert runs[-1].name == "hold-base"
@@ -58,7 +58,7 @@ def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
         prepared(pair)
 
 
-def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
+def test_nothing_is_added_with_as_is(tmp_path: Path) -> None:
     robot, runs = prepared(quadruped(tmp_path), as_is=True)
     names = {run.name for run in runs}
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
@@ -67,7 +67,7 @@ def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path: Path) -> None:
+def test_existing_site_with_the_name_of_a_foot_is_not_changed(tmp_path: Path) -> None:
     """A file that was saved from memory has such sites, and may have been moved since."""
     pair = quadruped(tmp_path)
     plain = pa.load_robot(pair.urdf, pair.mjcf)

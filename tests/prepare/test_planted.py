@@ -241,7 +241,7 @@ def planted(folder: Path, plant: str) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_of_what_is_sound_nothing_is_told(tmp_path: Path) -> None:
+def test_correct_files_have_no_cause_of_failure(tmp_path: Path) -> None:
     verdict = judged(*standing(tmp_path))
     assert verdict.passed, in_words(verdict)
     assert causes(verdict) == []
@@ -256,7 +256,7 @@ HARMLESS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", [*PLANTS, *ODD])
-def test_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
+def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None:
     """And no verdict is better than bare MuJoCo."""
     urdf, mjcf = planted(tmp_path, plant)
     found = right(urdf, mjcf, ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", ")))
@@ -265,7 +265,7 @@ def test_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
 
 
 @pytest.mark.slow
-def test_gravity_aside_is_told(tmp_path: Path) -> None:
+def test_horizontal_gravity_is_named_as_a_cause(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     shared = tmp_path / "mjcf/pupper_v3_shared.xml"
     shared.write_text(put("0 0 -9.81", "4 0 -9")(shared.read_text()))

@@ -89,7 +89,7 @@ def test_added_servos_bring_the_options_that_the_file_does_not_state(
     assert model.opt.timestep == (0.004 if "0.004" in option else 0.002)  # the file is unchanged
 
 
-def test_options_of_a_file_with_servos_are_its_own(tmp_path: Path) -> None:
+def test_options_of_a_file_with_servos_are_kept(tmp_path: Path) -> None:
     """MuJoCo's defaults belong to the file if its own servos were made for them."""
     robot = slipped(tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', ""))
     model = get_published_model(robot)
@@ -121,7 +121,7 @@ def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: boo
     assert has_few_servos(replace(bare, drives=most)) is few
 
 
-def test_velocity_servos_that_nobody_commands_are_no_fall_of_the_file(tmp_path: Path) -> None:
+def test_velocity_servos_without_commands_do_not_count_as_a_fall(tmp_path: Path) -> None:
     """In bare MuJoCo the file sinks on its velocity servos, whose commands are speeds, not angles.
 
     The keyframe states no ctrl, as with torque motors: servos are added, and the verdict passes.

@@ -36,7 +36,7 @@ def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
 
 
 @pytest.mark.slow
-def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
+def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     assert truth_of(pair.mjcf, pair.mjcf) is Truth.STANDS
     robot = pa.load_robot(*pair)
@@ -104,7 +104,7 @@ def test_a_robot_whose_legs_retract_before_its_feet_touch_collapses(
     assert own.fails
 
 
-def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
+def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
     """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
     pair = standing(tmp_path)
     robot = pa.load_robot(*pair)
@@ -119,7 +119,7 @@ def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
-def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
+def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     """With its feet in the air: the height at which it lands is none that it keeps."""
     pair = standing(tmp_path)
     text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
@@ -134,7 +134,7 @@ def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
-def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
+def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) -> None:
     """``biastype="affine"`` is of a servo: its own commands are tried, and it falls."""
     pair = standing(tmp_path)
     servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
@@ -156,7 +156,7 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
         ("gear of all is -1", "unmodified MJCF, from keyframe home, 5 s: COLLAPSES"),
     ],
 )
-def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, said: str) -> None:
+def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, said: str) -> None:
     pair = slipped(tmp_path, name)
     assert truth_of(pair.mjcf, pair.mjcf) in (Truth.FALLS, Truth.ELSEWHERE)
     verdict = verdict_of(pair)
@@ -166,7 +166,7 @@ def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, sa
 
 
 @pytest.mark.slow
-def test_what_is_replaced_is_named(tmp_path: Path) -> None:
+def test_replaced_servo_is_named(tmp_path: Path) -> None:
     """The servo of one knee, with its own gains, and never as if there were none."""
     pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
     robot = pa.load_robot(*pair)
@@ -199,7 +199,7 @@ CAUSES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", CAUSES)
-def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
+def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
     old, new, element, line = CAUSES[cause]
     pair = standing(tmp_path)
     rewritten(pair.mjcf, (old, new))
@@ -218,7 +218,7 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
 
 
 @pytest.mark.slow
-def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -> None:
+def test_two_files_of_different_robots_are_named_as_the_cause(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     rewritten(pair.mjcf, ('mass="4"', 'mass="5"'))
     published = verdict_of(pair).published

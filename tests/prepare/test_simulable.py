@@ -46,7 +46,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
+def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
     old, new, said = REFUSED[case]
     pair = standing(tmp_path)
     text = rewritten(pair.mjcf, (old, new), count=1).read_text()

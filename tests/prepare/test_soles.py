@@ -44,7 +44,7 @@ def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> p
 
 
 @pytest.mark.slow
-def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
+def test_mesh_sole_gets_spheres_at_its_corners(tmp_path: Path) -> None:
     """MuJoCo's contacts of a mesh with many vertices jump as loads shift: by 1.4 % on an H1-2."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
     robot = load(pair)
@@ -67,7 +67,7 @@ def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
+def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
     """A Zeroth bot's sole has a corner 0.14 mm off the others: its foot tilted, by 1.9 %."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
     numbers = VERTICES.findall(pair.mjcf.read_text())[0].split()
@@ -96,7 +96,7 @@ def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> No
     holds(robot, within=1e-5)
 
 
-def test_the_corners_of_a_hull_are_those_that_matter() -> None:
+def test_sole_corners_are_the_lowest_corners_of_the_hull() -> None:
     angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(angles), 0.05 * np.sin(angles), np.zeros(60)])
     above = ring + np.array([0, 0, 0.01])
@@ -124,7 +124,7 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) -> None:
+def test_nearly_level_sole_keeps_the_tilt_of_its_leg(tmp_path: Path) -> None:
     """By a mesh's last digits: no roll of the foot can mend it."""
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
     pair = held(biped(tmp_path, foot), "_yaw", "_tilt")
@@ -148,7 +148,7 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
+def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> None:
     robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
     with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
@@ -160,7 +160,7 @@ def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     assert str(caught.value.lacks) in str(caught.value)
 
 
-def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: Path) -> None:
+def test_feet_of_four_joint_legs_that_tilt_have_one_contact_point(tmp_path: Path) -> None:
     """Yaw, roll, pitch and knee: the foot tilts as they bend."""
     pair = held(biped(tmp_path), "_ankle", "_tilt")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
@@ -173,7 +173,7 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
 
 
 @pytest.mark.slow
-def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
+def test_tilted_flat_soles_give_a_failure(tmp_path: Path) -> None:
     """Legs of three joints cannot lay them flat: corners carry that the prediction lacks."""
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
     pair = quadruped(tmp_path, foot=box, floor=True)
@@ -187,7 +187,7 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None:
+def test_tilted_soles_of_spheres_are_refused(tmp_path: Path) -> None:
     """The ball that was taken for the foot is not the lowest there; the others are no feet.
 
     They are 0.1 mm in the ground, and the stand is refused.
@@ -288,7 +288,7 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
     assert radius == pytest.approx(curvature / 2, rel=1e-5)
 
 
-def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
+def test_round_sole_touches_at_its_rim(tmp_path: Path) -> None:
     """At the cylinder's radius, 90 mm from its axis, and not at its half length."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
     for points in robot.feet.values():
@@ -299,7 +299,7 @@ def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sole_sinks_as_a_plane_whose_forces_have_the_resultant(tmp_path: Path) -> None:
+def test_sole_sinks_as_a_plane_that_carries_force_and_moment(tmp_path: Path) -> None:
     """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
     pair = biped(tmp_path)
     robot = pa.load_robot(*pair)

@@ -23,7 +23,7 @@ from tests.support.slips import standing
 from tests.support.variants import load
 
 
-def test_what_a_pose_leaves_out_is_zero_or_as_near_as_limits_let_it() -> None:
+def test_omitted_joints_are_at_zero_clipped_to_their_limits() -> None:
     robot = load("original")
     low, high = robot.lower_limits, robot.upper_limits
     np.testing.assert_array_equal(clip_to_limits(robot), np.clip(0.0, low, high))
@@ -33,7 +33,7 @@ def test_what_a_pose_leaves_out_is_zero_or_as_near_as_limits_let_it() -> None:
     np.testing.assert_array_equal(clip_to_limits(robot, {first: 99.0, second: 0.1}), expected)
 
 
-def test_a_keyframe_in_which_no_stand_exists_is_left_for_a_height_that_one_has(
+def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
     tmp_path: Path,
 ) -> None:
     """The base would be 77 mm high, where nobody asked for it, and legs overlap."""
@@ -54,7 +54,7 @@ def test_a_keyframe_in_which_no_stand_exists_is_left_for_a_height_that_one_has(
 
 
 @pytest.mark.slow
-def test_a_start_pose_is_one_in_which_the_nominal_stand_exists(
+def test_start_pose_allows_the_nominal_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a biped whose straight legs cannot move the com sideways, and bent ones can.
@@ -91,7 +91,7 @@ def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> None:
+def test_robot_without_a_stand_has_servos(tmp_path: Path) -> None:
     """Who knows a height for it needs no gains of their own."""
     files = quadruped(tmp_path)
     deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
@@ -103,7 +103,7 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -> None:
+def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -> None:
     """Its knee is 3 mrad beyond the limit, as G1's thumb in the Menagerie; bare MuJoCo stands."""
     pair = standing(tmp_path)
     rewritten(pair.mjcf, (" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0.6 -1.203"] * 4)))

@@ -20,7 +20,7 @@ SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
   <geom name="last" type="sphere" size=".2" pos="0 0 -1"/></body></worldbody></mujoco>"""
 
 
-def test_a_body_weighs_what_it_does_with_its_visuals() -> None:
+def test_mass_and_inertia_do_not_change_without_visuals() -> None:
     spec = mujoco.MjSpec.from_string(SPEC)
     whole = spec.copy().compile()
     discard_visuals(spec)
@@ -31,14 +31,14 @@ def test_a_body_weighs_what_it_does_with_its_visuals() -> None:
     assert len(spec.geoms) == 3  # what is compiled is a copy
 
 
-def test_in_a_fluid_they_stay() -> None:
+def test_visuals_are_kept_in_a_fluid() -> None:
     spec = mujoco.MjSpec.from_string(SPEC)
     spec.option.viscosity = 1e-3
     discard_visuals(spec)
     assert spec.copy().compile().ngeom == 3
 
 
-def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
+def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
     rewritten(pair.mjcf, ("<freejoint/>", f"<freejoint/>{seen}"))

@@ -48,9 +48,7 @@ def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["v3", "original"])
-def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
-    name: str, seed: int
-) -> None:
+def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) -> None:
     robot, qpos, targets = goals(name, seed)
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0

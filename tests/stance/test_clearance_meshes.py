@@ -117,7 +117,7 @@ def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
     assert seen > 10
 
 
-def test_distances_between_links_are_those_of_mujocos_hulls(robot: pa.Robot) -> None:
+def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
     shapes, model = ClearanceShapes(robot), robot.mj_model
     neighbours, seen = neighbouring(robot), 0
     for seed in range(15):
@@ -155,7 +155,7 @@ def neighbouring(robot: pa.Robot) -> set[frozenset[int]]:
     return found
 
 
-def test_a_demanded_clearance_is_kept_and_its_limit_is_mujocos(robot: pa.Robot) -> None:
+def test_requested_clearance_is_kept_and_its_limit_equals_mujoco(robot: pa.Robot) -> None:
     """Without the meshes any clearance was as good as another: none was looked at."""
     with pytest.raises(pa.StanceUnreachableError, match=r"_calf is .* above the ground") as caught:
         pa.solve_stand(robot, pa.StandTask(ground_clearance=0.5))
@@ -166,7 +166,7 @@ def test_a_demanded_clearance_is_kept_and_its_limit_is_mujocos(robot: pa.Robot) 
         pa.solve_stand(robot, pa.StandTask(ground_clearance=1.01 * limit), explain=False)
 
 
-def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
+def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
     pair = meshed(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
@@ -181,7 +181,7 @@ def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
     assert other.distance > near.distance - 1e-9
 
 
-def test_what_cannot_be_judged_is_refused(tmp_path: Path) -> None:
+def test_clearance_is_refused_without_shapes_beside_the_feet(tmp_path: Path) -> None:
     """Nothing but feet: no clearance can be told, and none is asked for by default."""
     pair = quadruped(tmp_path, floor=True)
     text = pair.mjcf.read_text()
@@ -193,7 +193,7 @@ def test_what_cannot_be_judged_is_refused(tmp_path: Path) -> None:
     pa.solve_stand(robot, pa.StandTask(self_clearance=0.01))  # of the feet
 
 
-def test_distances_that_no_one_can_tell_are_refused(robot: pa.Robot) -> None:
+def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None:
     def as_field(model: mujoco.MjModel) -> None:
         model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
 

@@ -25,7 +25,7 @@ def refused(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
     return caught.value
 
 
-def test_a_refusal_names_the_margin_with_its_limit() -> None:
+def test_refusal_of_a_com_margin_states_its_limit() -> None:
     robot = load("v3")
     task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
     error = refused(robot, task)

@@ -75,7 +75,7 @@ def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> No
     assert len(seen) == (5 if com == "inside" else 6)
 
 
-def test_the_elastic_problems_derivative_is_that_of_its_residuals() -> None:
+def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> None:
     robot = load("v3")
     demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
     elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)

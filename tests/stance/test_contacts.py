@@ -79,7 +79,7 @@ def test_mujoco_holds_a_stand_on_a_roof() -> None:
     assert found.force_error < 1e-6
 
 
-def test_what_presses_a_foot_is_measured_along_the_normal_of_its_plane() -> None:
+def test_foot_force_error_is_measured_along_the_normal_of_its_plane() -> None:
     """Without feed-forward, where forces are others than predicted."""
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
@@ -184,7 +184,7 @@ def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.R
 
 
 @pytest.mark.parametrize("effort", [600.0, 60.0])
-def test_how_hard_a_hand_can_press_is_what_another_programme_says(
+def test_maximum_hand_force_equals_an_independent_cone_program(
     armed: pa.Robot, effort: float
 ) -> None:
     """Friction limits it, or a motor does: by Clarabel on MuJoCo's Jacobians. A stated force that
@@ -259,7 +259,7 @@ def test_friction_is_the_planes_in_mujoco_and_in_statics() -> None:
     assert grounded.contacts["FR"] == robot.contacts["FR"]
 
 
-def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed: pa.Robot) -> None:
+def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) -> None:
     task = pa.StandTask(contacts=table())
     robot = touching(armed, task.contacts)
     assert robot.hands == (HAND,)
@@ -322,7 +322,7 @@ def test_a_sole_neither_grips_nor_stands_on_a_bar(tmp_path: Path) -> None:
             pa.solve_stand(robot, pa.StandTask(contacts={foot: contact}))
 
 
-def test_a_hand_is_where_it_is_at_home_or_where_it_is_put(armed: pa.Robot) -> None:
+def test_hand_contact_is_at_its_home_position_or_at_the_given_place(armed: pa.Robot) -> None:
     home = armed.posed(armed.home[7:])
     home[2] = armed.stand_height
     robot = touching(armed, table())
@@ -353,7 +353,9 @@ def test_a_robot_has_the_contacts_of_each_task(armed: pa.Robot) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
-def test_where_a_com_is_in_balance_is_what_a_search_says(armed: pa.Robot, seed: int) -> None:
+def test_com_region_with_a_hand_equals_a_search_by_linear_programs(
+    armed: pa.Robot, seed: int
+) -> None:
     """1,000 places each, a linear programme on edges of the cones at each."""
     wall = pa.Contact(pa.Plane((0.5, 0, 0.5), (-0.8, 0, 0.6), 0.5))
     task = pa.StandTask(contacts={HAND: wall})
@@ -369,7 +371,7 @@ def test_where_a_com_is_in_balance_is_what_a_search_says(armed: pa.Robot, seed: 
     assert min(search_region(corners, points, cones, shares, 0.01)) > 100
 
 
-def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
+def test_contacts_are_equal_after_json_and_command_line_round_trips() -> None:
     contacts = {
         "FL": pa.Contact(pa.Plane((0.4, 0, 0), (-2, 0, 0), 0.6), place=(0.4, 0.1, 0.3)),
         "hand": pa.Contact(pa.Plane((0, 0, 0.7), (0, 0, 1)), offset=(0.1, 0, 0), radius=0.02),
@@ -389,7 +391,7 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
     assert "FL 接触 wall:400mm" in task.describe("zh")
 
 
-def test_a_study_varies_where_a_plane_is() -> None:
+def test_study_varies_the_position_of_a_plane() -> None:
     """By the number that is typed: x of a wall, z of a table, else along the normal."""
     slanted = pa.Contact(pa.Plane((0.1, 0.2, 0.3), (0.0, 0.6, 0.8)))
     rung = pa.Contact(pa.Bar((0.4, 0, 0.45), (0, 1, 0), 0.01), (0.35, 0, 0.45), grip=30.0)
@@ -445,7 +447,7 @@ def plane(**more: object) -> pa.Contact:
         ),
     ],
 )
-def test_what_is_no_contact_is_refused_in_a_line(make: object, match: str) -> None:
+def test_invalid_contact_is_refused_in_one_line(make: object, match: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=match) as caught:
         make()  # type: ignore[operator]
     assert "\n" not in str(caught.value)
@@ -481,7 +483,7 @@ def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> No
         assert found.force_error < 1e-6
 
 
-def test_a_part_that_there_is_not_or_that_is_a_foot_is_refused(armed: pa.Robot) -> None:
+def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> None:
     with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
         pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
     with pytest.raises(pa.UnknownNameError, match="no foot or frame 'LF'; there are: FR, FL"):
@@ -681,7 +683,7 @@ def needed_on_slope(error: Any) -> float:
         ),
     ],
 )
-def test_what_cannot_be_says_what_can(
+def test_limit_stated_by_a_refusal_is_accepted_and_exact(
     armed: pa.Robot, name: str, ask: Any, asked: Any, limit: Any, step: float, *, holds: bool
 ) -> None:
     """The limit of a refusal, typed back, is accepted; a little beyond it is refused as well.
@@ -701,7 +703,7 @@ def test_what_cannot_be_says_what_can(
         ask(robot, beyond.tolist())
 
 
-def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:
+def test_scene_shows_the_plane_of_a_hand_contact(armed: pa.Robot, tmp_path: Path) -> None:
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table()))
     scene = describe_scene(armed, stand, pa.stance.stand_statics(armed, stand))
     assert [*scene.steps] == [HAND]

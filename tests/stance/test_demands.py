@@ -32,7 +32,7 @@ TASK = pa.StandTask(
 )
 
 
-def test_numbers_come_back_as_the_task() -> None:
+def test_demand_vector_and_task_convert_into_each_other() -> None:
     robot = load("v3")
     numbers = DemandVector(robot, TASK, DEMANDS)
     assert numbers.make_task(numbers.values) == TASK
@@ -49,7 +49,7 @@ def test_numbers_come_back_as_the_task() -> None:
 
 
 @pytest.mark.parametrize("demand", DEMANDS)
-def test_one_is_given_up_and_the_others_stay(demand: str) -> None:
+def test_reset_of_one_demand_keeps_the_other_demands(demand: str) -> None:
     robot = load("v3")
     without = reset_to_nominal(robot, TASK, [demand])
     for other in set(DEMANDS) - {demand}:
@@ -71,7 +71,7 @@ def test_one_is_given_up_and_the_others_stay(demand: str) -> None:
         assert without == TASK
 
 
-def test_places_are_given_up_for_the_nominal_ones() -> None:
+def test_reset_places_are_those_of_the_nominal_stand() -> None:
     """Those of feet for where they stand by themselves, a com's for the middle of what carries."""
     robot = load("v3")
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
@@ -86,7 +86,7 @@ def described(task: pa.StandTask, *demands: str) -> str:
     return str(describe_limit(load("v3"), task, task, demands))
 
 
-def test_limits_are_told_with_their_units() -> None:
+def test_demands_are_described_with_units() -> None:
     assert described(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
     assert described(turned, "roll") == "roll 11.5 deg"
@@ -101,7 +101,7 @@ def test_limits_are_told_with_their_units() -> None:
     assert described(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
 
 
-def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
+def test_round_outward_moves_away_from_the_request_by_little() -> None:
     robot = load("v3")  # which stands at 0.1315 m
     asked = pa.StandTask(
         height=0.25, roll=0.8, pitch=-0.8, swing={"FL": 0.1}, joint_margin=0.8, com_margin=0.02
@@ -162,7 +162,7 @@ def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
         ),
     ],
 )
-def test_limits_are_found_by_who_types_them(name: str, task: pa.StandTask) -> None:
+def test_limits_of_a_refusal_are_solvable_as_printed(name: str, task: pa.StandTask) -> None:
     """Those of several demands together; those of stretched legs, found on the way from others."""
     robot = load(name)
     with pytest.raises(pa.StanceUnreachableError) as refusal:
@@ -173,7 +173,7 @@ def test_limits_are_found_by_who_types_them(name: str, task: pa.StandTask) -> No
 
 
 @pytest.mark.slow
-def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -> None:
+def test_limit_with_the_com_in_a_corner_of_its_margin_is_exact() -> None:
     """Two sides of the polygon and a joint's limit leave the com some micrometres to be at.
 
     Put to a place in there, a nanometre off the margin, feet missed by 1.1e-9 m: the stand was
@@ -204,7 +204,7 @@ def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -
     assert reached == 12
 
 
-def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
+def test_refusal_states_the_request_in_both_languages() -> None:
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(pa.load_variant("v3"), pa.StandTask(height=0.4, swing={"FL": 0.02}))
     message = pickle.loads(pickle.dumps(refused.value)).diagnostic

@@ -59,7 +59,7 @@ def said_of(field: Field) -> str:
     return f"FL={text}" if field.per else text
 
 
-def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
+def test_field_table_contains_each_field_of_task_and_ground() -> None:
     of = {"task": pa.StandTask, "ground": pa.Ground}
     for part, kind in of.items():
         # A part, a start, and what contacts make of the ground.
@@ -70,7 +70,7 @@ def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
+def test_each_field_appears_in_task_json_and_text(field: Field) -> None:
     task = task_with(field)
     assert task.values()[field.name] == asked(field)
     content = json.loads(to_json(task))
@@ -87,7 +87,7 @@ def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
+def test_each_field_refuses_invalid_values(field: Field) -> None:
     wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
     if not (field.axes or field.choices):
         wrong += [field.low - 1e-3] * math.isfinite(field.low)
@@ -102,7 +102,7 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", OPTION_FIELDS.values(), ids=OPTION_FIELDS)
-def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
+def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
     command = cli.find_command("stand")
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
     typed = {name: context.params[name] for name in OPTION_FIELDS}
@@ -118,7 +118,7 @@ ON_PAGE: dict[str, Any] = {
 SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
 
 
-def test_a_task_is_said_in_order_and_with_units() -> None:
+def test_task_text_has_fixed_order_and_units() -> None:
     task = pa.StandTask(
         height=0.12,
         roll=math.radians(1.5),

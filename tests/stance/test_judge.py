@@ -39,7 +39,7 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
             np.testing.assert_array_equal(origin, config.frame_position(link))
 
 
-def test_the_room_of_a_stand_is_that_of_what_is_nearest() -> None:
+def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
     """Of the com, the ground and the robot itself, each beyond what was asked of it."""
     stand = stand_of("v3")
     ground = stand.ground_clearance

@@ -18,7 +18,7 @@ from tests.support.random_legged import drawn, written
 
 
 @pytest.mark.slow
-def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
+def test_posture_of_a_tail_is_kept_and_changes_the_foot_forces(tmp_path: Path) -> None:
     """Three legs and a tail, whose weight changes what the feet carry."""
     pair = written(drawn(57), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
@@ -61,7 +61,7 @@ def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
     assert rates.max() == pytest.approx(0.6 / 2.0 * 15 / 8, rel=1e-6)  # of the minimum-jerk law
 
 
-def test_a_weld_that_puts_a_joint_out_of_its_range_is_named(tmp_path: Path) -> None:
+def test_weld_that_forces_a_joint_out_of_its_range_is_named(tmp_path: Path) -> None:
     """As the file is built the elbow is straight, and its range begins at 0.2 rad."""
     files = tmp_path / "arm.urdf", tmp_path / "arm.xml"
     weld = '<equality><weld name="bolt" body1="world" body2="hand"/></equality></mujoco>'

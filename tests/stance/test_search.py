@@ -56,7 +56,7 @@ def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(("name", "kind"), list(product(NAMES, TASKS)))
-def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
+def test_stand_satisfies_the_requested_task(name: str, kind: str) -> None:
     robot, task = load(name), TASKS[kind]
     stand = pa.solve_stand(robot, task)
     for error in (stand.foot_error, stand.orientation_error, stand.height_error, stand.com_error):
@@ -94,7 +94,7 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
-def test_a_refusal_says_which_demand_is_in_the_way_and_how_far_it_can_go() -> None:
+def test_refusal_names_the_blocking_demand_and_its_limit() -> None:
     robot = load("v3")
     asked = {"height": 0.16, "roll": 0.4}
     with pytest.raises(pa.StanceUnreachableError) as caught:
@@ -146,7 +146,7 @@ def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None
 # ------------------------------------------------------------------------------------- slopes
 
 
-def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
+def test_foot_depths_on_a_slope_balance_the_weight() -> None:
     """The forces are vertical; their parts along the normals are W cos(slope) in all."""
     robot, slope = load("v3"), 0.3
     stand = pa.stance.solve_stand_on_soft_ground(
@@ -209,7 +209,7 @@ def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
     assert abs(pose.contact_sag - np.mean(depths)) > 1e-4
 
 
-def test_a_search_that_ends_where_it_began_ends(
+def test_search_terminates_if_it_returns_to_its_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each stand that was reached is tried once: those reached from them were tried for ever."""

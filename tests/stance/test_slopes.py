@@ -65,7 +65,7 @@ def test_mujoco_holds_a_stand_between_two_planes(
     np.testing.assert_allclose(total, -robot.total_mass * robot.gravity, atol=1e-9)
 
 
-def test_a_foot_touches_its_plane_in_its_place() -> None:
+def test_foot_on_its_own_plane_touches_at_the_given_place() -> None:
     robot, step = load("v3"), pa.Ground(heights={"FR": 0.05})
     wall = slopes(math.pi / 2, {"FR": 0.0})
     task = pa.StandTask(contacts=wall, ground=step, feet={"FR": (0.14, -0.09)})
@@ -89,7 +89,7 @@ def test_a_foot_touches_its_plane_in_its_place() -> None:
     assert stand.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
 
 
-def test_one_plane_said_of_each_foot_is_the_slope() -> None:
+def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
     """Of the same plane the same stand, torques and sag; only a foot's place is another point."""
     robot, angle, uphill = load("v3"), 0.2, 0.7
     slope = pa.Ground(slope=angle, uphill=uphill)
@@ -169,7 +169,7 @@ def search_region(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_where_a_com_is_in_balance_is_what_a_linear_programme_says(seed: int) -> None:
+def test_com_region_on_slopes_equals_a_linear_program(seed: int) -> None:
     """Cones of 24 edges are within 0.9 % of round ones; corners are of 48 sides, from inside."""
     random = np.random.default_rng(seed)
     count, friction = 4, 0.5
@@ -188,13 +188,13 @@ def test_where_a_com_is_in_balance_is_what_a_linear_programme_says(seed: int) ->
     assert min(search_region(corners, points, cones, random.uniform(size=(60, 2)), 0.02)) > 3
 
 
-def test_on_one_plane_friction_moves_no_corner() -> None:
+def test_support_corners_on_one_plane_do_not_depend_on_friction() -> None:
     points = np.array([(0.1, 0.1, 0.0), (-0.1, 0.1, 0.02), (0.0, -0.1, 0.01)])
     normals = np.tile((0.0, -0.6, 0.8), (3, 1))
     assert support_corners(points, normals, [0.1] * 3) == tuple(map(tuple, points[:, :2]))
 
 
-def test_what_does_not_hold_says_which_friction_would() -> None:
+def test_refusal_of_slipping_slopes_states_the_required_friction() -> None:
     robot = load("v3")
     # Four parallel planes: no leg can press against another.
     task = pa.StandTask(contacts=slopes(1.2, dict.fromkeys(robot.feet, 0.0)))
@@ -209,12 +209,12 @@ def test_a_tilt_is_an_angle_between_floor_and_ceiling(tilt: float) -> None:
         pa.Slope(tilt)
 
 
-def test_a_foot_that_there_is_not_is_refused() -> None:
+def test_slope_of_an_unknown_foot_is_refused() -> None:
     with pytest.raises(pa.UnknownNameError, match="leg_front_r_3"):
         pa.solve_stand(load("v3"), pa.StandTask(contacts=slopes(0.1, {"X": 0.0})))
 
 
-def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
+def test_clearance_from_a_wall_equals_mujoco() -> None:
     """Capsules beside the wall's box: MuJoCo's distances, where a part is nearer to it."""
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(contacts=slopes(0.6, {"FR": 0.0})))
@@ -243,7 +243,7 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
 
 
 @pytest.mark.slow
-def test_a_limit_of_a_slope_is_accepted_if_it_is_typed_back() -> None:
+def test_stated_limit_of_a_slope_is_solvable() -> None:
     """A foot on a slope that hangs over it, which its calf would be in."""
     robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
 

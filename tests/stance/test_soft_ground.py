@@ -23,7 +23,7 @@ TASKS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("what", TASKS)
 @pytest.mark.parametrize("name", NAMES)
-def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
+def test_simulation_confirms_the_predicted_stand(name: str, what: str) -> None:
     robot = load(name)
     stand = solve_stand_on_soft_ground(robot, TASKS[what])
     assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
@@ -55,7 +55,7 @@ def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
         np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
 
 
-def test_a_sole_with_corners_that_lift_bears_its_load() -> None:
+def test_sole_with_lifted_corners_carries_the_same_force_and_moment() -> None:
     """Of depths in no plane, some of them none: force and moments are the same in the plane."""
     law, random = GroundLaw.of(load("v3"), "FL"), np.random.default_rng(0)
     corners = np.array([(1.0, 1.0, 0.3), (1.0, 1.0, -0.3), (1.0, -1.0, 0.3), (1.0, -1.0, -0.3)])

@@ -50,7 +50,9 @@ LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
 
 @pytest.mark.slow
 @pytest.mark.parametrize("foot", [BIPED_FEET["box"], LINE], ids=["box", "line"])
-def test_flat_feet_fix_a_leg_of_six_joints_and_a_line_does_not(foot: str, tmp_path: Path) -> None:
+def test_stand_sequence_equals_single_calls_for_flat_and_line_feet(
+    foot: str, tmp_path: Path
+) -> None:
     """Where a leg may still turn, its stand depends on the start: the single call's."""
     urdf, mjcf = biped(tmp_path, foot)
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
@@ -64,7 +66,7 @@ def test_flat_feet_fix_a_leg_of_six_joints_and_a_line_does_not(foot: str, tmp_pa
             assert one.iterations == single.iterations
 
 
-def test_what_is_out_of_reach_stops_the_sequence_and_is_named() -> None:
+def test_sequence_stops_at_an_unreachable_task_and_names_it() -> None:
     robot = load("v3")
     tasks = [*wave(robot, 3), pa.StandTask(height=0.5), *wave(robot, 2)]
     with pytest.raises(pa.StanceUnreachableError) as caught:

@@ -14,7 +14,7 @@ angles = st.floats(0.0, 1.2)
 
 
 @given(st.floats(0.01, 1.2), st.floats(-math.pi, math.pi))
-def test_uphill_is_where_the_plane_rises(slope: float, uphill: float) -> None:
+def test_plane_rises_in_the_uphill_direction(slope: float, uphill: float) -> None:
     ground = pa.Ground(slope, uphill)
     ahead = (math.cos(uphill), math.sin(uphill))
     aside = (-ahead[1], ahead[0])
@@ -36,7 +36,7 @@ def test_a_task_refuses_bad_requests(arguments: dict[str, object], named: str) -
         pa.StandTask(**arguments)  # type: ignore[arg-type]
 
 
-def test_a_word_that_nobody_knows_is_pythons_own_error() -> None:
+def test_unknown_keyword_of_a_task_raises_type_error() -> None:
     with pytest.raises(TypeError, match="unexpected keyword argument 'wings'"):
         pa.StandTask(wings=2)  # type: ignore[call-arg]
 

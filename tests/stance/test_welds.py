@@ -143,7 +143,7 @@ def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarr
         pa.StandTask(contacts={"FL": pa.Weld()}, swing={"RR": 0.02}, com="inside"),
     ],
 )
-def test_mujoco_holds_what_is_welded_beside_feet_that_press(task: pa.StandTask) -> None:
+def test_welded_links_beside_pressing_feet_hold_in_simulation(task: pa.StandTask) -> None:
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, task)
     found = proven(robot, stand)
@@ -168,7 +168,7 @@ def test_mujoco_holds_what_is_welded_beside_feet_that_press(task: pa.StandTask) 
 
 
 @pytest.mark.parametrize("place", [None, (0.42, 0.05, 0.5)])
-def test_a_hand_is_welded_where_it_is_said_to_be(
+def test_hand_is_welded_at_the_given_place_or_at_home(
     armed: pa.Robot, place: tuple[float, float, float] | None
 ) -> None:
     """By default where it is at home."""
@@ -184,7 +184,7 @@ def test_a_hand_is_welded_where_it_is_said_to_be(
     np.testing.assert_allclose(found.foot_forces["hand"], wrench[:3], atol=1e-4)
 
 
-def test_it_is_the_weld_that_holds_in_mujoco() -> None:
+def test_welded_stand_falls_in_mujoco_without_the_weld() -> None:
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=BOLTED))
     held = begin_stand(robot, stand)
@@ -200,7 +200,7 @@ def test_it_is_the_weld_that_holds_in_mujoco() -> None:
 
 
 @pytest.mark.parametrize("pressing", [True, False])
-def test_forces_are_those_of_a_cone_programme_on_mujocos_numbers(
+def test_weld_wrenches_equal_an_independent_cone_program(
     arm: pa.Robot, armed: pa.Robot, *, pressing: bool
 ) -> None:
     for robot, task in (
@@ -223,7 +223,7 @@ def test_forces_are_those_of_a_cone_programme_on_mujocos_numbers(
 
 
 @pytest.mark.slow
-def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
+def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
     """Its force is MuJoCo's constraint's, and the com is where no polygon has it."""
     stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
     found = proven(armed, stand)
@@ -261,7 +261,7 @@ def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robo
     np.testing.assert_allclose(sag.joint_torques, alone.joint_torques, atol=most)
 
 
-def test_a_grip_bears_what_a_foot_on_a_slope_pushes(armed: pa.Robot) -> None:
+def test_grip_balances_the_horizontal_force_of_a_foot_on_a_slope(armed: pa.Robot) -> None:
     """What feet push aside, x more than y, the hand takes: no other force is level."""
     task = gripping(armed)
     slope = {"RL_calf": pa.Contact(pa.Slope(0.3, 0.5))}
@@ -276,9 +276,7 @@ def test_a_grip_bears_what_a_foot_on_a_slope_pushes(armed: pa.Robot) -> None:
 
 
 @pytest.mark.parametrize("strength", [30.0, 4.0])
-def test_what_grips_is_what_an_independent_programme_finds(
-    armed: pa.Robot, strength: float
-) -> None:
+def test_grip_force_equals_an_independent_cone_program(armed: pa.Robot, strength: float) -> None:
     """Forces as equal as may be, feet only pressing and the grip in its ball, by Clarabel on
     MuJoCo's Jacobians; with 4 N the grip is used up."""
     beyond = 0.02 if strength > 10 else -0.01
@@ -320,7 +318,7 @@ def test_what_grips_is_what_an_independent_programme_finds(
 
 
 @pytest.mark.slow
-def test_where_a_com_is_in_balance_with_a_grip_is_what_a_search_says(armed: pa.Robot) -> None:
+def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot) -> None:
     """1,000 places, each by a cone programme of its own."""
     stand = pa.solve_stand(armed, gripping(armed, 10.0))
     robot = stand.check(armed)
@@ -359,7 +357,7 @@ def test_where_a_com_is_in_balance_with_a_grip_is_what_a_search_says(armed: pa.R
     assert min(tried.values()) > 100
 
 
-def test_an_arm_that_its_file_bolts_down_leans_on_a_table(arm: pa.Robot) -> None:
+def test_arm_with_a_fixed_base_leans_on_a_table(arm: pa.Robot) -> None:
     stand = pa.solve_stand_as_simulated(arm, on_table(arm))
     assert not arm.floating
     np.testing.assert_allclose(stand.qpos[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-9)
@@ -393,7 +391,7 @@ def test_a_stated_force_is_that_of_the_contact(arm: pa.Robot, armed: pa.Robot) -
         assert wanted == pytest.approx(found.foot_forces[name] @ stand.normals[name], rel=1e-6)
 
 
-def test_a_stated_force_moves_where_a_com_is_in_balance(armed: pa.Robot) -> None:
+def test_stated_hand_force_shifts_the_com_region(armed: pa.Robot) -> None:
     """Feet of a mass m bear m g - F: their polygon, drawn to the hand by the share F / m g."""
     force = 5.0
     pressed = {"hand": pa.Contact(HAND["hand"].plane, force=force)}
@@ -414,7 +412,7 @@ def test_a_stated_force_moves_where_a_com_is_in_balance(armed: pa.Robot) -> None
 
 
 @pytest.mark.slow
-def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
+def test_sag_of_a_welded_robot_equals_the_simulation(arm: pa.Robot) -> None:
     for robot, task in (
         (arm, on_table(arm)),
         (load("v3"), pa.StandTask(contacts={"FL": pa.Weld()})),
@@ -432,7 +430,7 @@ def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
 
 
 @pytest.mark.slow
-def test_a_bolted_arm_carries_what_its_motors_hold(arm: pa.Robot) -> None:
+def test_payload_of_a_welded_arm_equals_the_fixed_base_result(arm: pa.Robot) -> None:
     task = pa.StandTask(contacts=BOLTED, posture={"turn": 0.7, "bend": 0.5, "nod": 0.0})
     limit = pytest.importorskip("pupper_analysis.tools.payload.limit")
     most = limit.payload_limit(arm, task, ("wrist", 0.0, 0.0, 0.05), kp=2000.0, kd=20.0)
@@ -462,7 +460,7 @@ def test_a_bolted_arm_is_judged_and_shown_as_a_stand_is(arm: pa.Robot, *, alone:
     assert [float(one) for one in moment.split()] == pytest.approx(wrench[3:], rel=1e-3, abs=1e-3)
 
 
-def test_welds_are_typed_and_kept() -> None:
+def test_welds_are_equal_after_a_command_line_round_trip() -> None:
     for text in ("weld", "weld,place=0.1m/0.0m/0.3m,offset=0.0m/0.0m/0.05m"):
         assert str(parse_contact("contact", text, text)) == text
     pressed = "table:0.4m,mu=0.6,force=20.0N"
@@ -494,7 +492,7 @@ def test_welds_that_make_no_sense_are_refused(
     assert "\n" not in str(refused.value)
 
 
-def test_a_file_without_a_body_for_its_base_is_refused(tmp_path: Path) -> None:
+def test_weld_of_a_base_without_body_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "bar.xml"
     file.write_text(
         '<mujoco><worldbody><body name="bar"><joint name="j" axis="0 1 0"/>'

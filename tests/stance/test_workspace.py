@@ -39,7 +39,7 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
+def test_base_shift_ends_at_the_polygon_or_at_full_leg_length() -> None:
     robot = load("v3")
     x = base_workspace(robot).intervals["x"]
     for value, sign in ((x.low, -1), (x.high, 1)):
@@ -52,7 +52,7 @@ def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
 
 
 @pytest.mark.slow
-def test_the_task_is_where_it_begins() -> None:
+def test_workspace_of_a_tilted_task_is_inside_the_level_workspace() -> None:
     robot = load("v3")
     level = reachable_heights(robot)
     tilted = reachable_heights(robot, pa.StandTask(roll=0.2, pitch=0.1))

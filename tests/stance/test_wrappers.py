@@ -36,7 +36,7 @@ def stands(robot: pa.Robot) -> list[list[float]]:
     return [pa.solve_stand(robot, task).qpos.tolist() for task in TASKS]
 
 
-def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reused_wrapper_gives_the_results_of_a_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
     monkeypatch.setattr(solver, "_wrapper_pool", {})
     monkeypatch.setattr("pupper_analysis.robot.robot._MAX_POOL_SIZE", 0)
@@ -49,7 +49,7 @@ def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) ->
     assert found[::-1] == expected
 
 
-def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrapper_is_loaded_once_per_structure(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
     load_once = solver._load_wrapper
 
@@ -95,7 +95,7 @@ def test_robots_that_are_solved_leave_no_memory_behind() -> None:
     assert (resident() - before) / 20 < 50e3
 
 
-def test_one_infinite_joint_limit_keeps_the_finite_other() -> None:
+def test_finite_limit_is_kept_if_the_opposite_limit_is_infinite() -> None:
     """PlaCo's model, a Pinocchio model, holds the limits that the goal states."""
     robot = load("v3")
     placo = SearchContext(robot).solver

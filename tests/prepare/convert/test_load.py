@@ -76,7 +76,7 @@ def test_each_file_alone_is_the_robot_of_both(
 
 
 @pytest.mark.slow
-def test_the_made_model_has_what_only_the_other_engine_reads(
+def test_converted_model_has_the_masses_of_the_other_engine(
     of_urdf: pa.Robot, of_mjcf: pa.Robot
 ) -> None:
     """MuJoCo's model of the URDF, and Pinocchio's of the MJCF: masses, by the bodies' names."""
@@ -94,7 +94,7 @@ def test_the_made_model_has_what_only_the_other_engine_reads(
 
 
 @pytest.mark.slow
-def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
+def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
     """The URDF's numbers, and then the MJCF's, where they are of two robots."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)
     heavier = tmp_path / "heavier.urdf"
@@ -127,7 +127,7 @@ def test_what_is_no_robot_is_refused(given: dict[str, object], message: str) -> 
         pa.load_robot(*models, **given)  # type: ignore[misc, arg-type]
 
 
-def test_a_file_under_the_other_ones_name_is_told(tmp_path: Path) -> None:
+def test_file_of_the_wrong_format_is_refused_by_its_format(tmp_path: Path) -> None:
     with pytest.raises(pa.ModelError, match="it is an MJCF"):
         pa.load_robot(urdf=MJCF)
     with pytest.raises(pa.ModelError, match="it is a URDF"):
@@ -170,7 +170,7 @@ damping="1"/><geom size="0.01" mass="0.1"/></body></body></body></worldbody>
 <general tendon="string" gainprm="2" biastype="affine" biasprm="1 -400 -5"/></actuator></mujoco>"""
 
 
-def test_a_servo_at_a_tendon_is_commanded_the_length_that_it_has(tmp_path: Path) -> None:
+def test_tendon_servo_is_commanded_to_its_current_length(tmp_path: Path) -> None:
     """Commanded 0, as it was, it closed the gripper that it was to hold open."""
     file = tmp_path / "gripper.xml"
     file.write_text(GRIPPER)
@@ -193,7 +193,7 @@ def _chain(first: str) -> str:
 AXIS = f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{LIMIT}'
 
 
-def test_a_robot_whose_masses_would_all_be_made_up_is_refused(tmp_path: Path) -> None:
+def test_robot_without_any_mass_is_refused(tmp_path: Path) -> None:
     """A flange without mass is given a gram, and it is said."""
     path = tmp_path / "chain.urdf"
     path.write_text(_chain(""))
@@ -204,7 +204,7 @@ def test_a_robot_whose_masses_would_all_be_made_up_is_refused(tmp_path: Path) ->
     assert [note.subject.name for note in robot.notes if note.code == "mass-given"] == ["b"]
 
 
-def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> None:
+def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
     """Two fingers, of which one follows the other: joints are bound, and no limb has a foot."""
     place = {"axis": (0.0, 1.0, 0.0), "upper": 0.04, "lower": 0.0, "mass": 0.1}
     fingers = {
@@ -219,7 +219,7 @@ def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> Non
         pa.solve_stand(pa.load_robot(path))
 
 
-def test_feet_whose_meshes_are_missing_are_refused_with_what_to_bring(tmp_path: Path) -> None:
+def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Path) -> None:
     """One sentence, in which each thing stands once; no arm, so no word of a fixed base."""
     path = quadruped(tmp_path).urdf
     mesh = "package://all/robots/quad/foot.stl"

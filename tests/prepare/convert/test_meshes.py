@@ -49,7 +49,7 @@ def with_shapes(folder: Path, shapes: str) -> Conversion:
     return pa.convert_model(path, folder / "arm.xml", force=True)
 
 
-def test_archives_and_what_is_too_large_are_left_out(tmp_path: Path) -> None:
+def test_archives_and_oversized_meshes_are_left_out(tmp_path: Path) -> None:
     """A zip of 780 kB was unpacked to 11.5 GB: any suffix was given to a reader of all formats."""
     expected = hostile(tmp_path)
     shapes = "".join(
@@ -94,7 +94,7 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
         )
 
 
-def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
+def test_flat_visual_mesh_is_converted_as_a_shell(tmp_path: Path) -> None:
     plate = trimesh.Trimesh(
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
     )

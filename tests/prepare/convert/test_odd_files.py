@@ -42,7 +42,7 @@ def _drift(mjcf: Path, but: str = "") -> float:
         (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis has no direction"),
     ],
 )
-def test_what_is_refused_is_said_of_the_source(
+def test_refusal_of_a_conversion_names_the_source_file(
     change: tuple[str, str], problem: str, tmp_path: Path
 ) -> None:
     """The first three made the search endless, or wrote beyond arrays."""
@@ -58,7 +58,7 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
+def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
     """Those that are written anew, too: one must not stand for the other."""
     for folder, size in (("a", 0.1), ("b", 0.3)):
         (tmp_path / folder).mkdir()
@@ -110,7 +110,7 @@ def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
-def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
+def test_mimic_of_an_unknown_joint_is_left_out_with_a_note(leader: str, tmp_path: Path) -> None:
     mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
     assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.not_converted))
     assert not found.agree
@@ -136,7 +136,7 @@ def _mjcf(
     return path
 
 
-def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
+def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
     world = (
         '<geom type="plane" size="1 1 1"/><camera name="eye"/><body name="table"><geom size="0.1"/>'
         '</body><body name="goal" mocap="true"/>'
@@ -158,7 +158,7 @@ def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
     } <= {*map(str, found.not_converted)}
 
 
-def test_one_coupling_that_is_on_becomes_a_mimic(tmp_path: Path) -> None:
+def test_active_joint_coupling_becomes_a_mimic(tmp_path: Path) -> None:
     line = '<joint joint1="j2" joint2="j1" polycoef="0.3 2 0 0 0" {}/>'
     inactive = 'active="false"'
     off = _mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
@@ -172,7 +172,7 @@ def test_one_coupling_that_is_on_becomes_a_mimic(tmp_path: Path) -> None:
     assert "equality constraint 2 (joint)" in map(str, found.not_converted)
 
 
-def test_a_mesh_that_the_mjcf_scales_is_where_it_was(tmp_path: Path) -> None:
+def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
     trimesh.creation.box((0.1, 0.06, 0.04)).apply_translation((0.01, 0.02, 0.03)).export(
         tmp_path / "part.stl"
     )
@@ -202,7 +202,7 @@ def test_a_mesh_that_the_mjcf_scales_is_where_it_was(tmp_path: Path) -> None:
     assert "mesh-moved" in {one.code for one in found.not_converted}
 
 
-def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None:
+def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
     (tmp_path / "sub" / "parts").mkdir(parents=True)
     trimesh.creation.box((0.1, 0.06, 0.04)).export(tmp_path / "sub" / "parts" / "hand.stl")
     (tmp_path / "sub" / "hand.xml").write_text(
@@ -223,7 +223,7 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
+def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
     output, result = converted(_changed(tmp_path, ("</link>", marker)), "marked.xml")
@@ -233,7 +233,7 @@ def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
+def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path) -> None:
     """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
     ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     point = '<sphere radius="0.0"/>'

@@ -37,7 +37,7 @@ def without_mass(urdf: Path, link: str) -> None:
     urdf.write_text(text[:start] + text[end:])
 
 
-def test_what_is_fixed_together_is_looked_through(tmp_path: Path) -> None:
+def test_repair_finds_the_mass_across_fixed_links(tmp_path: Path) -> None:
     """As on ANYmal C: the camera hangs on a mount, that on a link without mass, beside the mass."""
     parts = arm()
     parts["frame"] = fixed("frame", "rod", FLAT)
@@ -55,7 +55,7 @@ def test_what_is_fixed_together_is_looked_through(tmp_path: Path) -> None:
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
-def test_a_link_that_moves_is_repaired_if_asked_for(tmp_path: Path) -> None:
+def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path) -> None:
     """Its mass, com and axes stay, and all other bodies; the sum of the changes is the least."""
     stated = (0.02, 0.04, 0.08, 1e-3, 0.0, 0.0)
     urdf = written(tmp_path, changed(arm(), "boom", inertia=stated))
@@ -103,7 +103,7 @@ def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
     assert distance <= nearest * (1 + 1e-5)
 
 
-def test_a_mass_without_inertia_gets_one() -> None:
+def test_nearest_inertia_of_a_mass_without_inertia_is_valid() -> None:
     import pinocchio as pin
 
     new = find_nearest_moments(np.zeros(3), 0.5)

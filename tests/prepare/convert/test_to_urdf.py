@@ -46,7 +46,7 @@ def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], l
         '<weld body1="one" body2="two" active="true"/>',
     ],
 )
-def test_what_is_no_line_is_left_and_told(tmp_path: Path, equality: str) -> None:
+def test_nonlinear_equality_is_left_out_with_a_note(tmp_path: Path, equality: str) -> None:
     mimics, left = converted(tmp_path, equality)
     assert mimics == []
     assert left == ["equality-not-in-urdf"]
@@ -77,7 +77,7 @@ def scene(folder: Path, *bodies: str, rest: str = "", key: str = "") -> Path:
 LEFT, RIGHT = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
 
 
-def test_one_robot_is_cut_out_with_all_that_is_its_own(tmp_path: Path) -> None:
+def test_extracted_robot_keeps_all_its_elements(tmp_path: Path) -> None:
     key = 'qpos="2 0 0.6 1 0 0 0 0.1 0.2 0.3 0.4" ctrl="0.2 0.4 0.1"'
     file = read_mjcf(scene(tmp_path, CUBE, TABLE, LEFT, RIGHT, rest=REST, key=key))
     for body in ("left", "left_end"):
@@ -111,7 +111,7 @@ def test_furniture_is_no_robot(tmp_path: Path) -> None:
     assert robot.joint_names == ("left_1", "left_2")
 
 
-def test_a_robot_on_a_free_base_goes_before_doors(tmp_path: Path) -> None:
+def test_floating_robot_takes_precedence_over_hinged_objects(tmp_path: Path) -> None:
     box = '<body name="door"><joint name="hinge"/><geom size="0.4"/></body>'
     walker = LEFT.replace('<joint name="left_1"', '<freejoint name="root"/><joint name="left_1"', 1)
     walker = walker.replace('<joint name="left_1" axis="0 1 0"/>', "")
@@ -137,7 +137,7 @@ def test_what_is_no_robot_is_refused(
         pa.load_robot(scene(tmp_path, *bodies), body=body)
 
 
-def test_a_urdf_has_one_robot() -> None:
+def test_body_option_is_refused_for_a_urdf() -> None:
     from pupper_analysis.pupper.variants import find_model_folder
 
     with pytest.raises(pa.ConfigurationError, match="it names a body of an MJCF"):

@@ -105,7 +105,7 @@ def test_a_lone_urdf_stands_in_the_world_that_is_written(seed: int, tmp_path: Pa
     )
 
 
-def test_all_that_is_added_says_why(tmp_path: Path) -> None:
+def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
     robot = pa.load_robot(drawn(tmp_path, 70201))
     added = robot.description.added
     kinds = [type(each) for each in added]
@@ -120,9 +120,7 @@ def test_all_that_is_added_says_why(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", ["", '<option impratio="5"/>'])
-def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
-    stated: str, tmp_path: Path
-) -> None:
+def test_freed_base_and_added_ground_state_their_friction(stated: str, tmp_path: Path) -> None:
     """Unless the file of the robot, which is bolted down on nothing, says so.
 
     One that was made of a bolted URDF crept on a slope on which the URDF stood.
@@ -137,7 +135,7 @@ def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
 
 
 @pytest.mark.slow
-def test_what_is_tied_to_the_world_is_written_with_the_servos_that_it_stands_on(
+def test_freed_robot_is_written_with_the_servos_of_its_stand(
     tmp_path: Path,
 ) -> None:
     """Tied it stays; those of a robot that hangs are so weak that one that was freed fell."""

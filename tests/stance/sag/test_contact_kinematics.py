@@ -59,7 +59,7 @@ def test_derivative_is_that_of_the_residual(
         np.testing.assert_allclose(block, expected, rtol=0, atol=1e-7 * size)
 
 
-def test_depth_is_where_the_force_is() -> None:
+def test_depth_equals_the_root_of_the_ground_law() -> None:
     """Against scipy's root of the same law, for laws of every form."""
     rng = np.random.default_rng(7)
     for _ in range(300):

@@ -84,7 +84,7 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("point", [(0.03, 0.01, 0.05), (-0.03, 0.01, 0.05), (0.01, -0.03, 0.05)])
-def test_soles_bear_what_is_stated_when_nudged(point: Point, tmp_path: Path) -> None:
+def test_nudged_soles_carry_the_stated_payload(point: Point, tmp_path: Path) -> None:
     """Legs of five joints: no roll of an ankle lays the soles as the ground would.
 
     They were "too short for feet that sink" at half of what they bear (4.9 for 9.4 kg), or bore it

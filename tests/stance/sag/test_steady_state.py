@@ -128,7 +128,7 @@ def test_creep_in_time(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
-def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
+def test_reported_slip_margin_agrees_with_simulation(name: str) -> None:
     """Against simulations: with margin to spare the height is exact, and below zero it is not."""
     robot = load(name)
     seen = set()
@@ -167,7 +167,7 @@ LANDING = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
-def test_a_lifted_foot_that_comes_down_carries(
+def test_lifted_foot_that_sinks_to_the_ground_carries_load(
     name: str, foot: str, height: float, kp: float
 ) -> None:
     robot, stand = load(name), lifted(name, foot, height)
@@ -181,7 +181,7 @@ def test_a_lifted_foot_that_comes_down_carries(
         assert pose.contact_forces[other][2] == pytest.approx(force[2], abs=0.25)
 
 
-def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
+def test_friction_of_a_slipping_foot_is_at_its_limit_and_opposes_the_slip() -> None:
     robot, stand = load("original"), lifted("original", "FL", 0.002)
     way = HomotopyPath(SagEquilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
@@ -229,7 +229,7 @@ def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
 
 
 @pytest.mark.slow
-def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
+def test_steady_state_exists_for_each_stiffness_above_the_minimum() -> None:
     """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
     robot, stand = load("v3"), stand_of("v3")
     found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
@@ -275,7 +275,7 @@ def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
     ("name", "feet", "kd", "ground"),
     [("long-leg", "pinned", 1.0, firm_grip), ("v3", "sliding", 0.1, fast_creep)],
 )
-def test_below_the_minimum_stiffness_it_goes_down(
+def test_simulation_collapses_below_the_minimum_stiffness(
     name: str, feet: Feet, kd: float, ground: Callable[[mujoco.MjModel], None]
 ) -> None:
     robot, stand = load(name), stand_of(name)
