@@ -11,7 +11,7 @@ from tests.support import agreement, arm_features
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 910, 903])
-def test_what_one_command_prints_others_confirm(seed: int | None, tmp_path: Path) -> None:
+def test_commands_agree_on_the_same_robot(seed: int | None, tmp_path: Path) -> None:
     """Of a variant, of a random pair, and of a random URDF alone, which is converted, too."""
     name, files = "v3", ("v3",)
     if seed is not None:
@@ -26,7 +26,7 @@ def test_what_one_command_prints_others_confirm(seed: int | None, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_an_arm_holds_what_it_is_said_to_hold(tmp_path: Path) -> None:
+def test_commands_agree_on_what_an_arm_holds(tmp_path: Path) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES["as it is"])
     place = tmp_path / "answers"
     place.mkdir()

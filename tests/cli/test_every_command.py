@@ -60,7 +60,7 @@ def test_no_command_is_better_than_bare_mujoco(name: str, command: str, tmp_path
         "joint stiffness", "welded to the world", "kp 15", "timestep 10", "slip: kp is ten times",
     ],
 )  # fmt: skip
-def test_no_file_that_is_made_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+def test_no_converted_file_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
     """``convert`` there and back, and a stance on a slope with a payload, which a file states."""
     row = every_command.row_of(name, EDITS[name], tmp_path, FILES)
     assert row.cells.keys() == FILES.keys()
@@ -69,7 +69,7 @@ def test_no_file_that_is_made_is_better_than_bare_mujoco(name: str, tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", arm_features.FEATURES)
-def test_what_holds_an_arm_is_no_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+def test_no_verdict_of_an_arm_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
     row = every_command.row_of_arm(name, tmp_path)
     assert row.cells.keys() == every_command.HELD.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
@@ -88,13 +88,15 @@ ARMS = {
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_what_becomes_of_an_arms_file_by_itself(name: str, tmp_path: Path) -> None:
+def test_expected_outcome_of_an_unmodified_arm_equals_bare_mujoco(
+    name: str, tmp_path: Path
+) -> None:
     _, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[name])
     assert every_command.truth_of_arm(mjcf) is ARMS[name]
 
 
 @pytest.mark.slow
-def test_what_is_lost_in_its_first_step_passes_nowhere(tmp_path: Path) -> None:
+def test_state_that_mujoco_resets_in_the_first_step_passes_no_command(tmp_path: Path) -> None:
     """A keyframe's ctrl of 1e9: MuJoCo begins anew at once, commanded nothing, and stands."""
     name = "a keyframe's ctrl 1e9"
     asked = COMMANDS.keys() & {"push", "study", "python"}
@@ -114,5 +116,7 @@ def test_a_knee_that_pushes_away_passes_nowhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SURELY)
-def test_what_becomes_of_a_file_by_itself(name: str, tmp_path: Path) -> None:
+def test_expected_outcome_of_an_unmodified_file_equals_bare_mujoco(
+    name: str, tmp_path: Path
+) -> None:
     assert every_command.row_of(name, EDITS[name], tmp_path, ()).truth is SURELY[name]

@@ -68,7 +68,9 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMAND_N
 
 
 @pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))
-def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_path: Path) -> None:
+def test_option_without_effect_is_refused_before_any_computation(
+    line: tuple[str, ...], tmp_path: Path
+) -> None:
     (tmp_path / "stands.csv").touch()
     for more in IDLE[line]:
         given = answer(*line, *more, folder=tmp_path)
@@ -81,7 +83,7 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
 
 
 @pytest.mark.slow
-def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:
+def test_unused_entries_of_a_stance_file_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "stance.toml").write_text("payload-at = '0,0,1cm'\nkp = 20\nheight = '17cm'\n")
     given = answer("workspace", "v3", "--stance", "stance.toml", folder=tmp_path)
     assert given.returncode == 0, given

@@ -316,7 +316,7 @@ def test_a_folder_that_takes_no_file_is_found_before_the_work(
     assert not (folder / "new").exists()
 
 
-def test_two_names_of_one_file_are_two_results_to_one_file(folder: Path) -> None:
+def test_two_outputs_to_one_linked_file_are_refused(folder: Path) -> None:
     (folder / "one.json").touch()
     (folder / "two.html").symlink_to("one.json")
     outputs = ("--json", "one.json", "--report", "two.html")

@@ -74,7 +74,7 @@ class Full(io.RawIOBase):
 @pytest.mark.parametrize(
     ("number", "status"), [(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)]
 )
-def test_results_are_written_where_standard_output_fails(
+def test_results_are_written_if_standard_output_fails(
     number: int,
     status: int,
     tmp_path: Path,
@@ -108,7 +108,7 @@ def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
-def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
+def test_output_is_written_in_each_terminal_encoding(encoding: str, tmp_path: Path) -> None:
     environment = {**ENVIRONMENT, "PYTHONIOENCODING": encoding}
     file = shutil.copy(ROOT / "urdf/pupper_skeleton.urdf", tmp_path / "狗.urdf")
     process = start(*COMMAND, "audit", file, env=environment, encoding=encoding)
@@ -144,7 +144,7 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.tools.stand.command"])
-def test_ctrl_c_while_it_is_loaded_is_one_line(module: str) -> None:
+def test_interrupt_during_import_prints_one_line(module: str) -> None:
     """A signal at a known moment of the start: while a module is imported."""
     code = f"""
         import os, signal, sys
@@ -239,7 +239,7 @@ def test_an_unexpected_error_is_one_line_and_exit_status_3(
     assert "--debug" in err
 
 
-def test_what_the_system_lacks_is_no_bug(
+def test_operating_system_errors_are_not_reported_as_bugs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     @click.command()

@@ -38,7 +38,7 @@ def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
     assert (found.models if isinstance(found, RobotFiles) else found) == meant
 
 
-def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
+def test_xml_format_is_determined_by_the_content(tmp_path: Path) -> None:
     first, second = tmp_path / "a.xml", tmp_path / "b.xml"
     first.write_text('<?xml version="1.0"?><robot name="a"/>')
     second.write_text("<mujoco/>")
@@ -46,7 +46,7 @@ def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
     assert len(NOTHING.all((str(first), str(first.with_name("c.urdf")), "v3"))) == 3
 
 
-def test_robots_of_one_name_are_told_apart() -> None:
+def test_robots_with_equal_names_get_unique_names() -> None:
     robot = load_variant("v3")
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
     names = [one.name for one in name_uniquely([*meant, "v3"], [robot] * 4)]
@@ -66,7 +66,7 @@ def test_robots_of_one_name_are_told_apart() -> None:
         ((), {"take": "urdf"}, "are for a robot of your own"),
     ],
 )
-def test_what_names_no_robot_or_two_is_refused(
+def test_none_or_two_robots_are_refused(
     words: tuple[str, ...], options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=message):
@@ -75,7 +75,9 @@ def test_what_names_no_robot_or_two_is_refused(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [URDF, MJCF], ids=["urdf", "mjcf"])
-def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Path) -> None:
+def test_stand_of_one_file_converts_the_other_in_memory(
+    capfd: pytest.CaptureFixture[str], file: Path
+) -> None:
     status, out, _ = run_command(capfd, "stand", str(file), "-v")
     assert status == 0
     assert out.startswith("HOLDS (from one file) pupper_v3: ")

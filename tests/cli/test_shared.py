@@ -27,7 +27,7 @@ def test_a_quantity_has_a_number_and_a_unit(kind: str, text: str, value: float) 
     assert parse_quantity(kind, text) == pytest.approx(value, rel=1e-15)
 
 
-def test_an_unknown_option_is_led_to_the_one_that_has_its_words(
+def test_unknown_option_suggests_the_option_with_its_words(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     for typed, meant in (("--at", "'--payload-at'"), ("--clearance", "'--ground-clearance'")):

@@ -26,7 +26,7 @@ def asked(*arguments: str) -> RobotAndTask:
     return messages[0]
 
 
-def test_a_file_says_what_options_say(tmp_path: Path) -> None:
+def test_stance_file_is_equivalent_to_options(tmp_path: Path) -> None:
     file = tmp_path / "crouch.toml"
     file.write_text(
         'height = "11cm"\npitch = 0.05\ncom = [0.01, -0.002]\ncom_margin = "5mm"\nslope = "10deg"\n'
@@ -47,14 +47,16 @@ def test_a_file_says_what_options_say(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("given", ['contact = ["FL=wall:1m"]', 'swing = "FL"', "posture = 3"])
-def test_a_list_where_a_table_is_meant_is_told_its_form(tmp_path: Path, given: str) -> None:
+def test_list_in_place_of_a_table_is_refused_with_the_valid_form(
+    tmp_path: Path, given: str
+) -> None:
     file, name = tmp_path / "stance.toml", given.split(" ")[0]
     file.write_text(given)
     with pytest.raises(ConfigurationError, match=rf'is not of the form {name}\."[^"]+" = "'):
         asked("--stance", str(file))
 
 
-def test_what_is_typed_goes_first(tmp_path: Path) -> None:
+def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
     file = tmp_path / "crouch.toml"
     file.write_text("height = 0.11\nroll = 0.1\n")
     for arguments in (

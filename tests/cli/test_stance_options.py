@@ -17,7 +17,7 @@ from tests.support.commands import answer
 OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.COMMAND_NAMES})
 
 
-def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
+def test_commands_share_their_options_of_robot_and_stance() -> None:
     """Of the same name, kind, default and help: one list."""
     own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
     names = {*own, *OPTION_FIELDS} - {"stance", "which", "fixed_base"}
@@ -52,7 +52,7 @@ def derived(*given: object) -> object:
     return RobotOptions.taken_from(dict(zip(names, given, strict=True))).one(())
 
 
-def test_a_derived_variant_keeps_what_is_not_given() -> None:
+def test_derived_variant_keeps_the_scales_that_are_not_given() -> None:
     for given, legs, torso in (
         (("v3", None, None), 1.0, 1.0),
         (("v3", 1.2, None), 1.2, 1.0),
@@ -67,7 +67,7 @@ def test_a_derived_variant_keeps_what_is_not_given() -> None:
     assert derived(None, None, None) is None
 
 
-def test_a_package_is_looked_for_where_it_is_said(tmp_path: Path) -> None:
+def test_package_folder_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     files = ("--urdf", "x.urdf", "--mjcf", "x.xml")
     done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
     assert done.returncode == 2

@@ -40,7 +40,7 @@ def rods(timestep: float) -> mujoco.MjModel:
     )
 
 
-def test_a_held_joint_gives_way_by_the_sag_whichever_way_gravity_turns_it() -> None:
+def test_suggested_gain_of_a_held_joint_gives_the_default_sag() -> None:
     kp, _ = suggest_fixed_base_gains(rods(1e-3))
     np.testing.assert_allclose(kp * DEFAULT_SAG, 2 * GRAVITY * 0.1, rtol=1e-2)
 
@@ -70,7 +70,7 @@ def test_a_sphere_beside_a_foots_site_is_not_the_foot(tmp_path: Path) -> None:
     assert boxes == {mujoco.mjtGeom.mjGEOM_BOX.value}
 
 
-def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
+def test_bar_across_a_scaled_link_is_stretched_along_the_link_only() -> None:
     """A bar at 45 degrees to the thigh is moved and turned: what lies along it is stretched."""
     spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / f"{BASES['original']}.xml"))
     variant = pa.pupper.VariantSpec(base="skeleton", leg_scale=1.5)
@@ -88,7 +88,7 @@ def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
 
 
 @pytest.mark.parametrize(("foot", "floor"), [((0, 1), (1, 0)), ((2, 0), (0, 2))])
-def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
+def test_feet_with_one_matching_contact_mask_touch_the_step(
     foot: tuple[int, int], floor: tuple[int, int]
 ) -> None:
     """MuJoCo's rule: contype of one and conaffinity of the other, either way round."""
@@ -128,7 +128,7 @@ def test_angles_are_unwound_by_whole_turns() -> None:
     assert np.abs(found - home).max() <= math.pi + 1e-12
 
 
-def test_scenery_is_named_by_itself_or_its_body() -> None:
+def test_scenery_is_named_by_its_geom_or_body() -> None:
     spec = mujoco.MjSpec.from_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom type="box" size="1 1 1"/>'
         '<body name="table"><geom type="box" size="1 1 1"/><geom name="leg" size="1"/></body>'

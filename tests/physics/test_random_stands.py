@@ -72,7 +72,7 @@ FOUND_IN_REACH = {
 
 
 @pytest.mark.parametrize("name", FOUND_IN_REACH)
-def test_inside_is_found_where_a_joint_is_at_its_limit(name: str) -> None:
+def test_stand_with_com_inside_is_found_with_a_joint_at_its_limit(name: str) -> None:
     outcome = stances.judge(load(name), FOUND_IN_REACH[name], np.random.default_rng(0))
     pa.solve_stand(load(name), FOUND_IN_REACH[name], explain=False)
     assert outcome.verdict is stances.Verdict.HELD

@@ -109,7 +109,7 @@ def numbers(robot: pa.Robot, mass: float, size: float = 1.0) -> dict[str, float]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 1.0, 2800.0])
-def test_a_scaled_robot_has_the_same_numbers(mass: float) -> None:
+def test_dimensionless_results_do_not_depend_on_mass(mass: float) -> None:
     robot, factor = load("v3"), mass / load("v3").total_mass
     assert numbers(resized(robot, 1.0, factor), factor) == pytest.approx(
         numbers(robot, 1.0), rel=1e-6
@@ -118,7 +118,9 @@ def test_a_scaled_robot_has_the_same_numbers(mass: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 2800.0])
-def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dimensionless_results_do_not_depend_on_size(
+    mass: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """But for how long creep and growth are looked at, 12 s for each: in their own units a small
     robot's last longer, and its least stiffness is 8 % higher, that of 2.8 t 5 % lower; payloads
     likewise, by 6 % less and 4 % more. Payloads that simulations limit are found to 2 %.
@@ -138,7 +140,7 @@ def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.M
     assert two == pytest.approx(one, rel=1e-6)
 
 
-def test_a_robot_of_20_grams_slides_to_where_it_does_at_3_kilograms() -> None:
+def test_sliding_rest_position_does_not_depend_on_mass() -> None:
     """With 1e-3 N/m to hold it in its place it came to rest 0.6 um higher."""
     losses = []
     for factor in (1.0, 0.02 / load("v3").total_mass):
@@ -149,7 +151,7 @@ def test_a_robot_of_20_grams_slides_to_where_it_does_at_3_kilograms() -> None:
 
 
 @pytest.mark.slow
-def test_verdicts_about_the_least_stiffness_do_not_jump(tmp_path: Path) -> None:
+def test_verdict_changes_once_around_the_minimum_stiffness(tmp_path: Path) -> None:
     """From below it falls, from there on it stands; once it was stands, unstable, stands."""
     drawn_one = drawn(14)
     drawn_one.motors, drawn_one.base = "position", "free"

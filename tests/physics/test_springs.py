@@ -48,7 +48,7 @@ def torques_at(robot: Robot, qpos: np.ndarray) -> np.ndarray:
     return pa.gravity_compensation(pa.Configuration(robot, qpos)).joint_torques
 
 
-def test_motors_of_v3_hold_less_by_what_springs_in_its_knees_give(tmp_path: Path) -> None:
+def test_knee_springs_reduce_the_motor_torques_as_in_closed_form(tmp_path: Path) -> None:
     """In closed form: tau' = tau + k (q - q_rest) at the knees, and nothing else changes."""
     plain = pa.load_variant("v3")
     spec = mujoco.MjSpec.from_file(str(plain.description.mjcf_source))
@@ -137,7 +137,7 @@ def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
     assert abs(sag.height_loss - plain.height_loss) > 1e-4
 
 
-def test_rates_are_those_of_finite_differences(tmp_path: Path) -> None:
+def test_torque_derivatives_equal_finite_differences(tmp_path: Path) -> None:
     robot = load(with_springs(compensated(quadruped(tmp_path), "trunk", 0.3), "_knee"))
     random = np.random.default_rng(3)
     qpos = pa.solve_stand(robot).qpos

@@ -130,7 +130,9 @@ def test_capsule_inertia_is_the_integral(mass: float, radius: float, length: flo
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(scale=leg_scales)
-def test_skeleton_links_stay_solid_capsules(source: str, scale: float) -> None:
+def test_scaled_skeleton_links_have_the_inertia_of_solid_capsules(
+    source: str, scale: float
+) -> None:
     """Longer, not wider: the ends stay hemispheres, and the foot's sphere rides along."""
     bodies = bodies_of(source, "skeleton", scale)
     thigh_axial, thigh_lateral = integrated_capsule(0.186 * scale, 0.013, 0.08 * scale)
@@ -174,7 +176,7 @@ def mujoco_extent(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
-def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -> None:
+def test_meshes_have_the_same_position_in_both_files(name: str, tmp_path: Path) -> None:
     robot = load(name)
     path, _ = pa.pupper.write_variant(name, tmp_path)
     config = pa.Configuration(robot, robot.neutral())

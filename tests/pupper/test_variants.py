@@ -56,7 +56,7 @@ def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "Original", "long_leg", "v4"])
-def test_unknown_name_lists_the_known_ones(name: str) -> None:
+def test_unknown_variant_is_refused_with_the_valid_names(name: str) -> None:
     with pytest.raises(pa.VariantError) as caught:
         pa.load_variant(name)
     assert repr(name) in str(caught.value)
@@ -86,7 +86,7 @@ def test_a_spec_names_itself() -> None:
 # ------------------------------------------------------------------------------------- specs
 
 
-def test_a_run_knows_the_files_of_a_variant_that_are_read() -> None:
+def test_files_read_for_a_variant_are_recorded_in_each_run() -> None:
     """None of them is written over, also where what was derived of them is kept."""
     for _ in range(2):
         with ensure_run() as run:

@@ -81,7 +81,7 @@ def installed(checkout: Path) -> Path:
     return checkout
 
 
-def test_the_action_is_one() -> None:
+def test_action_file_is_complete() -> None:
     assert ACTION["runs"]["using"] == "composite"
     assert ACTION["name"]
     assert ACTION["description"]
@@ -102,7 +102,7 @@ def test_the_action_passes_on_the_sample(installed: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
+def test_action_fails_at_the_line_of_a_new_difference(installed: Path) -> None:
     text = (installed / "hopper.urdf").read_text()
     (installed / "hopper.urdf").write_text(text.replace('upper="1.5"', 'upper="1.2"'))
     line = text[: text.index('upper="1.5"')].count("\n") + 1
@@ -129,7 +129,7 @@ def test_an_input_that_begins_with_a_dash_is_no_option(installed: Path, name: st
 
 
 @pytest.mark.slow
-def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
+def test_action_installs_the_packages_of_check(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
     result = step("Install", checkout)
     if result.returncode and re.search(NETWORK, result.stderr):
@@ -143,7 +143,7 @@ def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     assert not {"placo", "matplotlib", "clarabel"} & names
 
 
-def test_what_is_fetched_is_known_by_its_hash() -> None:
+def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
     """It runs in repositories of others: a tag could be moved, and a package's file replaced."""
     for file in (ROOT / "action.yml", *(ROOT / ".github/workflows").glob("*.yml")):
         used = re.findall(r"uses: (\S+)", file.read_text())
@@ -166,7 +166,7 @@ def test_what_is_fetched_is_known_by_its_hash() -> None:
             assert all(wanted.specifier.contains(one) for one in versions), line
 
 
-def test_requirements_are_those_of_the_project() -> None:
+def test_locked_requirements_equal_those_of_the_project() -> None:
     """`python scripts/check_requirements.py` writes them anew."""
     code = "import check_requirements as c; print(c.requirements(), end='')"
     result = subprocess.run(
@@ -215,7 +215,9 @@ V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml"
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
-def test_what_is_not_installed_is_not_needed(arguments: list[str], more: tuple[str, ...]) -> None:
+def test_commands_run_without_the_packages_that_they_do_not_need(
+    arguments: list[str], more: tuple[str, ...]
+) -> None:
     result = subprocess.run(
         [sys.executable, "-c", BLOCKED.format(more=more), *arguments],
         cwd=SAMPLE,
@@ -232,7 +234,7 @@ def test_what_is_not_installed_is_not_needed(arguments: list[str], more: tuple[s
 HOOKS = {hook["id"]: hook for hook in read(ROOT / ".pre-commit-hooks.yaml")}
 
 
-def test_the_hook_is_one() -> None:
+def test_hook_file_is_complete() -> None:
     hook = HOOKS["pupper-analysis-check"]
     assert hook["language"] == "python"
     assert hook["pass_filenames"] is False

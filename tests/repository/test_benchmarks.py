@@ -44,7 +44,7 @@ def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "scripts"])
-def test_what_is_imported_of_ours_exists(folder: str) -> None:
+def test_names_that_benchmarks_import_exist(folder: str) -> None:
     """Most benchmarks run in no test: what left the package would be missed by nobody."""
     wanted = {
         (node.module, alias.name)

@@ -40,7 +40,7 @@ def load(path: Path) -> Trimesh:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_is_one_closed_solid(fresh: Path, name: str) -> None:
+def test_mesh_is_one_closed_solid(fresh: Path, name: str) -> None:
     part = load(fresh / f"{name}.stl")
     assert part.is_watertight
     assert part.is_winding_consistent

@@ -56,7 +56,7 @@ def test_links_lead_somewhere() -> None:
             assert known, f"{page}: {link}"  # those that are generated, the site's build checks
 
 
-def test_named_modules_are_there() -> None:
+def test_modules_named_in_pages_exist() -> None:
     """Of this package, as a path (``robot/contact.py``, ``stance/sag/``) or with dots."""
     ignored = (ROOT / ".gitignore").read_text()
     for page in PAGES:
@@ -70,7 +70,7 @@ def test_named_modules_are_there() -> None:
             importlib.import_module(f"pupper_analysis.{name}")
 
 
-def test_documents_name_sections_that_are_there() -> None:
+def test_sections_named_by_documents_exist() -> None:
     """A report gives them as sources: ``page_of("explanation/statics.md", "Which of them")``."""
     named = [
         pair
@@ -115,7 +115,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_page_of_robots_counts_its_rows(generated: Path) -> None:
+def test_page_of_robots_states_its_number_of_rows(generated: Path) -> None:
     """At least 80 robots, each with its defect's line or none."""
     page = (generated / "en/reference/generated/tables/robots.md").read_text()
     with (DATA / "robots-of-packages.csv").open(encoding="utf-8", newline="") as file:
@@ -127,7 +127,7 @@ def test_the_page_of_robots_counts_its_rows(generated: Path) -> None:
                and not row["audit"].startswith(("OK", "refused")))  # fmt: skip
 
 
-def test_the_reference_has_all_there_is(generated: Path) -> None:
+def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> None:
     english, chinese = (generated / language / "reference/generated" for language in ("en", "zh"))
     rules = (english / "audit-rules.md").read_text()
     assert all(f"| `{rule}` |" in rules for rule in CHECKS)
@@ -166,7 +166,7 @@ def test_every_room_is_described_in_the_architecture() -> None:
     assert described == [f"`{room}/`" for room in FLOOR]
 
 
-def test_a_release_needs_one_version_everywhere(tmp_path: Path) -> None:
+def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None:
     release = script("scripts/check_release.py")
     versions = release.stated()
     assert set(versions.values()) == {pa.__version__}
@@ -175,7 +175,7 @@ def test_a_release_needs_one_version_everywhere(tmp_path: Path) -> None:
         release.main("v99.0.0")
 
 
-def test_on_the_package_index_the_readme_leads_to_its_tag() -> None:
+def test_links_of_the_released_readme_point_to_its_tag() -> None:
     for_index = script("scripts/check_release.py").for_index
     there = for_index((ROOT / "README.md").read_text(), "https://git.example/us/it", "v1.2.3")
     targets = re.findall(r"\]\(([^)]+)\)", there)
@@ -192,7 +192,7 @@ def test_on_the_package_index_the_readme_leads_to_its_tag() -> None:
     assert 'pip install "pupper-analysis[live,study]"' in there
 
 
-def test_workflows_call_targets_that_are_there() -> None:
+def test_workflows_call_existing_make_targets() -> None:
     targets = set(re.findall(r"^([a-z-]+):.*## ", (ROOT / "Makefile").read_text(), re.M))
     for path in (ROOT / ".github/workflows").glob("*.yml"):
         text = path.read_text()

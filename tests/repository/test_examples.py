@@ -89,7 +89,7 @@ def test_every_example_is_run_here_and_in_the_list() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEEN)
-def test_an_example_is_short_and_shows_what_it_says(name: str, shown: Shown) -> None:
+def test_example_is_short_and_prints_the_stated_lines(name: str, shown: Shown) -> None:
     code = (EXAMPLES / f"{name}.py").read_text()
     assert len(code.splitlines()) < 40
     assert "One sees" in (ast.get_docstring(ast.parse(code)) or "")
@@ -100,7 +100,7 @@ def test_an_example_is_short_and_shows_what_it_says(name: str, shown: Shown) -> 
         assert re.search(line, text, re.M), (line, text)
 
 
-def test_a_file_with_a_slip_is_annotated_at_its_line(shown: Shown, tmp_path: Path) -> None:
+def test_example_of_audit_in_ci_annotates_the_faulty_line(shown: Shown, tmp_path: Path) -> None:
     bad = tmp_path / "bad.urdf"
     bad.write_text(re.sub(r'(<mass value=)"[^"]*"', r'\1"-1"', V3.read_text(), count=1))
     text = shown("audit_in_ci", V3, bad)

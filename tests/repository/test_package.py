@@ -13,7 +13,7 @@ from tests.support.names import public, public_modules
 from tests.support.repository import ROOT
 
 
-def test_every_public_name_is_that_of_what_it_names() -> None:
+def test_each_public_name_equals_the_name_of_its_object() -> None:
     """Two names that are swapped, or one that leads to another module, would be seen."""
     others = {}
     for module in (pa, *public_modules()):
@@ -53,7 +53,7 @@ HEAVY = (
 )
 
 
-def test_import_loads_nothing_heavy(tmp_path: Path) -> None:
+def test_import_loads_no_engine_and_no_heavy_package(tmp_path: Path) -> None:
     code = "import pupper_analysis; " + LOADED.format(names=(*HEAVY, "mujoco", "pinocchio"))
     assert run(code, tmp_path) == "[]"
 

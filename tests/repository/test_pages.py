@@ -18,7 +18,7 @@ BLOCKS = {name: found for name, found in BLOCKS.items() if found}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BLOCKS)
-def test_blocks_of_a_page_run_and_print_what_it_says(name: str, tmp_path: Path) -> None:
+def test_blocks_of_a_page_run_and_print_the_stated_output(name: str, tmp_path: Path) -> None:
     if any("| jq" in block.text for block in BLOCKS[name]) and not shutil.which("jq"):
         pytest.skip("jq is not installed")
     pages.run_page(BLOCKS[name], tmp_path)

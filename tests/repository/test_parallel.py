@@ -71,7 +71,7 @@ ATTRIBUTES = st.dictionaries(
 @pytest.mark.parametrize("kind", all_errors(), ids=lambda kind: kind.__name__)
 @COPIES
 @given(message=st.text(), attributes=ATTRIBUTES)
-def test_every_error_comes_back_whole(
+def test_each_error_is_equal_after_pickling(
     kind: type[pa.PupperAnalysisError],
     copied: Callable[[Any], Any],
     message: str,
@@ -107,7 +107,7 @@ def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float
 
 @pytest.mark.slow
 @COPIES
-def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any]) -> None:
+def test_robot_is_equal_after_pickling(variant: str, copied: Callable[[Any], Any]) -> None:
     robot = load(variant)
     back = copied(robot)
     assert back.fingerprint == robot.fingerprint
@@ -126,7 +126,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
-def test_a_pickled_robot_stands_the_same(variant: str) -> None:
+def test_pickled_robot_has_the_same_stand(variant: str) -> None:
     robot = load(variant)
     back = pickled(robot)
     task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.contact_points[0]: 0.01}))
@@ -148,7 +148,7 @@ WEIGHTLESS = """<mujoco><default><default class="shape"><geom group="3" mass="0"
 <body><geom class="shape" size="0.1" mass="0"/></body></body></worldbody></mujoco>"""
 
 
-def test_a_shape_without_mass_weighs_nothing_when_it_comes_back() -> None:
+def test_massless_shape_stays_massless_after_pickling() -> None:
     """As B2's feet: MuJoCo's writer leaves a class's mass and density out."""
     spec = mujoco.MjSpec.from_string(WEIGHTLESS)
     masses = spec.copy().compile().body_mass
@@ -157,7 +157,7 @@ def test_a_shape_without_mass_weighs_nothing_when_it_comes_back() -> None:
         np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
 
 
-def test_limits_that_are_infinite_come_back(tiny: pa.Robot) -> None:
+def test_infinite_limits_are_equal_after_pickling(tiny: pa.Robot) -> None:
     """Pinocchio cannot read the infinity that it writes: no study of Mini Cheetah's pair ran."""
     robot = pickled(tiny)
     robot.pin_model.effortLimit[-1] = np.inf
@@ -169,7 +169,7 @@ def test_limits_that_are_infinite_come_back(tiny: pa.Robot) -> None:
         assert np.isfinite(robot.pin_model.upperPositionLimit[-1])
 
 
-def test_meshes_come_along(tmp_path: Path) -> None:
+def test_meshes_are_pickled_with_their_model(tmp_path: Path) -> None:
     pa.pupper.write_variant("v3", tmp_path)
     spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
     model, state = spec.copy().compile(), spec_to_data(spec)
@@ -210,13 +210,13 @@ def test_twenty_threads_at_once() -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clearance_is_equal_without_in_memory_files(monkeypatch: pytest.MonkeyPatch) -> None:
     one = ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos)
     monkeypatch.delattr(os, "memfd_create", raising=False)
     assert ClearanceShapes(load("v3")).closest_links(stand_of("v3").qpos) == one
 
 
-def test_silence_ends_with_the_last_who_wanted_it() -> None:
+def test_mujoco_warnings_are_silent_until_the_last_context_ends() -> None:
     """Threads compile and simulate at once; MuJoCo's warnings are the process's."""
 
     def heard(_: str) -> None:

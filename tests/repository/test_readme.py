@@ -74,12 +74,12 @@ def test_chinese_guides_have_the_code_and_numbers_of_the_english(name: str) -> N
 @pytest.mark.parametrize(
     "what", [f"scripts/{name}.py" for name in ("analyze_variant", "stand_pupper", "view_pupper")]
 )
-def test_a_script_without_the_environment_says_what_to_do(what: str) -> None:
+def test_script_outside_the_environment_prints_setup_instructions(what: str) -> None:
     """As with the machine's own Python: without site-packages."""
     without_the_environment(str(ROOT / what))
 
 
-def test_the_package_without_the_environment_says_what_to_do() -> None:
+def test_package_outside_the_environment_prints_setup_instructions() -> None:
     without_the_environment("-m", "pupper_analysis")
 
 

@@ -60,13 +60,13 @@ def run(site: Path | None, folder: Path, *words: object, status: int = 0) -> str
     return said
 
 
-def test_it_is_short() -> None:
+def test_example_tool_has_at_most_60_lines() -> None:
     code = [PARTS[name] for name in ("__init__.py", "document.py", "command.py")]
     lines = [line for part in code for line in part.splitlines() if line.strip()]
     assert len(lines) <= 60
 
 
-def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> None:
+def test_help_lists_an_installed_tool_without_importing_it(installed: Path, tmp_path: Path) -> None:
     said = run(installed, tmp_path, "--help")
     assert re.search(r"^  inertia +Rotational inertia of a robot about its base\.$", said, re.M)
     assert re.search(r"^  payload ", said, re.M)
@@ -82,7 +82,7 @@ def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
+def test_installed_tool_has_options_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
     assert "about its base" in run(installed, tmp_path, "inertia", "--help")
     words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")
     said = run(installed, tmp_path, *words, "--format", "markdown")
@@ -111,7 +111,7 @@ def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_reader_of_the_guide_is_short_and_what_it_reads_is_compared(tmp_path: Path) -> None:
+def test_reader_of_the_guide_is_used_by_contract(tmp_path: Path) -> None:
     """With it a file of limits is held against the URDF; without it, it is of no kind."""
     reader = re.search(r"```python\n(# our_firmware/limits.py.*?)```", CONTRACT, re.S)
     project = re.search(r"```toml\n(\[project.entry-points.*?)```", CONTRACT, re.S)

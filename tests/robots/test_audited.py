@@ -40,7 +40,7 @@ MEANT = (
 
 
 @pytest.mark.parametrize("name", PLACEHOLDERS + MEANT)
-def test_efforts_that_nobody_meant_are_named_and_others_are_not(name: str) -> None:
+def test_placeholder_efforts_of_public_robots_are_found(name: str) -> None:
     model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
     assert bool(list(CHECKS["effort-placeholder"](model))) == (name in PLACEHOLDERS)
 
@@ -63,7 +63,7 @@ TURNS = (
 
 
 @pytest.mark.parametrize("name", sorted({*BALLS, *TURNS, *MEANT}))
-def test_inertials_and_ranges_that_nobody_meant_are_named_and_others_are_not(name: str) -> None:
+def test_placeholder_inertias_and_ranges_of_public_robots_are_found(name: str) -> None:
     model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
     assert bool(list(CHECKS["inertial-placeholder"](model))) == (name in BALLS)
     assert bool(list(CHECKS["range-placeholder"](model))) == (name in TURNS)
@@ -79,7 +79,7 @@ def test_inertials_and_ranges_that_nobody_meant_are_named_and_others_are_not(nam
         ("b2", {"mirror-com", "mirror-shapes"}),
     ],
 )
-def test_slips_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) -> None:
+def test_faults_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) -> None:
     result = audit_model(file(MJCF, f"{name}/{name}.xml"))
     assert result.passed
     assert {one.rule for one in result.findings if one.severity == Severity.WARNING} == expected

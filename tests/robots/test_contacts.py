@@ -120,7 +120,7 @@ STANCES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stance", STANCES)
-def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
+def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
     name, make, within = STANCES[stance]
     of = robot(name)
     contacts = make(of)
@@ -166,7 +166,7 @@ def test_g1_hangs_back_on_a_ladder() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("pressing", [True, False])
 @pytest.mark.parametrize("stance", ["ur5, table", "go2, bolted", "go2, by a foot"])
-def test_what_is_bolted_down_bears_what_an_independent_programme_finds(
+def test_weld_wrenches_of_public_robots_equal_a_cone_program(
     stance: str, *, pressing: bool
 ) -> None:
     """Least torque, of forces that only press or in the cones: Clarabel, MuJoCo's Jacobians."""

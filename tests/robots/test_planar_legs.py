@@ -41,7 +41,7 @@ def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_p
 
 
 @pytest.mark.slow
-def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
+def test_planar_legs_stand_at_both_ends_of_the_reachable_heights(tmp_path: Path) -> None:
     """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
     robot = load(planar(quadruped(tmp_path)))
     heights = pa.stance.reachable_heights(robot)
@@ -88,7 +88,7 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
+def test_creep_on_a_slope_equals_the_friction_law_of_mujoco(tmp_path: Path) -> None:
     """MuJoCo's friction creeps, by as much as its law says."""
     robot = load(planar(quadruped(tmp_path)))
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))

@@ -12,7 +12,7 @@ from tests.support.random_edits import answers
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["go2", "aliengo", "mini_cheetah", "spot", "hyqreal1"])
-def test_what_moves_a_robot_of_others_is_told(tmp_path: Path, name: str) -> None:
+def test_random_edits_of_public_robots_are_reported(tmp_path: Path, name: str) -> None:
     found = answers(file(MJCF, f"{name}/{name}.xml"), 20, 0, tmp_path)
     assert len(found) == 20
     assert not [one for one in found if not one.right]

@@ -38,6 +38,6 @@ def outcome(seed: int, folder: Path) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path: Path) -> None:
+def test_random_robot_stands_as_published_or_with_a_cause(seed: int, tmp_path: Path) -> None:
     found, drawn = outcome(seed, tmp_path), random_legged.drawn(seed)
     assert not found or drawn.motors == "position", (seed, drawn.said, found)

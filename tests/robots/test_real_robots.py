@@ -300,7 +300,7 @@ def published(name: str) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Mini Cheetah", "Go1", "Go2", "HyQReal1", "HyQReal2"])
-def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
+def test_public_pair_stands_as_published_or_with_a_cause(name: str) -> None:
     row = corpus.stood(*published(name))
     assert row.feet == "4"
     if name == "HyQReal1":
@@ -372,7 +372,7 @@ def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_stand_tells_which_parts_push_on_each_other() -> None:
+def test_stand_names_links_that_push_on_each_other() -> None:
     """G1's hands are on its hips with elbows at 60 degrees, and nowhere near with them at 0."""
     robot = pa.load_robot(file(LAB, "unitree_g1/xmls/g1.xml"))
     for elbow, pairs in ((0.0, set()), (np.radians(60), {"left", "right"})):

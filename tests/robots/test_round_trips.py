@@ -20,7 +20,7 @@ MJCFS = ("go2", "aliengo", "mini_cheetah", "go1", "b2", "hyqreal1", "spot", "a2"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", URDFS)
-def test_a_urdf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
+def test_urdf_round_trip_reports_each_loss(tmp_path: Path, name: str) -> None:
     lost, count = round_trip(file(URDF, f"{name}.urdf"), tmp_path)
     assert count > 30
     assert not lost
@@ -28,7 +28,7 @@ def test_a_urdf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MJCFS)
-def test_an_mjcf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
+def test_mjcf_round_trip_reports_each_loss(tmp_path: Path, name: str) -> None:
     lost, count = round_trip(file(MJCF, f"{name}/{name}.xml"), tmp_path)
     assert count > 100
     assert not lost

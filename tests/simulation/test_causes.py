@@ -22,7 +22,9 @@ from tests.support.legged import quadruped
         ("", "a longer solref"),
     ],
 )
-def test_ground_that_pushes_by_jolts_is_told(option: str, says: str, tmp_path: Path) -> None:
+def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
+    option: str, says: str, tmp_path: Path
+) -> None:
     """As under a Booster K1 on a slope, whose foot forces were off by 1.3 %, at any gains."""
     pair = quadruped(tmp_path, actuators="position")
     text = pair.mjcf.read_text()

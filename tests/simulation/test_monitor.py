@@ -29,7 +29,7 @@ def state_at(
     return full_state(model, data)
 
 
-def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
+def test_watcher_reports_contacts_of_feet_above_on_and_below_the_ground() -> None:
     robot, stand = load(NAME), stand_of(NAME)
     drive = model_with_servos(robot)
     watcher = monitor.Watcher(robot, drive.model)
@@ -124,7 +124,7 @@ def test_yaw_is_no_lean_and_a_turn_is() -> None:
         assert monitor.turned_by(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
 
 
-def test_a_rollout_that_breaks_down_is_known() -> None:
+def test_diverged_rollout_is_detected() -> None:
     robot, stand = load(NAME), stand_of(NAME)
     drive = model_with_servos(robot)
     timestep = float(drive.model.opt.timestep)
@@ -151,7 +151,7 @@ def test_a_rollout_that_breaks_down_is_known() -> None:
         (0.0, 0.2, math.nan, True),
     ],
 )
-def test_what_has_fallen_sunk_or_left_its_place_has_collapsed(
+def test_collapse_depends_on_tilt_height_and_displacement(
     leaning: float, end: float, away: float, collapsed: bool
 ) -> None:
     assert has_collapsed(leaning, 0.2 - end, away, 0.2) is collapsed

@@ -35,7 +35,7 @@ def test_settling_agrees_with_the_verification(
     assert seen.stays == (5.0 <= kp <= 20.0)
 
 
-def test_settling_simulates_no_longer_than_it_takes(
+def test_settling_ends_as_soon_as_the_robot_is_at_rest(
     standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot, stand = standing
@@ -55,7 +55,9 @@ def test_settling_simulates_no_longer_than_it_takes(
     assert sum(simulated) < 5.0
 
 
-def test_what_still_moves_is_not_at_rest(standing: tuple[pa.Robot, Stand]) -> None:
+def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
+    standing: tuple[pa.Robot, Stand],
+) -> None:
     """In parts of each bound: how the height deviates, how fast it drifts, how far a foot went."""
     held = begin_stand(*standing)
     duration = 499 * held.drive.model.opt.timestep

@@ -16,7 +16,7 @@ from tests.support.variants import load
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("limits", "rests"), [("0 1", True), ("-1e-9 1", True), ("-1 1", False)])
-def test_a_joint_that_rests_against_its_limit_does_not_come_to_it(
+def test_joint_at_its_limit_from_the_start_is_no_failure(
     limits: str, rests: bool, tmp_path: Path
 ) -> None:
     """A gripper that is shut, an arm against its stop; the limits of legs count as ever."""
@@ -37,7 +37,7 @@ def test_a_joint_that_rests_against_its_limit_does_not_come_to_it(
     assert np.array_equal(upper, robot.upper_limits)
 
 
-def test_a_foot_that_bears_next_to_nothing_may_lift() -> None:
+def test_foot_with_negligible_load_may_lift_without_failure() -> None:
     """On unlike slopes least tangential forces leave two of four feet with all but no load."""
     robot, upset = load("v3"), {}
     for tilt in (0.0, 0.15):

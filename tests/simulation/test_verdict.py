@@ -145,7 +145,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_verdict_is_never_better_than_what_it_rests_on(case: str) -> None:
+def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
     given, code, passed, said = CASES[case]
     asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
     verdict = judge_stance(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
@@ -174,7 +174,7 @@ def test_the_worst_check_decides_the_verdict() -> None:
     ],
 )
 @pytest.mark.parametrize("known", [True, False])
-def test_what_is_only_expected_never_passes(
+def test_expected_verdict_without_simulation_never_passes(
     shares: tuple[float, float], doubling: float | None, code: VerdictCode, known: bool
 ) -> None:
     """Of a stance that is in balance, before it is simulated: its motors, and whether it lasts."""

@@ -69,7 +69,7 @@ def test_stand_is_verified(variant: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 @pytest.mark.parametrize("feedforward", [True, False])
-def test_settles_where_a_plain_simulation_does(name: str, feedforward: bool) -> None:
+def test_settled_state_equals_a_plain_mujoco_simulation(name: str, feedforward: bool) -> None:
     """From a drop of 3 mm instead of a start in balance, and read off MuJoCo directly."""
     robot, stand, result = load(name), stand_of(name), verified(name, feedforward)
     kp = SERVOS["v3" if name == "v3" else "skeleton"][0]
@@ -121,7 +121,7 @@ def test_gains_per_joint() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("integrator", INTEGRATOR_TYPES)
-def test_integrator_is_selected_reported_and_does_not_move_the_balance(integrator: str) -> None:
+def test_integrator_is_reported_and_does_not_change_the_settled_height(integrator: str) -> None:
     result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
     assert result.integrator == integrator
     assert result.passed, result.failures
@@ -162,7 +162,7 @@ def test_servos_too_weak_to_stand() -> None:
     assert result.stability.refuted
 
 
-def test_fall_is_told() -> None:
+def test_fall_is_a_failure_of_the_verification() -> None:
     """Upside down to start with: on its back it stays."""
     robot, stand = load("original"), stand_of("original")
     qpos = stand.qpos.copy()
@@ -198,7 +198,7 @@ def test_lifted_foot_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_joint_off_its_place_is_told() -> None:
+def test_joint_deviation_is_a_failure_of_the_verification() -> None:
     """Motors that cannot give the torque: the joints are off, and it says so."""
     robot, stand = load("v3"), stand_of("v3")
     weak = replace(robot, mj_model=robot.description.mjcf.copy().compile())
@@ -247,7 +247,7 @@ def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
         model_with_servos(tiny)
 
 
-def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
+def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
     """As ``stand_stability`` does of them."""
     robot, stand = load("original"), stand_of("original")
     result = pa.simulation.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
@@ -298,7 +298,7 @@ def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> Non
     assert cells.height_deviation[1, 1] == pytest.approx(deviation, rel=1e-6)
 
 
-def test_sweep_knows_a_robot_that_falls_or_lies() -> None:
+def test_sweep_marks_a_robot_that_falls_or_lies() -> None:
     """On its thighs it lies steadier than it stands; ten times its weight throws it over."""
     weak, stand = load("v3-heavy"), stand_of("v3-heavy")
     result = pa.simulation.sweep_gains(weak, stand, kp=[0.3, 20], kd=[0.5])
@@ -330,7 +330,7 @@ def test_bad_sweeps_are_refused(arguments: dict[str, object], field: str) -> Non
         pa.simulation.sweep_gains(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
 
 
-def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> None:
+def test_force_error_of_an_unloaded_foot_is_relative_to_the_weight() -> None:
     """All load is taken off RR here; soft ground, which tilts, gives it some back."""
     robot = load("v3")
     report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
@@ -343,7 +343,7 @@ def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> N
 
 
 @pytest.mark.parametrize("act", ["verify", "sweep"])
-def test_what_diverges_is_said_and_leaves_no_log(
+def test_divergence_is_reported_without_a_log_file(
     act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """MuJoCo warns on the terminal, and in a file MUJOCO_LOG.TXT that nobody has asked for."""

@@ -15,7 +15,7 @@ from tests.support.repository import ROOT
 
 
 @pytest.mark.slow
-def test_what_moves_v3_is_told(tmp_path: Path) -> None:
+def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
     found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
@@ -33,7 +33,7 @@ def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [44, 46])
-def test_what_moves_a_random_robot_is_told(tmp_path: Path, seed: int) -> None:
+def test_random_edits_of_a_random_robot_are_reported(tmp_path: Path, seed: int) -> None:
     (tmp_path / "drawn").mkdir()
     source = written(drawn(seed), tmp_path / "drawn").mjcf
     found = answers(source, 12, 1000 * seed, tmp_path)
