@@ -36,7 +36,7 @@ def test_every_variant_is_as_predicted_and_verified_if_its_file_stands(name: str
     json.loads(analysis.to_json())
 
 
-def test_motions_are_what_the_axes_do() -> None:
+def test_joint_motions_follow_from_their_axes() -> None:
     """The tutorial's names say roll, pitch, pitch; v3's axes say pitch, roll, pitch."""
     v3 = joint_summaries(pa.load_variant("v3"))
     assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
@@ -72,7 +72,7 @@ def test_leg_jacobian_of_a_planar_leg() -> None:
 
 
 @pytest.mark.slow
-def test_a_failed_verification_and_a_failed_check_are_told() -> None:
+def test_failed_verification_and_failed_cross_check_are_reported() -> None:
     robot = pa.load_variant("original")
     weak = copy.copy(robot.mj_model)
     weak.actuator_forcerange[:] = (-0.2, 0.2)  # the knees hold 0.36 N m
@@ -111,7 +111,7 @@ def telescope(folder: Path) -> pa.Robot:
 
 
 @pytest.mark.slow
-def test_legs_of_one_joint_have_no_thigh(tmp_path: Path) -> None:
+def test_thigh_length_is_none_for_legs_of_one_joint(tmp_path: Path) -> None:
     robot = telescope(tmp_path)
     assert leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
     analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))

@@ -110,7 +110,7 @@ def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[
     assert f"{knee:.3f} N m, no limit" in texts
 
 
-def test_robots_with_the_same_joints_share_their_axes(figures: list[Figure]) -> None:
+def test_panels_of_robots_with_equal_joints_share_axes(figures: list[Figure]) -> None:
     names = ("v3", "original", "v3-heavy")
     for name in ("torques.png", "heights.png"):
         FIGURES[name]([analysis_of(robot) for robot in names], Path("unused.png"))
@@ -179,7 +179,7 @@ def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
 
 
 @pytest.mark.slow
-def test_an_undisturbed_robot_on_its_own_gains_deviates_less_than_one_that_is_pushed() -> None:
+def test_height_deviation_is_smaller_without_disturbance() -> None:
     """Reference: the same sweep under a force of 2 N at 1.2 Hz, the default of ``sweep_gains``."""
     robot, stand = load("original"), stand_of("original")
     calm, pushed = (

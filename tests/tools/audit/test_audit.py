@@ -245,7 +245,9 @@ def sound() -> dict[str, Audit]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.rule}-{case.format}")
-def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str, Audit]) -> None:
+def test_planted_fault_is_found_at_its_line(
+    case: Case, tmp_path: Path, sound: dict[str, Audit]
+) -> None:
     path = written(tmp_path, case.format, case.edits)
     findings = found(audit_model(path), case.rule, case.element)
     assert findings, [str(finding) for finding in audit_model(path).findings]
@@ -363,7 +365,7 @@ def test_a_file_without_ground_is_judged_on_that_of_a_scene(
 
 
 @pytest.mark.parametrize(("factor", "named"), [(100.0, True), (0.01, True), (10.0, False)])
-def test_motors_that_were_identified_one_by_one_differ_but_not_by_any_factor(
+def test_individually_identified_motors_are_no_finding(
     factor: float, named: bool, tmp_path: Path
 ) -> None:
     text = OWN["mjcf"].read_text()
@@ -378,7 +380,7 @@ def test_motors_that_were_identified_one_by_one_differ_but_not_by_any_factor(
     )
 
 
-def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:
+def test_keyframe_without_commands_is_a_note(tmp_path: Path) -> None:
     """It commands zeros, which is how many are published; where zeros are its pose, all is well."""
     path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
     (finding,) = found(audit_model(path), "keyframe-ctrl")
@@ -386,7 +388,7 @@ def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:
     assert (finding.diagnostic.values["ahead"], finding.diagnostic.values["commands"]) == (8, 12)
 
 
-def test_a_continuous_joint_that_states_limits_is_told_so(tmp_path: Path) -> None:
+def test_limits_of_a_continuous_joint_are_reported(tmp_path: Path) -> None:
     edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
     (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limits-without-effect")
     assert finding.diagnostic.code == "limits-without-effect"
@@ -402,7 +404,7 @@ def test_masses_a_thousandth_are_lighter_than_foam(tmp_path: Path) -> None:
     assert {finding.diagnostic.code for finding in findings} == {"lighter-than-foam"}
 
 
-def test_every_rule_of_the_catalogue_has_its_function() -> None:
+def test_each_rule_of_the_catalogue_has_a_function() -> None:
     theirs = {name for name, rule in RULES.items() if set(rule.formats) <= formats().keys()}
     assert set(CHECKS) == set(RULES) - theirs
 
@@ -471,7 +473,7 @@ def test_the_tutorials_long_leg_is_found(tmp_path: Path) -> None:
             assert values[name].value == pytest.approx(expected), name  # type: ignore[union-attr]
 
 
-def test_of_a_file_that_mujoco_refuses_its_refusal_is_told_alone(tmp_path: Path) -> None:
+def test_refusal_by_mujoco_is_the_only_finding(tmp_path: Path) -> None:
     edits = (
         Edit('<default class="HFE">', "-1.8 1.2", "1.2 -1.8"),
         Edit(KEY, "0 0 0.158", "0 0 0.1"),
@@ -561,7 +563,7 @@ def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- others
 
 
-def test_what_the_reader_lets_pass_the_rules_do_too(tmp_path: Path) -> None:
+def test_rules_accept_all_encodings_that_the_reader_accepts(tmp_path: Path) -> None:
     """A mesh that is missing, and the gravity, are looked for in the file's own elements."""
     text = OWN["mjcf"].read_text()
     extra = '<asset><mesh name="k" file="no.obj"/></asset>\n<option gravity="0 0 -1"/>'
@@ -576,7 +578,7 @@ def test_what_the_reader_lets_pass_the_rules_do_too(tmp_path: Path) -> None:
     assert "gravity" in text.splitlines()[int(gravity.line or 0) - 1]
 
 
-def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> None:
+def test_urdf_inertia_is_rotated_by_its_origin(tmp_path: Path) -> None:
     """A frame that is turned by R holds I: in the link's axes that is R I R^T, as Pinocchio has it.
 
     The turn is of no symmetry, and no two moments are alike, so that R^T I R is another matrix.
@@ -595,7 +597,7 @@ def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> N
     np.testing.assert_allclose(inertial.com, theirs.lever, atol=1e-15)
 
 
-def test_shapes_of_links_without_mass_are_told_once(tmp_path: Path) -> None:
+def test_shapes_of_massless_links_are_one_finding(tmp_path: Path) -> None:
     shape = '</inertial><collision><geometry><sphere radius="0.03"/></geometry></collision>'
     links = [f'<link name="{name}">' for name in ("FL_foot", "body_imu_site")]
     empty = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
@@ -605,7 +607,7 @@ def test_shapes_of_links_without_mass_are_told_once(tmp_path: Path) -> None:
     assert {water.element, *others} == {"link 'body_imu_site'", "FL_foot"}
 
 
-def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
+def test_links_without_inertial_are_one_finding(tmp_path: Path) -> None:
     """PyBullet 3.2.7 makes 8.17 kg of a Pupper v3 whose five frames state nothing."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text()
     for site in re.findall(r'<link name="(\w+_site)">', text):
@@ -620,7 +622,7 @@ def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
     assert not rules & {"link-without-inertial", "massless-link-collides"}
 
 
-def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path) -> None:
+def test_com_outside_the_robot_is_found_for_a_link_without_shapes(tmp_path: Path) -> None:
     """In degrees, say: 5.73 m, on a leg of 0.6 m."""
     pair = quadruped(tmp_path)
     thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
@@ -641,7 +643,7 @@ ARM = """<robot name="arm"><link name="base"/><link name="upper">{shape}</link><
 BOX = '<collision><geometry><box size="{} 0.1 0.1"/></geometry></collision>'
 
 
-def test_a_shape_of_many_times_the_robots_extent_is_told(tmp_path: Path) -> None:
+def test_shape_much_larger_than_the_robot_is_found(tmp_path: Path) -> None:
     """Twenty times its joints' 0.3 m are 6 m: a box in millimetres."""
     for size, message in ((5.9, False), (6.1, True), (100.0, True)):
         (tmp_path / "arm.urdf").write_text(ARM.format(shape=BOX.format(size)))

@@ -116,7 +116,7 @@ def test_best_stance_has_the_largest_margin() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
-def test_joints_to_spare_are_as_its_task_has_them(tmp_path: Path) -> None:
+def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> None:
     """Legs of four joints: a search, from what was near, left them 4e-8 rad from ``stand``'s."""
     pair = written(drawn(91004), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
@@ -172,7 +172,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
-def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
+def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
     robot = load("v3")
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
@@ -188,7 +188,7 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
-def test_the_rest_of_the_task_stays() -> None:
+def test_best_stance_keeps_the_fixed_part_of_the_task() -> None:
     robot = load("v3")
     ground = pa.Ground(slope=0.1, uphill=1.0)
     task = pa.StandTask(

@@ -25,7 +25,7 @@ from tests.support.variants import NAMES, load
         ("v3", pa.StandTask(roll=0.05, pitch=0.1), "leg_front_l_1", (0.02, 0.01, 0.1)),
     ],
 )
-def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(
+def test_settled_pose_is_unstable_at_the_buckling_load(
     name: str,
     task: pa.StandTask,
     link: str | None,

@@ -51,7 +51,7 @@ def change(path: Path, old: str, new: str) -> int:
     return text[: text.index(old)].count("\n") + 1
 
 
-def test_the_sample_passes_and_stays_as_it_is(folder: Path) -> None:
+def test_sample_repository_passes_and_is_not_changed(folder: Path) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     result = run(folder)
     assert result.returncode == 0, result.stdout
@@ -68,7 +68,7 @@ def test_the_sample_has_the_baseline_that_is_written_today(folder: Path) -> None
     assert (folder / BASELINE).read_text() == (SAMPLE / BASELINE).read_text()
 
 
-def test_a_new_difference_fails_at_its_lines(folder: Path) -> None:
+def test_new_difference_fails_with_the_lines_of_both_files(folder: Path) -> None:
     line = change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
     urdf_line = (folder / "hopper.urdf").read_text().split('upper="1.5"')[0].count("\n") + 1
     result = run(folder)
@@ -86,7 +86,7 @@ def test_a_new_difference_fails_at_its_lines(folder: Path) -> None:
     assert "upper limit" not in rest
 
 
-def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
+def test_equal_difference_of_several_joints_is_one_remark(folder: Path) -> None:
     change(folder / "hopper.xml", 'damping="0.05"', 'damping="0.06"')
     shown = run(folder).stdout
     assert shown.count("error crosscheck damping") == 1
@@ -96,14 +96,14 @@ def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
     assert "FAILED pupper-analysis.toml: 1 to fix" in shown
 
 
-def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
+def test_known_remark_is_recognised_despite_rounding(folder: Path) -> None:
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.22000000001"')
     assert run(folder).returncode == 0
     change(folder / "hopper.xml", 'mass="0.22000000001"', 'mass="0.220001"')
     assert run(folder).returncode == 1
 
 
-def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) -> None:
+def test_resolved_remark_is_stale_until_the_baseline_is_updated(folder: Path) -> None:
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.2"')
     result = run(folder)
     assert result.returncode == 0
@@ -116,7 +116,7 @@ def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) ->
     assert "stale" not in run(folder).stdout
 
 
-def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -> None:
+def test_unreadable_file_fails_and_other_remarks_are_reported(folder: Path) -> None:
     """And no baseline is written, for nobody knows which of its entries occur."""
     before = (folder / BASELINE).read_bytes()
     line = change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
@@ -131,7 +131,7 @@ def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -
     assert pa.guard.check_repository(folder / "pupper-analysis.toml").passed
 
 
-def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path) -> None:
+def test_unreadable_file_cannot_be_accepted_by_the_baseline(folder: Path) -> None:
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
     (remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
@@ -172,7 +172,7 @@ def test_update_baseline_keeps_the_lines_that_a_person_wrote(folder: Path) -> No
     assert (folder / BASELINE).read_text() == written
 
 
-def test_a_comment_stays_when_the_value_changes_or_the_entry_goes(folder: Path) -> None:
+def test_comments_of_the_baseline_are_kept_on_update(folder: Path) -> None:
     baseline_with(folder, "^", f"^{COMMENTS}")
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.21"')
     assert run(folder, "--update-baseline").returncode == 0
@@ -213,7 +213,7 @@ def test_a_baseline_edited_during_the_check_is_not_replaced(folder: Path) -> Non
     assert path.read_text().endswith(f"{COMMENTS}\n")
 
 
-def test_a_joint_in_one_file_only(folder: Path) -> None:
+def test_joint_in_one_file_only_fails_the_check(folder: Path) -> None:
     text = (folder / "hopper.xml").read_text()
     text = text.replace('<joint name="knee" range="-2.4 -0.1"/>', "")
     (folder / "hopper.xml").write_text(
@@ -277,7 +277,7 @@ def test_patterns_name_many_models(folder: Path) -> None:
             pa.guard.check_repository(config)
 
 
-def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None:
+def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> None:
     config = folder / "pupper-analysis.toml"
     assert "is there already" in run(folder, "--init").stderr
     config.unlink()
@@ -306,7 +306,9 @@ def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None
     assert "no URDF and no MJCF" in run(empty, "--init").stderr
 
 
-def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_annotation_paths_are_relative_to_the_checkout(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever folder the job works in."""
     monkeypatch.setenv("GITHUB_WORKSPACE", str(folder.parent))
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
@@ -358,7 +360,7 @@ def test_every_part_of_an_identity_counts() -> None:
     assert mark_known_remarks([remark("base", 1.0)], [known])[0][0].known
 
 
-def test_several_of_one_identity() -> None:
+def test_each_baseline_entry_matches_one_remark_of_equal_value() -> None:
     """Each entry is for one remark of the same value."""
     remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
     found, stale = mark_known_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
@@ -389,12 +391,12 @@ def test_several_of_one_identity() -> None:
         (0.0, 1e-12, False),
     ],
 )
-def test_values_that_are_the_same(one: object, two: object, expected: bool) -> None:
+def test_values_agree_within_rounding(one: object, two: object, expected: bool) -> None:
     assert values_agree(one, two) is expected
     assert values_agree(two, one) is expected
 
 
-def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
+def test_baseline_is_sorted_and_describes_its_entries(folder: Path) -> None:
     change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
     change(folder / "hopper.xml", 'range="-2.4 -0.1"', 'range="-2.4 -0.2"')
     run(folder, "--update-baseline")

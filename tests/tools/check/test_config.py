@@ -38,7 +38,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_everything_that_can_be_said(folder: Path) -> None:
+def test_configuration_with_all_keys_is_read(folder: Path) -> None:
     text = """
 baseline = "known.txt"
 fail-on = "warning"
@@ -127,7 +127,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("text", "line", "said"), REFUSED.values(), ids=REFUSED)
-def test_an_invalid_config_is_refused_with_its_line(
+def test_invalid_configuration_is_refused_with_its_line(
     folder: Path, text: str, line: int, said: str
 ) -> None:
     path = written(folder, text)
@@ -143,7 +143,7 @@ def test_a_config_without_pairs_is_refused(folder: Path) -> None:
         read_config(written(folder, "# nothing\n"))
 
 
-def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
+def test_page_of_configuration_lists_exactly_the_valid_keys(folder: Path) -> None:
     values: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
     with (ROOT / "docs/data/config-keys.csv").open(newline="") as table:
         for row in csv.DictReader(table):
@@ -172,6 +172,6 @@ def test_the_config_is_found_in_a_folder_above(
     assert find_config() == path
 
 
-def test_a_missing_config_is_said(tmp_path: Path) -> None:
+def test_missing_configuration_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(os.fspath(tmp_path))):
         find_config(tmp_path)

@@ -68,7 +68,7 @@ def test_a_slip_fails_with_both_lines(folder: Path) -> None:
     assert "gym_cfg.py" in {file for file, _ in found}
 
 
-def test_the_baseline_knows_what_is_meant(folder: Path) -> None:
+def test_contract_remarks_are_accepted_by_the_baseline(folder: Path) -> None:
     slip(folder)
     assert run(folder, "--update-baseline").returncode == 0
     assert "contract" in (folder / "pupper-analysis-baseline.txt").read_text()
@@ -85,7 +85,7 @@ def test_a_source_that_cannot_be_read_fails_and_the_rest_is_checked(folder: Path
     assert "it is no YAML" in done.stdout + done.stderr
 
 
-def test_a_file_that_is_not_there_is_told(folder: Path) -> None:
+def test_missing_contract_file_is_refused(folder: Path) -> None:
     (folder / "deploy.yaml").unlink()
     done = run(folder)
     assert done.returncode == 2
@@ -94,7 +94,7 @@ def test_a_file_that_is_not_there_is_told(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_needs_no_placo() -> None:
+def test_contract_guard_imports_no_placo() -> None:
     code = (
         "import sys; import pupper_analysis.tools.contract.guard; "
         "print(any(one in sys.modules for one in ('placo', 'clarabel', 'matplotlib')))"

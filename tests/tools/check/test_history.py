@@ -46,7 +46,7 @@ def check(folder: Path, since: str | None = "HEAD") -> pa.guard.RepositoryCheck:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
-def test_each_edit_is_told_at_its_line_with_its_effect(folder: Path, name: str) -> None:
+def test_each_edit_is_reported_at_its_line_with_its_effect(folder: Path, name: str) -> None:
     edit = (FELT | HARMLESS)[name]
     edit.written(folder / "mjcf")
     result = check(folder)
@@ -67,7 +67,7 @@ def test_each_edit_is_told_at_its_line_with_its_effect(folder: Path, name: str) 
 
 
 @pytest.mark.slow
-def test_no_baseline_knows_a_change(folder: Path) -> None:
+def test_change_since_a_revision_is_not_written_to_the_baseline(folder: Path) -> None:
     FELT["floor"].written(folder / "mjcf")
     config = folder / "pupper-analysis.toml"
     result = pa.guard.check_repository(config, update_baseline=True, since="HEAD")
@@ -78,7 +78,7 @@ def test_no_baseline_knows_a_change(folder: Path) -> None:
     assert check(folder).passed
 
 
-def test_a_new_file_and_a_broken_old_one_have_no_history(folder: Path) -> None:
+def test_new_file_or_unreadable_old_version_has_no_history(folder: Path) -> None:
     (folder / "mjcf/pupper_v3.xml").write_text("<mujoco>")
     git(folder, "commit", "-qam", "broken")
     shutil.copy(ROOT / "mjcf/pupper_v3.xml", folder / "mjcf")

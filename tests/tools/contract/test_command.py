@@ -46,7 +46,7 @@ def test_bad_input_is_one_line(tmp_path: Path, name: str) -> None:
     assert not (tmp_path / "made").exists()
 
 
-def test_machines_are_told_both_lines(tmp_path: Path) -> None:
+def test_github_annotations_name_both_lines(tmp_path: Path) -> None:
     sources = write_all(tmp_path)
     text = sources["deploy.yaml"].read_text()
     sources["deploy.yaml"].write_text(text.replace(listed([5.0] * 12), listed([9.0] * 12)))
@@ -59,7 +59,7 @@ def test_machines_are_told_both_lines(tmp_path: Path) -> None:
     assert run(tmp_path, MJCF, URDF, sources["policy.json"], "--fail-on", "error").returncode == 1
 
 
-def test_what_is_given_from_here_is_shown_from_here(tmp_path: Path) -> None:
+def test_paths_are_shown_relative_to_the_working_folder(tmp_path: Path) -> None:
     """Of modules, too, and of those that they import; one line that is both is shown once."""
     sources = write_all(tmp_path)
     text = sources["deploy.yaml"].read_text()

@@ -38,7 +38,7 @@ def contract(*paths: str | Path) -> Contract:
     [([ANGLES[3 * leg + part] for part in range(3) for leg in range(4)], {"_1"}),
      (ANGLES, {"_1", "_2", "_3"})],
 )  # fmt: skip
-def test_lists_go_by_depth_unless_left_and_right_were_unlike(
+def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     sources: dict[str, Path], angles: list[float], kinds: set[str]
 ) -> None:
     """Of Isaac Lab's policies; a list that no order makes alike is not read."""
@@ -55,7 +55,7 @@ def test_lists_go_by_depth_unless_left_and_right_were_unlike(
     assert any(one.code == "contract-list-unread" for one in found.notes)
 
 
-def test_what_says_which_motor_each_joint_is_may_have_any_order(sources: dict[str, Path]) -> None:
+def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
     """As rl_sar's: a robot's table names its motors, a policy's goes by their numbers."""
     folder = sources["deploy.yaml"].parent / "more"
     folder.mkdir()
@@ -92,7 +92,7 @@ def test_numbers_of_motors_that_are_none_are_not_read(sources: dict[str, Path], 
     assert "contract-motors-unread" in notes
 
 
-def test_how_many_actions_a_network_gives_is_held_against_the_others(
+def test_number_of_network_actions_is_compared_with_other_sources(
     sources: dict[str, Path],
 ) -> None:
     network = sources["policy.onnx"].with_name("bare.onnx")
@@ -137,7 +137,7 @@ def test_joints_of_other_names_are_matched_by_structure(
     assert finding.joints == (JOINTS[4],)
 
 
-def test_a_usd_is_a_model_as_the_others(tmp_path: Path) -> None:
+def test_usd_is_accepted_as_the_model_of_a_contract(tmp_path: Path) -> None:
     from tests.tools.usd import written
 
     path = written.write(tmp_path)
@@ -155,7 +155,7 @@ def test_a_usd_is_a_model_as_the_others(tmp_path: Path) -> None:
     assert finding.places == (f"{deploy}:2", stated["knee"].place)
 
 
-def test_a_trainers_line_is_where_a_joint_is_given_its_number(sources: dict[str, Path]) -> None:
+def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, Path]) -> None:
     text = sources["deploy.yaml"].read_text()
     sources["deploy.yaml"].write_text(text.replace(listed([0.75] * 12), listed([0.4] * 12)))
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
@@ -167,7 +167,7 @@ def test_a_trainers_line_is_where_a_joint_is_given_its_number(sources: dict[str,
     assert "53 % of what it was trained for" in finding.message
 
 
-def test_numbers_that_were_rounded_are_one(sources: dict[str, Path]) -> None:
+def test_rounded_numbers_agree(sources: dict[str, Path]) -> None:
     text = sources["motors.py"].read_text()
     sources["motors.py"].write_text(text.replace("10.0 / 2", "10.0 / 2 + 0.0123"))
     deploy = sources["deploy.yaml"]
@@ -178,7 +178,7 @@ def test_numbers_that_were_rounded_are_one(sources: dict[str, Path]) -> None:
     assert [one.joints for one in found.findings if one.kind == "kp"] == [tuple(JOINTS)]
 
 
-def test_a_mirror_tells_a_slip_in_one_source_alone(sources: dict[str, Path]) -> None:
+def test_left_right_asymmetry_is_found_in_a_single_source(sources: dict[str, Path]) -> None:
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace('"leg_.*_l_1": -0.26', '"leg_.*_l_1": 0.26'))
     found = contract(sources["isaac_cfg.py"])
@@ -196,7 +196,7 @@ def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> No
     assert [one.kind for one in found.findings] == ["observations"]
 
 
-def test_the_model_is_held_against_the_others(sources: dict[str, Path]) -> None:
+def test_model_values_are_compared_with_other_sources(sources: dict[str, Path]) -> None:
     found = read_contract(MJCF, URDF, sources["policy.json"], stand=False)
     (finding,) = found.findings
     assert (finding.kind, finding.values) == ("kd", (0.25, 0.1))
@@ -222,7 +222,7 @@ def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
     assert f"{1e3 * apart:.3g} mm of base height" in finding.message
 
 
-def test_of_several_configurations_one_is_asked_for(sources: dict[str, Path]) -> None:
+def test_several_configurations_in_one_file_require_a_name(sources: dict[str, Path]) -> None:
     path = sources["isaac_cfg.py"]
     text = path.read_text()
     path.write_text(text + text.replace("PUPPER_CFG", "OTHER_CFG").replace("3.0", "4.0"))
@@ -305,7 +305,7 @@ def test_a_list_of_another_length_is_of_no_joints(
         assert note.values["count"] == len(given)
 
 
-def test_a_model_is_asked_for(sources: dict[str, Path]) -> None:
+def test_contract_without_a_model_is_refused(sources: dict[str, Path]) -> None:
     with pytest.raises(ConfigurationError, match="none of the sources is a model"):
         read_contract(sources["policy.json"])
 
@@ -335,7 +335,7 @@ def test_a_tables_twofold_key_is_refused_and_merged_keys_are_read(
 @pytest.mark.parametrize(
     "pattern", ["(.|.)*!", "(a*)*b", "((l|le|leg))+x", "(.*)" * 9 + "x", "(", "a**"]
 )
-def test_patterns_that_could_take_ages_are_named_and_left_out(
+def test_regular_expressions_with_exponential_time_are_left_out(
     sources: dict[str, Path], pattern: str
 ) -> None:
     text = sources["isaac_cfg.py"].read_text()
@@ -348,7 +348,7 @@ def test_patterns_that_could_take_ages_are_named_and_left_out(
     assert note.values["names"] == (pattern,)
 
 
-def test_an_mjcf_that_mujoco_refuses_is_refused_with_its_words(tmp_path: Path) -> None:
+def test_refusal_of_an_mjcf_states_the_message_of_mujoco(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(
         '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>\n'
@@ -415,7 +415,7 @@ def test_a_usd_with_other_names_is_matched_by_structure(tmp_path: Path) -> None:
     assert [one.message for one in found.findings] == []
 
 
-def test_motor_limits_are_compared_with_those_of_the_urdf(sources: dict[str, Path]) -> None:
+def test_motor_limits_are_compared_with_the_urdf(sources: dict[str, Path]) -> None:
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace("effort_limit=3.0", "effort_limit=2.0"))
     (finding,) = contract(sources["isaac_cfg.py"]).findings

@@ -80,7 +80,7 @@ SOUND: dict[str, tuple[str, Callable[[str], str]]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "quadruped"])
 @pytest.mark.parametrize("sound", SOUND)
-def test_what_is_no_slip_is_silent(tmp_path: Path, name: str, sound: str) -> None:
+def test_harmless_edit_gives_no_finding(tmp_path: Path, name: str, sound: str) -> None:
     kind, change = SOUND[sound]
     robot = robot_of(name, tmp_path)
     path, _ = write(robot, kind, tmp_path)
@@ -94,7 +94,7 @@ def test_what_is_no_slip_is_silent(tmp_path: Path, name: str, sound: str) -> Non
         assert len(stated) >= 3 * len(robot.order), source  # silent, as it was read
 
 
-def test_another_order_with_names_is_the_same_of_all_but_the_order(tmp_path: Path) -> None:
+def test_named_joint_order_that_differs_is_the_only_finding(tmp_path: Path) -> None:
     robot = robot_of("v3", tmp_path)
     path, _ = write(replace(robot, order=robot.order[::-1]), "ros2", tmp_path)
     other, _ = write(robot, "legged_gym", tmp_path)

@@ -60,7 +60,7 @@ KNOWN = {
 
 
 @pytest.mark.parametrize("case", KNOWN)
-def test_what_python_would_make_of_it(tmp_path: Path, case: str) -> None:
+def test_python_expressions_evaluate_to_the_values_of_python(tmp_path: Path, case: str) -> None:
     text, wanted = KNOWN[case]
     assert plain(worked_out(tmp_path, text)) == wanted
 
@@ -81,12 +81,12 @@ LOST = {
 
 
 @pytest.mark.parametrize("case", LOST)
-def test_what_is_not_known_is_shown_as_it_stands(tmp_path: Path, case: str) -> None:
+def test_unsupported_python_expressions_are_kept_as_text(tmp_path: Path, case: str) -> None:
     text, wanted = LOST[case]
     assert plain(worked_out(tmp_path, text)) == wanted
 
 
-def test_decimals_are_those_that_are_written(tmp_path: Path) -> None:
+def test_number_of_decimals_equals_the_source_text(tmp_path: Path) -> None:
     """A form feed is no end of a line, as Python counts them."""
     assert worked_out(tmp_path, "y = 1\n\x0c\nx = 2.50\n").decimals == 2
     assert worked_out(tmp_path, "x = 0xef\n").decimals == 0

@@ -28,12 +28,12 @@ def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
     assert get_text(gather_fields(file.graph[12][0]), 1) == "actions"
 
 
-def test_integers_are_packed_or_one_by_one() -> None:
+def test_packed_and_single_integers_are_decoded() -> None:
     assert decode_integers([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
 
 
 @pytest.mark.parametrize("data", [b"\x80" * 20, b"\x0f", b"\x72\x7f", b"\x72\x02\x0a\x09", b"\x38"])
-def test_what_is_no_message_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_invalid_onnx_file_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.onnx").write_bytes(data)
     with pytest.raises(ModelError, match="no ONNX"):
         read_onnx(tmp_path / "a.onnx")

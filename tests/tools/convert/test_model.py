@@ -46,7 +46,7 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
+def test_converted_random_robots_agree_with_their_source(tmp_path: Path) -> None:
     random = np.random.default_rng(5)
     for number in range(6):
         parts = _random_tree(random)
@@ -86,7 +86,7 @@ def _random_tree(random: np.random.Generator) -> Parts:
     return parts
 
 
-def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
+def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
     urdf = tmp_path / "arm.urdf"
     text = urdf_text(changed(arm(), "rod", effort=7.0), ())
     mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/></joint>'
@@ -109,7 +109,7 @@ def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's
-def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
+def test_shape_poses_equal_those_of_yourdfpy(tmp_path: Path) -> None:
     """Against yourdfpy's scene of the URDF and of the URDF that is made of the MJCF again."""
     import yourdfpy
 
@@ -154,7 +154,7 @@ def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
     assert not model.geom_contype[model.geom_group == 2].any()
 
 
-def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None:
+def test_missing_meshes_are_left_out_with_a_note(tmp_path: Path) -> None:
     pointer = tmp_path / "far.stl"
     pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     names = ("package://none/gone.stl", "far.stl")
@@ -167,7 +167,7 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     assert ", ".join(names) in str(found.not_converted[0])
 
 
-def test_errors_of_the_source_are_said(tmp_path: Path) -> None:
+def test_errors_of_the_source_file_are_reported(tmp_path: Path) -> None:
     """As by all other commands: the new file has them, too."""
     _, mjcf = features.files(tmp_path, features.FEATURES["damping -2"])
     notes = pa.convert_model(mjcf, tmp_path / "new.urdf").notes
@@ -176,7 +176,7 @@ def test_errors_of_the_source_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("feature", ["armature -0.01", "timestep 10"])
-def test_nothing_is_written_of_what_cannot_be_simulated(feature: str, tmp_path: Path) -> None:
+def test_model_that_cannot_be_simulated_is_not_written(feature: str, tmp_path: Path) -> None:
     _, mjcf = features.files(tmp_path, features.FEATURES[feature])
     with pytest.raises(pa.ModelError):
         pa.convert_model(mjcf, tmp_path / "new.urdf")
@@ -248,7 +248,7 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml"])
-def test_v3_there_and_back_loses_nothing_silently(tmp_path: Path, file: str) -> None:
+def test_round_trip_of_v3_reports_each_loss(tmp_path: Path, file: str) -> None:
     lost, count = round_trip(ROOT / file, tmp_path)
     assert count > 90
     assert not lost
@@ -257,7 +257,7 @@ def test_v3_there_and_back_loses_nothing_silently(tmp_path: Path, file: str) -> 
 # ---------------------------------------------------------------------------- what is refused
 
 
-def test_what_neither_format_can_have_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_invalid_model_is_refused_before_any_file_is_written(tmp_path: Path) -> None:
     flat = changed(arm(), "rod", inertia=(1.0, 0.1, 0.1, *NOTHING))
     cases = {
         "has no mass, and MuJoCo refuses such bodies": urdf_text(changed(arm(), "rod", mass=0.0)),
@@ -407,7 +407,7 @@ def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("empty", [False, True])
-def test_a_base_frame_below_the_feet_is_written_where_it_is(empty: bool, tmp_path: Path) -> None:
+def test_base_frame_below_the_feet_keeps_its_position(empty: bool, tmp_path: Path) -> None:
     """Its own keyframe has it as far below the ground as the URDF does.
 
     Its root is the link that moves, or one without mass above that.

@@ -115,13 +115,13 @@ def test_limits_in_degrees(tmp_path: Path) -> None:
     assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
 
 
-def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
+def test_tenfold_mass_is_named_as_a_decimal_point_error(tmp_path: Path) -> None:
     line = first_line(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
     assert line.startswith("DISAGREE: link shank2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
     assert "(ten times: a decimal point?)" in line
 
 
-def test_what_matters_most_is_said_first(tmp_path: Path) -> None:
+def test_causes_are_ordered_by_their_effect(tmp_path: Path) -> None:
     """A slip before a limit that differs as well, and after a base of nine times the mass."""
     thigh = quadruped()["thigh0"]
     tenfold = {"mass": 10 * thigh.mass, "inertia": tuple(10 * np.array(thigh.inertia))}
@@ -145,7 +145,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     )
 
 
-def test_masses_that_mujoco_takes_from_geoms_are_one_cause(tmp_path: Path) -> None:
+def test_masses_derived_from_geoms_are_one_cause(tmp_path: Path) -> None:
     """As in an MJCF of B2: its base states none, and its shapes weigh as water does."""
     files = pair(tmp_path, quadruped())
     text, count = re.subn(
@@ -164,7 +164,7 @@ def test_masses_that_mujoco_takes_from_geoms_are_one_cause(tmp_path: Path) -> No
     assert "states no <inertial> of thigh" in str(cause.diagnostic)
 
 
-def test_inertials_that_the_compiler_overrules_are_said_to_be(tmp_path: Path) -> None:
+def test_inertials_overridden_by_the_compiler_are_one_cause(tmp_path: Path) -> None:
     files = pair(tmp_path, quadruped())
     box = r'\1<geom type="box" size="0.05 0.1 0.1" density="500"/>'
     text = re.sub(
@@ -175,7 +175,7 @@ def test_inertials_that_the_compiler_overrules_are_said_to_be(tmp_path: Path) ->
     assert "overrules, by inertiafromgeom, the <inertial> of" in str(cause.diagnostic)
 
 
-def test_loops_that_the_mjcf_closes_are_one_cause(tmp_path: Path) -> None:
+def test_loops_closed_by_the_mjcf_are_one_cause(tmp_path: Path) -> None:
     files = pair(tmp_path, quadruped())
     loops = "".join(
         f'<connect name="loop{leg}" body1="base" body2="shank{leg}" anchor="0 0 0"/>'
@@ -188,7 +188,7 @@ def test_loops_that_the_mjcf_closes_are_one_cause(tmp_path: Path) -> None:
     assert set(cause.diagnostic.values["names"]) == {"loop0", "loop1", "loop2"}
 
 
-def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:
+def test_unrelated_differences_have_no_common_cause(tmp_path: Path) -> None:
     mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
     assert compared(pair(tmp_path, mjcf)).causes == ()
     assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
@@ -209,7 +209,7 @@ def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
     assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
 
 
-def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> None:
+def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
     """The axes meet, though not in the URDF's origin: that is nothing apart."""
     text = mjcf_text(quadruped())
     axis = re.search(r'<joint name="hip1"[^>]*axis="([^"]*)"', text)
@@ -223,7 +223,7 @@ def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> N
     assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
 
 
-def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:
+def test_moved_body_is_one_difference_with_its_axis(tmp_path: Path) -> None:
     part = quadruped()["thigh1"]
     place = tuple(np.add(part.position, (0.0, 0.0, 0.004)))
     comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
@@ -239,7 +239,7 @@ def geared(text: str, gears: tuple[float, ...]) -> str:
     return text
 
 
-def test_efforts_before_the_gear_are_told_first(tmp_path: Path) -> None:
+def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> None:
     """As Cassie's: 4.5 N m in the URDF and at ctrl, 112.5 N m at the joint."""
     mjcf = changed(quadruped(), "base", mass=7.0)  # a kilogram goes before efforts, but not first
     text = geared(mjcf_text(mjcf), (25, 16) * 4)
@@ -280,7 +280,7 @@ def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
 
 
-def test_dropped_products_of_a_single_link_are_its_difference_and_no_pattern(
+def test_dropped_products_of_one_link_are_no_common_cause(
     tmp_path: Path,
 ) -> None:
     """A cause explains several differences; one link alone is named itself."""

@@ -26,7 +26,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
+def test_guessed_name_is_an_error_with_strict(models: Path, tmp_path: Path) -> None:
     """A name that was guessed is a note, an error under --strict, and none once it is given."""
     text = (models / "robot.urdf").read_text().replace('"knee2"', '"lh_kfe"')
     (tmp_path / "robot.urdf").write_text(text)

@@ -22,7 +22,7 @@ def test_both_models_of_every_variant_agree_in_both_engines(name: str) -> None:
     assert max(quantity.relative for quantity in check.quantities) < 1e-12
 
 
-def test_compares_what_it_says() -> None:
+def test_cross_check_compares_all_documented_quantities() -> None:
     quantities = {q.name: q for q in cross_check(pa.load_variant("v3")).quantities}
     assert set(quantities) >= {
         *("body masses", "body coms", "body inertias", "lower joint limits", "upper joint limits"),
@@ -89,7 +89,7 @@ def test_a_changed_number_is_found(old: str, new: str, quantities: set[str], whe
     assert direct.where.startswith(where)
 
 
-def test_an_engine_that_differs_is_told_from_a_model_that_differs() -> None:
+def test_engine_deviation_is_distinguished_from_model_deviation() -> None:
     robot = pa.load_variant("original")
     pin_model = robot.pin_model.copy()
     pin_model.inertias[1].mass += 0.1  # in Pinocchio's copy of the URDF alone
@@ -101,7 +101,7 @@ def test_an_engine_that_differs_is_told_from_a_model_that_differs() -> None:
     assert masses.edges["engines (MJCF)"] == 0
 
 
-def test_an_inertia_is_judged_on_its_own_scale() -> None:
+def test_inertia_deviation_is_relative_to_its_own_link() -> None:
     """And not on that of the base's, which is a hundred times greater."""
     robot = _with_urdf(pa.load_variant("v3"), 'ixx="7.4e-05"', 'ixx="7.5e-05"')
     check = cross_check(robot)
@@ -154,7 +154,7 @@ def test_an_axis_of_another_length_is_a_direction(tmp_path: Path) -> None:
     assert comparison.engines == ()
 
 
-def test_a_mass_that_differs_lists_of_what_it_is_made(tmp_path: Path) -> None:
+def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> None:
     pack = """<link name="pack"><inertial><mass value="3"/>
     <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
     <joint name="bolted" type="fixed"><parent link="rod"/><child link="pack"/></joint></robot>"""

@@ -23,7 +23,7 @@ from tests.support.robots import (
 )
 
 
-def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
+def test_annotations_name_unmatched_and_guessed_joints(tmp_path: Path) -> None:
     urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
     comparison = compared(write_parts(tmp_path, urdf, quadruped()))
     found = {remark.title: remark for remark in make_comparison_annotations(comparison)}
@@ -34,7 +34,7 @@ def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
     assert "lf_haa=hip0" in found["guessed joints"].message
 
 
-def test_what_is_not_explained_is_the_verdict(
+def test_unexplained_deviation_is_the_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a difference to name, the verdict still is not AGREE, in every format."""

@@ -69,7 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lacks", ["MJCF", "URDF"])
-def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: Path) -> None:
+def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> None:
     full, bare = urdf_text(geared()), mjcf_text(without(geared(), "_rotor"))
     if lacks == "URDF":
         full, bare = urdf_text(without(geared(), "_rotor")), mjcf_text(geared())
@@ -88,7 +88,7 @@ def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     assert "that of 3 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
 
 
-def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
+def test_missing_link_is_found_despite_rotated_frames(folder: Path) -> None:
     files = write(folder, urdf_text(geared()), turned_frames(without(geared(), "_rotor"), seed=3))
     assert "8 *_rotor of 0.089 kg each" in the_cause(compared(files), "links")
 
@@ -112,7 +112,7 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
 
 
 @pytest.mark.parametrize(("mass", "other", "reported"), [(0.3, 3.0, True), (4.0, 2.5, False)])
-def test_a_decimal_point_in_the_masses_of_two_links_is_told(
+def test_equal_factor_of_two_masses_is_a_decimal_point_error(
     mass: float, other: float, reported: bool, folder: Path
 ) -> None:
     """Nothing else of them differs: by another factor, each difference says all that is known."""
@@ -127,7 +127,7 @@ def test_a_decimal_point_in_the_masses_of_two_links_is_told(
 
 
 @pytest.mark.slow
-def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> None:
+def test_dropped_products_are_found_if_the_base_has_fixed_links(folder: Path) -> None:
     """The fold of the base has products of its own, as its links have places."""
     mjcf = {
         name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
@@ -159,7 +159,7 @@ def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
         assert not kinds & {"links", "scaled links"}, (other, comparison.causes)
 
 
-def test_a_rotor_that_moved_is_not_one_that_is_missing(folder: Path) -> None:
+def test_moved_rotor_is_not_reported_as_missing(folder: Path) -> None:
     """Of the right mass, but elsewhere: com and inertia say so."""
     parts = changed(geared(), "hip0_rotor", position=(-0.2, 0.1, 0.02))
     files = write(folder, urdf_text(parts), mjcf_text(without(geared(), "hip0_rotor")))
@@ -192,7 +192,7 @@ def test_moments_add_up_as_in_mujoco() -> None:
     assert compute_moments(both)[0] == 5.0
 
 
-def test_names_are_grouped_by_what_they_share() -> None:
+def test_names_are_grouped_by_common_pattern() -> None:
     names = ["FL_hip_rotor", "RR_thigh_rotor", "Head_upper", "Head_lower", "imu"]
     assert group_by_pattern(names) == {
         "*_rotor": ["FL_hip_rotor", "RR_thigh_rotor"],

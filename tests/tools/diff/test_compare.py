@@ -82,7 +82,9 @@ FELT = {"mass", "com", "inertia", "position", "axis", "damping"}
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_change_is_found_at_its_lines(tmp_path: Path, name: str, kind: str) -> None:
+def test_change_is_found_with_the_lines_of_both_versions(
+    tmp_path: Path, name: str, kind: str
+) -> None:
     link, values, expected, text = CHANGES[name]
     diff = diff_of(tmp_path, ROBOT, changed(ROBOT, link, **values), kind)
     assert not diff.same
@@ -137,9 +139,7 @@ def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
-def test_a_joint_that_has_gone_is_told_and_the_rest_compared_at_zero(
-    tmp_path: Path, kind: str
-) -> None:
+def test_removed_joint_is_reported_and_the_rest_compared_at_zero(tmp_path: Path, kind: str) -> None:
     new = changed(ROBOT, "shank2", kind="fixed", mass=0.3)
     diff = diff_of(tmp_path, ROBOT, new, kind)
     assert ("joint", "knee2") in kinds(diff)
@@ -181,7 +181,7 @@ def test_a_base_that_is_fixed_now(tmp_path: Path) -> None:
     assert diff.changes[0].message == "base base: free in the old file, fixed in the new file"
 
 
-def test_two_robots_that_have_nothing_in_common() -> None:
+def test_versions_without_a_common_joint_are_refused() -> None:
     with pytest.raises(pa.ModelError, match="no joint of it is one of"):
         pa.diff_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "urdf/pupper_skeleton.urdf")
 
@@ -204,7 +204,7 @@ def test_a_mimic_joint(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- physics
 
 
-def test_torques_against_gravity_are_those_of_a_pendulum(tmp_path: Path) -> None:
+def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> None:
     """m g l |sin q| at the greatest of the positions that are tried, for old and new alike."""
     old, new = pendulum(), pendulum(mass=3.0, com=(0.0, 0.0, -0.7))
     diff = diff_of(tmp_path, old, new, "urdf")
@@ -321,7 +321,7 @@ def test_a_revision_is_read_from_git(repository: Path, given: str) -> None:
     assert f"HEAD:robots/robot.urdf:{line}   robot.urdf:{line}" in result.stdout
 
 
-def test_a_revision_has_its_own_includes_and_meshes(repository: Path) -> None:
+def test_revision_uses_its_own_includes_and_meshes(repository: Path) -> None:
     """Not those of the working tree, which may be others or gone."""
     assert run(repository, "HEAD:./robot.xml", "robot.xml").returncode == 0
     (repository / "parts" / "floor.xml").unlink()
@@ -358,7 +358,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("given", "said"), REFUSED.values(), ids=REFUSED)
-def test_diff_refuses_what_is_no_version(repository: Path, given: str, said: str) -> None:
+def test_invalid_version_is_refused(repository: Path, given: str, said: str) -> None:
     result = run(repository, given, "robot.urdf")
     assert result.returncode == cli.EXIT_BAD_INPUT
     assert result.stdout == ""
@@ -395,7 +395,7 @@ RUNS = {
 """What a repository's configuration may have git run."""
 
 
-def test_nothing_of_a_repository_is_run(repository: Path, tmp_path: Path) -> None:
+def test_no_code_of_a_repository_is_executed(repository: Path, tmp_path: Path) -> None:
     """Filters, hooks, monitors, transports: the folder may be somebody else's."""
     proof = tmp_path / "run"
     for key, command in RUNS.items():

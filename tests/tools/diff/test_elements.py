@@ -34,9 +34,7 @@ def rest_height(file: Path) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
-def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
-    tmp_path: Path, name: str
-) -> None:
+def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, name: str) -> None:
     edit = (FELT | HARMLESS)[name]
     before, after = ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, edit)
     diff = pa.diff_models(before, after)
@@ -56,7 +54,7 @@ def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
         assert (one.values["falls"] is not None) is (name in FALLS)
 
 
-def test_several_changes_are_also_told_together(tmp_path: Path) -> None:
+def test_several_changes_have_a_common_effect(tmp_path: Path) -> None:
     """Friction of 0.01 counts where the floor's priority is the higher: alone neither does it."""
     after = edited(tmp_path, FELT["floor's friction"])
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", after)
@@ -68,7 +66,7 @@ def test_several_changes_are_also_told_together(tmp_path: Path) -> None:
     assert slope.values["one"].value == pytest.approx(0.7854, rel=1e-3)
 
 
-def test_what_no_change_explains_is_no_same_model(
+def test_models_are_not_equal_if_no_change_explains_the_simulation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the table of elements lacks, both files are simulated."""
@@ -119,7 +117,7 @@ def in_a_scene(file: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
-def test_robots_without_a_ground_are_put_on_one(tmp_path: Path, name: str) -> None:
+def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str) -> None:
     """A robot's file has no ground; in the air, none of its feet's numbers does anything."""
     folders = [copied(tmp_path / each) for each in ("before", "after")]
     for folder in folders:
@@ -163,7 +161,7 @@ def test_a_number_in_the_file_is_no_change(tmp_path: Path) -> None:
     assert (change.old, change.new[:2]) == (None, ["box", 0.01])
 
 
-def test_friction_of_a_foot_that_leaves_it_to_the_ground_is_told(tmp_path: Path) -> None:
+def test_friction_of_a_foot_without_friction_cone_is_reported(tmp_path: Path) -> None:
     """A foot of condim 1 slides on a ground of condim 3 with a friction: the greater counts."""
     text = (
         "<mujoco><option gravity='4 0 -9'/><worldbody><geom type='plane' size='0 0 1'/>"
@@ -202,7 +200,7 @@ def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str) -
     assert others
 
 
-def test_links_that_are_fused_are_where_they_were(tmp_path: Path) -> None:
+def test_fused_links_keep_their_position(tmp_path: Path) -> None:
     """It is a change if a contact is softer on the heavier body; what is seen alone has none."""
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
     text = """<mujoco>

@@ -38,7 +38,7 @@ TEXT = """<mujoco>
 """
 
 
-def test_numbers_are_those_that_mujoco_compiles_with_their_lines(tmp_path: Path) -> None:
+def test_element_values_equal_compiled_values_with_their_lines(tmp_path: Path) -> None:
     file = tmp_path / "r.xml"
     file.write_text(TEXT)
     found = list_elements(read_mjcf(file))

@@ -22,7 +22,7 @@ def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:
+def test_random_structural_edits_are_reported(tmp_path: Path) -> None:
     """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated."""
     (tmp_path / "drawn").mkdir()
     source = written(drawn(44), tmp_path / "drawn").mjcf

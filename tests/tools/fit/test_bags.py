@@ -106,7 +106,7 @@ def test_states_are_read_and_a_command_holds_until_the_next(
         assert refused.value.cause.code == code
 
 
-def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
+def test_lost_messages_leave_gaps_in_the_log(tmp_path: Path) -> None:
     """The hip's messages are others, half as many and later, and some are lost."""
     messages: list[Message] = []
     for row, now in enumerate(TIME.tolist()):
@@ -125,13 +125,13 @@ def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
     assert found.position[~lost, 1] == pytest.approx(POSITION[~lost, 1], abs=2e-4)
 
 
-def test_efforts_do_not_stand_in_for_commands(tmp_path: Path) -> None:
+def test_bag_without_commands_is_refused_despite_efforts(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError) as refused:
         read_log(bag(tmp_path, states()))
     assert refused.value.cause.code == "joint-without-command"
 
 
-def test_of_several_topics_one_is_to_be_said(tmp_path: Path) -> None:
+def test_several_topics_require_a_choice(tmp_path: Path) -> None:
     other = [(*one[:1], *one[1:3], state(JOINTS, [9, 9], [1, 1], one[2])) for one in
              states(topic="/sim/joint_states")]  # fmt: skip
     path = bag(tmp_path, [*states(), *other])
@@ -178,7 +178,9 @@ def _pipe(folder: Path) -> Path:
         (_pipe, "file-not-regular"),
     ],
 )
-def test_bad_bags_get_one_line(tmp_path: Path, make: Callable[[Path], Path], code: str) -> None:
+def test_invalid_bag_is_refused_in_one_line(
+    tmp_path: Path, make: Callable[[Path], Path], code: str
+) -> None:
     with pytest.raises(MeasurementError) as refused:
         read_log(make(tmp_path))
     assert refused.value.cause.code == code

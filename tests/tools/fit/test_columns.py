@@ -39,7 +39,7 @@ def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separato
         (b"time\n" + b"x" * 100_000, "cell-no-number", "line 2"),
     ],
 )
-def test_a_csv_that_is_none_is_told_in_few_words(
+def test_invalid_csv_is_refused_in_one_line(
     tmp_path: Path, data: bytes, code: str, text: str
 ) -> None:
     (tmp_path / "a.csv").write_bytes(data)

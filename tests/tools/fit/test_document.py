@@ -140,7 +140,7 @@ def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> No
     assert f"{kind} servos" in write_markdown(build_report([("", fit)]))
 
 
-def test_bars_are_what_is_left() -> None:
+def test_bars_show_the_residuals() -> None:
     bars = [
         [(bar.value, bar.other) for one in document(fit).blocks if isinstance(one, BarPlot)
          for bar in one.bars]

@@ -52,7 +52,7 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     assert found.variance_ratios == pytest.approx(np.diag(covariance) / given.width**2)
 
 
-def test_what_means_nothing_below_zero_ends_there_and_the_others_are_best_then() -> None:
+def test_bounded_parameter_stops_at_zero_and_others_stay_optimal() -> None:
     """Friction would be -3; an offset that goes with it is the best one for friction of zero."""
     given = table("friction", "offset")
     rows = np.array([[10.0, 6.0], [0.0, 5.0], [3.0, -4.0]])
@@ -78,14 +78,14 @@ WIDE = ParameterTable(
 )
 
 
-def test_a_valley_that_bends_is_followed_to_its_end() -> None:
+def test_curved_valley_is_followed_to_the_minimum() -> None:
     found = estimate_parameters(
         WIDE, lambda x, _: LinearisedResiduals.from_residuals(*bent(x)), enough=1e-8
     )
     assert found.mean == pytest.approx([1, 1], abs=1e-5)
 
 
-def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promised() -> None:
+def test_intervals_are_widened_if_no_step_reduces_the_cost() -> None:
     """A derivative of the wrong sign: the cost rises whichever way it goes."""
     given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
 
@@ -98,7 +98,7 @@ def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promi
 
 
 @pytest.mark.parametrize("left", [np.nan, np.inf])
-def test_what_is_no_number_does_not_converge(left: float) -> None:
+def test_residual_that_is_not_finite_does_not_converge(left: float) -> None:
     rows = np.array([[1.0]])
     with pytest.raises(FitError):
         estimate_parameters(
@@ -106,7 +106,7 @@ def test_what_is_no_number_does_not_converge(left: float) -> None:
         )
 
 
-def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
+def test_first_moments_convert_to_masses_and_coms_and_back() -> None:
     given = ParameterTable(
         [
             Parameter("com", "bar", "x", 0.1, 0.03),

@@ -25,7 +25,7 @@ WRITERS: dict[str, Callable[..., object]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path: Path) -> None:
+def test_result_files_are_recognised_and_other_files_are_not(name: str, tmp_path: Path) -> None:
     path, write = tmp_path / name, WRITERS[name]
     write(path)
     write(path)

@@ -65,7 +65,7 @@ def test_units_and_missing_cells_are_read(tmp_path: Path) -> None:
         (HEADER, 0, "no-rows"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, header: str, change: object, code: str) -> None:
+def test_invalid_log_is_refused(tmp_path: Path, header: str, change: object, code: str) -> None:
     rows = table() if not isinstance(change, int) else table(change)
     if isinstance(change, tuple):
         rows[change[0]][change[1]] = change[2]
@@ -74,7 +74,7 @@ def test_what_is_no_log_is_refused(tmp_path: Path, header: str, change: object, 
     assert refused.value.cause.code == code
 
 
-def test_a_time_that_is_there_twice_does_not_go_back(tmp_path: Path) -> None:
+def test_repeated_time_is_refused_as_repeated(tmp_path: Path) -> None:
     rows = table()
     rows[5][0] = rows[4][0]
     with pytest.raises(MeasurementError) as refused:
@@ -85,7 +85,7 @@ def test_a_time_that_is_there_twice_does_not_go_back(tmp_path: Path) -> None:
         read_log(written(tmp_path, HEADER, *map(",".join, rows)))
 
 
-def test_the_robots_order_is_taken_and_unknown_joints_are_refused() -> None:
+def test_log_is_reordered_to_the_robot_and_unknown_joints_are_refused() -> None:
     placed = log().order_joints(arm())
     assert placed.joints == arm().joint_names
     elbow = arm().joint_names.index("elbow")
@@ -95,7 +95,7 @@ def test_the_robots_order_is_taken_and_unknown_joints_are_refused() -> None:
         replace(log(), joints=("shoulder", "wrist")).order_joints(arm())
 
 
-def test_a_log_tells_what_it_is() -> None:
+def test_log_inspection_states_rate_resolution_and_gaps() -> None:
     good = log()
     quantum = 2 * np.pi / 4096
     position = quantum * np.round(good.position / quantum)
@@ -138,7 +138,7 @@ def test_wrong_columns_are_found() -> None:
 
 
 @pytest.mark.parametrize("offset", [-0.05, 0.0, 0.05])
-def test_a_soft_servo_that_lifts_once_and_holds_is_not_said_to_be_swapped(offset: float) -> None:
+def test_soft_servo_that_holds_is_not_reported_as_swapped(offset: float) -> None:
     """Dry friction keeps it up while the command comes down to half: the mean error is not zero."""
     time = 0.005 * np.arange(1000)
     way = np.minimum(time / 1.5, 1.0) - 0.5 * np.clip((time - 2) / 3, 0, 1)
@@ -154,7 +154,7 @@ def test_a_soft_servo_that_lifts_once_and_holds_is_not_said_to_be_swapped(offset
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
-def test_an_encoders_quantum_is_found_to_its_digits_in_a_file(bits: int) -> None:
+def test_encoder_resolution_is_found_from_rounded_values(bits: int) -> None:
     random, quantum = np.random.default_rng(bits), 2 * np.pi / 2**bits
     moved = 0.5 * np.sin(np.arange(2000) / 60) + quantum * random.normal(size=2000)
     values = np.round(quantum * np.round(moved / quantum), 7)

@@ -41,7 +41,7 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
 
 
 @pytest.mark.slow
-def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
+def test_held_out_motion_is_predicted_within_encoder_noise() -> None:
     noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
     # While the bar is still, quanta hide a part of it.
     assert fitted().encoder_noise["turn"] == pytest.approx(noise, rel=0.3)
@@ -53,7 +53,7 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
 
 
 @pytest.mark.slow
-def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
+def test_only_ratios_are_determined_if_the_mass_is_unknown() -> None:
     found = fit_motion(bar(), [log()], priors=["com=0"])
     assert {one.determined for one in found.estimates if one.kind in ("kp", "mass")} != {"data"}
     ratio = found.kp_over_mass
@@ -63,7 +63,7 @@ def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
 
 
 @pytest.mark.slow
-def test_what_no_servo_explains_is_said() -> None:
+def test_unexplained_motion_is_reported() -> None:
     """A spring between the bar and its surroundings, of which the model knows nothing."""
     odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
@@ -71,7 +71,7 @@ def test_what_no_servo_explains_is_said() -> None:
     assert not found.explained
 
 
-def test_a_replay_is_known_by_its_commands_wherever_it_begins() -> None:
+def test_replay_is_recognised_by_its_commands() -> None:
     rng, time = np.random.default_rng(0), 0.01 * np.arange(800)
     phases = rng.uniform(0, 6, (2, 4, 3))
     one, other = (

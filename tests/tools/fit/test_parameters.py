@@ -38,12 +38,12 @@ def test_a_prior_is_read_in_its_unit(text: str, prior: Prior) -> None:
     "text",
     ["mass", "mass=", "weight=3", "mass=-1", "mass=nan", "mass=1e300kg", "mass=3deg", "com=3kg"],
 )
-def test_what_is_no_prior_is_refused(text: str) -> None:
+def test_invalid_prior_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError):
         parse_prior(text)
 
 
-def test_the_last_prior_that_means_a_parameter_counts_and_one_that_means_none_is_refused() -> None:
+def test_last_matching_prior_counts_and_unmatched_prior_is_refused() -> None:
     stated = [("mass", "base", "", 2.0), ("mass", "calf", "", 0.1), ("kp", "knee", "", 5.0)]
     priors = [parse_prior(text) for text in ("mass=10%", "mass:calf=50g", "kp=0")]
     found = apply_priors(stated, priors)

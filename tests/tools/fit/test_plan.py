@@ -40,7 +40,7 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     assert len(set(choose_stands(each, before, 4))) == 4
 
 
-def test_few_are_chosen_of_those_that_are_rare() -> None:
+def test_few_rare_stands_are_chosen() -> None:
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5))
     rows[:6] *= 10  # which tell most
@@ -51,7 +51,7 @@ def test_few_are_chosen_of_those_that_are_rare() -> None:
 
 
 @pytest.mark.slow
-def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path: Path) -> None:
+def test_plan_has_known_masses_rotations_and_few_three_leg_stands(tmp_path: Path) -> None:
     robot = load_variant("v3")
     at = (0.01, 0.0, 0.05)
     plan = plan_stands(robot, 6, added=0.2, added_at=at)
@@ -127,7 +127,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["original", "long-leg"])
-def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
+def test_plan_keeps_margins_from_limits_and_other_links(
     variant: str,
 ) -> None:
     """They keep off: joints by three widths of encoders' zeros, links by half of what is there."""
@@ -143,7 +143,7 @@ def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
         assert set(sagged.stance_feet) == set(stand.stance_feet)
 
 
-def test_what_leaves_no_stand_is_named() -> None:
+def test_cause_is_named_if_no_stand_can_be_planned() -> None:
     robot, rng = load_variant("original"), np.random.default_rng(0)
     unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])
     assert unsure.draw_stands(3) == []

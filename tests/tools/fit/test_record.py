@@ -66,7 +66,7 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_rows_are_what_encoders_show_of_a_robot_at_rest(
+def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
     """Its joints are where statics of the true robot has them; and no joint was led too fast."""
@@ -135,7 +135,7 @@ class Reversed:
         pass
 
 
-def test_a_joint_that_moves_against_its_command_is_not_recorded_as_alive(robot: Robot) -> None:
+def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> None:
     """It moves by 0.7 of its way, more than the 0.6 that show a working servo, but backwards."""
     person = SimpleNamespace(stops=lambda: False)
     session = _Session(robot, Reversed(robot), person)  # type: ignore[arg-type]
@@ -198,7 +198,7 @@ STOPPED = ["servo-does-not-follow", "rows-withdrawn"]
         ({"key": 8.0}, ["recording-stopped"], 2),
     ],
 )
-def test_it_holds_where_something_fails_and_goes_on_later(
+def test_recording_holds_on_a_fault_and_resumes_later(
     robot: Robot,
     plan: Path,
     sound: Array,
@@ -238,7 +238,7 @@ with lock_file(Path(sys.argv[1]), temporary=True) as locked:
 
 
 @pytest.mark.slow
-def test_a_second_recording_into_one_file_is_refused_before_anything_moves(
+def test_second_recording_into_one_file_is_refused_before_motion(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
     """In this process, and while another process holds the lock; a killed one holds it no more."""
@@ -277,14 +277,14 @@ def test_a_second_recording_into_one_file_is_refused_before_anything_moves(
 
 
 @pytest.mark.slow
-def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_path: Path) -> None:
+def test_recording_waits_for_a_late_message(robot: Robot, plan: Path, tmp_path: Path) -> None:
     one = Faulty(robot, 3)
     one.lost = 8.0, 8.2
     assert record_stands(robot, plan, tmp_path / "stands.csv", one, one).complete
 
 
 @pytest.mark.slow
-def test_a_slip_is_waited_for_and_its_row_is_of_a_robot_at_rest(
+def test_recording_waits_for_rest_after_a_slip(
     robot: Robot, plan: Path, sound: Array, tmp_path: Path
 ) -> None:
     """It is pushed while it is averaged: by 4 cm/s after 0.2 s joints are 10 mrad elsewhere."""
@@ -323,7 +323,7 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     os.close(ours)
 
 
-def test_what_the_robot_cannot_do_is_refused_before_anything_is_sent(
+def test_invalid_plan_is_refused_before_any_command(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
     one = SimulatedRobot(robot, 3)

@@ -34,7 +34,7 @@ def fitted(
     return estimate_parameters(table, linearise)
 
 
-def test_a_ratio_is_known_where_neither_of_the_two_is() -> None:
+def test_ratio_is_determined_if_neither_parameter_is() -> None:
     """In the priors' widths z, the row 2 m - kp is 2 (z_m - z_k).
 
     With noise s the information about (z_m - z_k) / sqrt(2) is 8 / s^2, and of z_m + z_k nothing is

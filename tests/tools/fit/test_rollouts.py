@@ -54,7 +54,7 @@ def table(robot: Robot, joints: tuple[str, ...], damping: float = 2.0) -> Parame
 
 
 @pytest.mark.parametrize("name", ["arm", "v3"])
-def test_masses_and_coms_are_those_that_pinocchio_has_in_its_joints_frames(name: str) -> None:
+def test_masses_and_coms_equal_pinocchio_in_joint_frames(name: str) -> None:
     robot = arm() if name == "arm" else load("v3", fixed_base=True)
     random, bodies = np.random.default_rng(3), MovingBodies(robot, robot.mj_model)
     parameters, by_pin = [], robot.pin_model.copy()
@@ -93,7 +93,7 @@ def moving(seconds: float = 1.5, interval: float = 0.005) -> Log:
     return Log("moving", time, arm().joint_names, command, np.tile(MIDDLE, (len(time), 1)))
 
 
-def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_offsets() -> None:
+def test_prediction_equals_stepwise_mujoco_with_delay_and_offsets() -> None:
     """Another integrator, forty times finer; commands that are delayed by 13 ms."""
     robot = arm()
     drive, given = model_with_servos(robot), table(robot, ("elbow", "a_turn"))
@@ -120,7 +120,7 @@ def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_of
     assert np.ptp(found[late:, 0]) > 0.2
 
 
-def test_a_lag_is_what_motors_do_whose_torque_follows_slowly_step_by_step() -> None:
+def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
     """A first-order lag of 4 ms in each servo's torque: each part of it counts."""
     robot, lag, step = arm(), 0.004, 1.25e-4
     late = [Parameter("lag", SERVOS_SUBJECT, part, 0.0, 0.005) for part in ("command", "position")]
@@ -152,7 +152,7 @@ def test_a_lag_is_what_motors_do_whose_torque_follows_slowly_step_by_step() -> N
     assert min(off[1:]) > 1e-3
 
 
-def test_commands_are_smoothed_as_a_lag_of_first_order_smooths_them() -> None:
+def test_smoothed_commands_equal_a_first_order_lag() -> None:
     """Means over each step, of a thousand parts of it; also of a lag longer than a step."""
     command = np.random.default_rng(2).normal(size=(6, 2))
     for lag in (0.3, 1.7):
@@ -167,7 +167,7 @@ def test_commands_are_smoothed_as_a_lag_of_first_order_smooths_them() -> None:
     np.testing.assert_array_equal(_smoothed(command, 0.0), command)
 
 
-def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_them() -> None:
+def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:
     robot = load("v3", fixed_base=True)
     joints = ("leg_front_r_3", "leg_back_l_2")
     drive, given = model_with_servos(robot), table(robot, joints, 0.05)
@@ -190,7 +190,7 @@ def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_th
         assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
 
 
-def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> None:
+def test_common_factor_of_all_forces_is_not_determined() -> None:
     """Where nothing tells it, derivatives along what is known do not say that it is told."""
     robot = load("v3", fixed_base=True)
     names = ("leg_front_r_1", "leg_front_r_2", "leg_front_r_3")
@@ -230,7 +230,7 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
     assert messages[0] > 1.0
 
 
-def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:
+def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
     log = moving(4.0)
     command, position = log.command.copy(), log.position.copy()
     command[100:110, 0], position[200:210, 1] = np.nan, np.nan
@@ -245,7 +245,7 @@ def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:
     assert runs[0].held_out.sum() == pytest.approx(0.2 * 400 * 4, abs=8)
 
 
-def test_noise_that_remembers_makes_sums_as_uncertain_as_they_are() -> None:
+def test_correlated_noise_gives_the_true_uncertainty_of_sums() -> None:
     """Sums over 400 series of the noise, by how they scatter."""
     random, weights = np.random.default_rng(5), np.column_stack([np.ones(200), np.arange(200.0)])
     kicks, series = 1e-3 * random.normal(size=(300, 400)), np.zeros((300, 400))

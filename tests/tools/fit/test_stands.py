@@ -205,9 +205,7 @@ def check_slopes(residual: Callable[[Array], Array], columns: Array, places: Ite
 
 
 @pytest.mark.slow
-def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
-    robot: Robot, stands: MeasuredStands
-) -> None:
+def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: MeasuredStands) -> None:
     """Of a mass on a calf, 30 deg about the vertical, on a slope; and forces balance the mass."""
     link, joint = "leg_front_l_3", robot.joint_names.index("leg_front_l_3")
     loads = np.tile([0.4, 0.01, 0.02, -0.06], (len(stands), 1))
@@ -312,7 +310,7 @@ def com(one: Robot) -> Array:
     ("kind", "subject", "component", "factor"),
     [("mass", "leg_front_r_3", "", "mass"), ("com", "leg_back_l_2", "z", "com_z")],
 )
-def test_how_sure_the_whole_com_is_follows_from_one_number(
+def test_com_uncertainty_follows_from_one_parameter(
     robot: Robot, kind: str, subject: str, component: str, factor: str
 ) -> None:
     """By differences: a robot in which that number alone is off by its standard deviation."""
@@ -347,7 +345,7 @@ def test_the_whole_com_is_that_of_the_planted_robot(
 
 
 @pytest.mark.slow
-def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
+def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
     """Friction that carries a part of the known mass alone makes kp look a fifth too large."""
@@ -366,7 +364,7 @@ def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
 
 
 @pytest.mark.slow
-def test_a_dead_band_is_found_and_kp_is_right_beside_it(
+def test_dead_band_and_kp_are_identified_together(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """A servo that gives nothing for the first 0.3 deg is commanded by as much further."""
@@ -392,7 +390,7 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
 
 
 @pytest.mark.slow
-def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_named(
+def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """Against the load as far as it goes; of a joint that it holds whole, a servo gives little."""
@@ -410,9 +408,7 @@ def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_n
     assert said.values["times"] == pytest.approx(times, rel=0.4)
 
 
-def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
-    robot: Robot, stands: MeasuredStands
-) -> None:
+def test_friction_share_of_the_load_equals_mujoco(robot: Robot, stands: MeasuredStands) -> None:
     """What is held against the load, in parts of the friction, on average of 690 joints.
 
     Of Go1 and MEVIUS, set down in ``benchmarks/fit_disturbed.py`` with a friction of 2 and 4 % of
@@ -435,7 +431,7 @@ def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
 
 
 @pytest.mark.slow
-def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
+def test_doubled_weight_is_reported_as_far_from_the_file(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """No residual shows it, and no parameter by itself is far from the file."""
@@ -459,7 +455,7 @@ def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
 
 
 @pytest.mark.slow
-def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
+def test_known_mass_determines_kp_and_contradicts_a_wrong_scale(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
     fit = fit_stands(robot, with_mass)
@@ -488,7 +484,7 @@ def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
 
 
 @pytest.mark.slow
-def test_stands_that_are_turned_tell_a_slope_from_a_com(robot: Robot, planted: Robot) -> None:
+def test_rotated_stands_distinguish_slope_from_com(robot: Robot, planted: Robot) -> None:
     """1.2 deg down along the ground's x: turned to the other side, along the base's -x."""
     size, slope = float(np.linalg.norm(robot.gravity)), math.radians(1.2)
     runs = []
@@ -539,7 +535,7 @@ def test_plugs_and_signs_that_are_wrong_are_named(
     assert sorted(joints) == sorted(robot.joint_names[joint] for joint in wrong)
 
 
-def test_plugs_that_explain_less_than_the_stands_as_they_are_are_not_doubted(
+def test_plugs_are_not_doubted_if_an_exchange_explains_less(
     robot: Robot, stands: MeasuredStands
 ) -> None:
     """A longer calf, and friction, leave nothing where noise is made large for exchanged plugs."""
@@ -558,7 +554,7 @@ def test_plugs_that_explain_less_than_the_stands_as_they_are_are_not_doubted(
 @pytest.mark.parametrize(
     ("what", "stand", "joint", "off"), [("position", 3, 6, 0.02), ("command", 9, 2, -0.05)]
 )
-def test_a_reading_that_all_others_contradict_is_named_with_its_stand_and_joint(
+def test_outlier_is_named_with_its_stand_and_joint(
     robot: Robot, stands: MeasuredStands, what: str, stand: int, joint: int, off: float
 ) -> None:
     """One was read wrongly; in the last stand a servo is stuck where another command has led it.
@@ -577,7 +573,7 @@ def test_a_reading_that_all_others_contradict_is_named_with_its_stand_and_joint(
     assert worst.off == pytest.approx(abs(off), abs=2 * worst.off / worst.deviations)
 
 
-def test_a_reading_is_asked_about_with_noise_no_larger_than_expected_and_as_small_as_found(
+def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
     robot: Robot, stands: MeasuredStands
 ) -> None:
     """Of a file whose friction is not believed, that which is expected is twenty times as large."""
@@ -597,7 +593,7 @@ def test_a_reading_is_asked_about_with_noise_no_larger_than_expected_and_as_smal
 
 
 @pytest.mark.slow
-def test_without_a_trusted_kp_only_the_ratio_is_told(
+def test_only_the_ratio_of_kp_and_mass_is_determined_without_a_known_kp(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """And a scale tells the rest."""
@@ -610,7 +606,7 @@ def test_without_a_trusted_kp_only_the_ratio_is_told(
     assert weighed.total_mass.determined == "data"
 
 
-def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: MeasuredStands) -> None:
+def test_stands_that_do_not_fit_the_robot_are_refused(robot: Robot, stands: MeasuredStands) -> None:
     with pytest.raises(UnknownNameError, match="leg_front_r_1"):
         fit_stands(robot, replace(stands, joints=("elbow", *stands.joints[1:])))
     with pytest.raises(MeasurementError, match="2 stands"):
@@ -632,7 +628,7 @@ def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands
 
 
 @pytest.mark.slow
-def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
+def test_stand_with_a_loaded_swing_foot_is_left_out_with_a_note(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     wrong = replace(stands, swing=(("FR",), *stands.swing[1:]))
@@ -654,7 +650,7 @@ def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
     assert estimate_encoder_step(replace(stands, position=fine)) == 0.0
 
 
-def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_path: Path) -> None:
+def test_stands_are_read_with_units_and_repeated_readings_averaged(tmp_path: Path) -> None:
     path = tmp_path / "stands.csv"
     path.write_text(
         "stand,swing,command.a [deg],position.a [deg]\none,FL RR,10,9\none,FL RR,10,9.1\ntwo,,20,\n"
@@ -671,7 +667,7 @@ def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_pa
         read_stands(path).average_repeats()
 
 
-def test_known_masses_and_headings_are_read_and_a_mass_has_a_place(tmp_path: Path) -> None:
+def test_known_masses_and_headings_are_read(tmp_path: Path) -> None:
     path = tmp_path / "stands.csv"
     head = "heading [deg],added.base [g],added_x.base [mm],added_y.base,added_z.base,"
     path.write_text(f"{head}command.a,position.a\n180,200,10,0.02,0.03,0,0\n,,,,,0,0\n")
@@ -693,7 +689,7 @@ OFFSET = Parameter("offset", "knee", "", 0.0, 0.03)
 FRICTION = Parameter("friction", "knee", "", 0.1, 0.1)
 
 
-def test_they_lead_back_and_have_the_slopes_of_finite_differences() -> None:
+def test_log_coordinates_invert_and_match_finite_differences() -> None:
     logarithms = LogCoordinates(ParameterTable((MASS, OFFSET, FRICTION)))
     x = np.array([3.0, -0.02, 0.05])
     y = logarithms.from_parameters(x)
@@ -704,7 +700,7 @@ def test_they_lead_back_and_have_the_slopes_of_finite_differences() -> None:
     assert y[1:] == pytest.approx(x[1:])  # what is off by an amount stays as it is
 
 
-def test_twice_and_half_are_as_far_away_and_nothing_of_a_mass_is_below_zero() -> None:
+def test_log_coordinates_are_symmetric_in_factors_and_positive() -> None:
     table = ParameterTable((MASS, FRICTION))
     logarithms = LogCoordinates(table)
     twice, half = (logarithms.from_parameters(np.array([x, 0.1]))[0] - 2.0 for x in (4.0, 1.0))
@@ -713,7 +709,7 @@ def test_twice_and_half_are_as_far_away_and_nothing_of_a_mass_is_below_zero() ->
     assert logarithms.least.tolist() == [-np.inf, 0.0]
 
 
-def test_what_is_told_by_ratios_alone_is_drawn_to_no_side() -> None:
+def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
     """Twelve kp by their ratio to one mass: to 0.8 and 1.25 of it, as many each.
 
     The stated scale is the most probable one, by symmetry of factors. Of normal distributions it
@@ -772,7 +768,7 @@ SLOPE = tuple(Parameter("slope", "floor", axis, 0.0, WIDTH) for axis in "xy")
 FEET = tuple(Parameter("softness", foot, "", 1.0, 0.5) for foot in ("FL", "FR", "RL", "RR"))
 
 
-def test_two_weak_signs_of_a_slope_are_one() -> None:
+def test_slope_is_found_from_two_weak_components() -> None:
     """2.6 sigma along each axis: neither alone is beyond 3.1, of which 0.002 are by chance."""
     noise = 0.5
     sigma = WIDTH * math.hypot(1, noise)
@@ -828,7 +824,7 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
         *((20.0, *one) for one in ((30.0, 0.0, False), (10.0, 1.6, True), (10.0, 1.4, False))),
     ],
 )
-def test_torques_are_off_by_friction_that_is_expected_not_by_what_somebody_typed(
+def test_expected_friction_limits_the_stated_friction(
     typed: float, random: float, band: float, named: bool
 ) -> None:
     """Random friction in parts of a file's, and a dead band below zero in what that takes up.
@@ -844,7 +840,7 @@ def test_torques_are_off_by_friction_that_is_expected_not_by_what_somebody_typed
     assert ("torques-off" in [one.code for one in said]) == named
 
 
-def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot: Robot) -> None:
+def test_unknown_load_is_reported_with_the_scale(robot: Robot) -> None:
     """It takes a part of a wrong weight: of kp and masses alone less is left to surprise."""
     load, mass = Parameter("load", "scale", "", 0.0, 0.08), Parameter("added", "a", "", 1.0, 0.005)
     (said,) = check_scale(robot, measured((load,), np.array([-0.4]), 0.5))
@@ -855,7 +851,7 @@ def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot:
 
 
 @pytest.mark.slow
-def test_false_alarms_are_as_rare_as_is_said() -> None:
+def test_false_alarm_rate_is_as_stated() -> None:
     rng, noise = np.random.default_rng(0), 0.7
     alarms = 0
     for _ in range(4000):
@@ -865,5 +861,5 @@ def test_false_alarms_are_as_rare_as_is_said() -> None:
     assert 1 <= alarms <= 20  # 8 on average
 
 
-def test_what_is_not_told_is_not_doubted() -> None:
+def test_undetermined_slope_is_not_reported() -> None:
     assert not list(check_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))

@@ -57,7 +57,7 @@ def written(v3: pa.Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     return folder, write_fit(v3, estimated(), folder, fit={"stands": 30})
 
 
-def test_models_have_the_estimates_to_the_digits_that_are_known(
+def test_written_models_have_the_significant_digits_of_the_estimates(
     written: tuple[Path, FitFiles], v3: pa.Robot
 ) -> None:
     folder, made = written
@@ -101,7 +101,7 @@ def test_robots_are_drawn_together(written: tuple[Path, FitFiles]) -> None:
     assert drawn.sum(axis=1).mean() == pytest.approx(2.0, abs=1e-3)
 
 
-def test_offsets_and_parameters_are_told(written: tuple[Path, FitFiles]) -> None:
+def test_offsets_and_parameters_are_written(written: tuple[Path, FitFiles]) -> None:
     folder, _ = written
     with (folder / "offsets.csv").open() as file:
         rows = {row["joint"]: row for row in csv.DictReader(file)}
@@ -125,7 +125,7 @@ def test_studies_understand_the_samples(written: tuple[Path, FitFiles], v3: pa.R
     assert with_gains(v3, None, None, gains) is not v3
 
 
-def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) -> None:
+def test_no_file_is_left_if_one_cannot_be_written(v3: pa.Robot, tmp_path: Path) -> None:
     (tmp_path / "samples.csv").mkdir()
     with pytest.raises(pa.OutputError):
         write_fit(v3, estimated(), tmp_path)
@@ -133,7 +133,7 @@ def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_fit_goes_over_its_own_models_until_they_are_edited(v3: pa.Robot, tmp_path: Path) -> None:
+def test_fit_overwrites_its_own_models_unless_edited(v3: pa.Robot, tmp_path: Path) -> None:
     urdf = tmp_path / "urdf" / "pupper_v3.urdf"
     write_fit(v3, estimated(), tmp_path)
     first = urdf.read_bytes()
@@ -150,7 +150,7 @@ def test_a_fit_goes_over_its_own_models_until_they_are_edited(v3: pa.Robot, tmp_
     assert urdf.read_bytes() == first
 
 
-def test_a_fit_never_goes_over_the_files_of_its_robot(tmp_path: Path) -> None:
+def test_fit_never_overwrites_the_source_files(tmp_path: Path) -> None:
     for name in ("urdf", "mjcf"):
         shutil.copytree(ROOT / name, tmp_path / name)
     robot = pa.load_robot(tmp_path / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")

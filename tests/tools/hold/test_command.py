@@ -24,7 +24,7 @@ def files(tmp_path: Path) -> tuple[str, str]:
 
 
 @pytest.mark.slow
-def test_what_is_written_is_what_python_finds(
+def test_written_results_equal_the_python_results(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
@@ -62,7 +62,7 @@ def test_weak_motors_and_bad_input(
         check_refusal(capfd, tmp_path, ("hold", *files, *wrong), said)
 
 
-def test_a_urdf_without_inertials_holds_nothing(
+def test_urdf_without_inertials_is_refused(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Beside an MJCF that has them, too: what its motors hold was divided by a weight of zero."""

@@ -27,7 +27,7 @@ POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 ANGLES = tuple(POSTURE.values())  # of the closed forms
 
 
-def test_torques_sag_and_the_tool_are_those_of_the_closed_form() -> None:
+def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     """Of both engines, of servos by joint, and simulated."""
     robot = arm()
     held = pa.hold_posture(robot, POSTURE)
@@ -105,7 +105,7 @@ def test_a_tool_may_be_a_link_or_a_site() -> None:
         find_tool(arm(), "thumb")
 
 
-def test_motors_that_are_too_weak_do_not_hold(tmp_path: Path) -> None:
+def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
     """And parts that touch, and servos too soft to hold an arm up."""
     needs = abs(by_hand.torques(0.0, 0.0, 0.5, 0.1)["elbow"])
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
@@ -135,7 +135,7 @@ COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "rate"), [("0.05 0", 0.05), ("0.02 0.015", 0.056)])
-def test_a_joint_that_follows_is_held_by_the_one_that_leads(
+def test_torque_of_a_leading_joint_includes_its_follower(
     tmp_path: Path, ratio: str, rate: float
 ) -> None:
     """By virtual work; MuJoCo's coupling is soft, and how far it opens is predicted."""
@@ -160,7 +160,7 @@ def test_a_joint_that_follows_is_held_by_the_one_that_leads(
     assert held.worst.endless is None
 
 
-def test_a_robot_that_is_held_by_its_base_hangs() -> None:
+def test_held_robot_hangs_without_ground_contact() -> None:
     """What it would stand on touches nothing, and its legs are held in the air."""
     robot = pa.load_variant("v3", fixed_base=True)
     stand = held_stand(robot, find_posture(robot))
@@ -178,14 +178,14 @@ def test_a_robot_that_is_held_by_its_base_hangs() -> None:
     np.testing.assert_array_equal(torques, hanging.joint_torques)
 
 
-def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here() -> None:
+def test_hold_refuses_a_free_base_and_stand_refuses_no_feet() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed_base"):
         pa.hold_posture(pa.load_variant("v3"))
     with pytest.raises(pa.ConfigurationError, match="hold"):
         pa.solve_stand(arm())
 
 
-def test_without_gravity_nothing_is_held_and_any_mass_is(tmp_path: Path) -> None:
+def test_any_mass_is_held_without_gravity(tmp_path: Path) -> None:
     """Torques are off by so much of nothing: measured by what it would weigh on the ground."""
     floating = by_hand.MJCF.replace("<option ", '<option gravity="0 0 0" ')
     held = pa.hold_posture(load_arm(tmp_path, mjcf=floating), POSTURE)
@@ -200,7 +200,7 @@ def test_without_gravity_nothing_is_held_and_any_mass_is(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_base_that_is_welded_answers_as_one_that_its_file_fixes(tmp_path: Path) -> None:
+def test_welded_base_gives_the_results_of_a_fixed_base(tmp_path: Path) -> None:
     """A light one shook on MuJoCo's soft weld, and a loop ended in a traceback."""
     (tmp_path / "bars.xml").write_text(FOUR_BARS.replace('mass="1"', 'mass=".02"'))
     robot = pa.load_robot(tmp_path / "bars.xml")
@@ -223,7 +223,7 @@ def test_a_base_that_is_welded_answers_as_one_that_its_file_fixes(tmp_path: Path
     assert carried.mass == pytest.approx(min(held.payload.mass, held.payload.servos), rel=2e-3)
 
 
-def test_what_touches_fails_a_posture(tmp_path: Path) -> None:
+def test_posture_with_touching_parts_fails(tmp_path: Path) -> None:
     """A fist on a post of the base: 5 mm in it, or beside it."""
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
     place = by_hand.tip(0.0, 0.0, 0.5, 0.1 - by_hand.SLIDE)

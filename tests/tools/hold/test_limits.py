@@ -28,7 +28,7 @@ from tests.support.engines import load_by_mujoco
 POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 
 
-def test_the_worst_postures_are_those_of_the_closed_form() -> None:
+def test_worst_postures_equal_the_closed_form() -> None:
     """At the ends of ranges, where the links point ahead, and where the slide is up or down."""
     robot = arm()
     worst = worst_postures(robot, find_posture(robot), find_tool(robot))
@@ -46,14 +46,14 @@ def test_the_worst_postures_are_those_of_the_closed_form() -> None:
     check_worst(robot, find_posture(robot))
 
 
-def test_no_sample_of_a_held_pupper_exceeds_what_is_found() -> None:
+def test_no_random_posture_exceeds_the_worst_torque() -> None:
     robot = pa.load_variant("v3", fixed_base=True)
     samples = np.random.default_rng(2).uniform(*joint_ranges(robot).T, size=(2000, robot.nu))
     assert (check_worst(robot, find_posture(robot), samples) > 0.7).all()
 
 
 @pytest.mark.parametrize("what", ["stiffness", "gravcomp"])
-def test_springs_and_gravity_compensation_are_those_of_the_mjcf(what: str, tmp_path: Path) -> None:
+def test_worst_postures_include_springs_and_gravcomp(what: str, tmp_path: Path) -> None:
     """The second is gravity on lighter links; and the worst posture is a sample's, or worse."""
     spring = 'name="elbow" type="hinge"', 'name="elbow" type="hinge" stiffness="3" springref="1"'
     lighter = '<body name="fore"', '<body name="fore" gravcomp="0.7"'
@@ -132,7 +132,7 @@ def test_the_worst_posture_of_a_four_bar_linkage_is_that_of_virtual_work(
     assert abs(worst.joint_torques[crank]) == pytest.approx(-sure.fun, rel=1e-7)
 
 
-def test_a_payload_is_at_its_limit_in_both_engines() -> None:
+def test_payload_limit_is_equal_in_both_engines() -> None:
     """And in the worst posture that is found the weakest motor is at its limit."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
@@ -245,7 +245,7 @@ def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:
         assert ("mode-buckles" not in codes) is holds
 
 
-def test_a_servo_is_not_commanded_beyond_its_range(tmp_path: Path) -> None:
+def test_payload_is_limited_by_the_ctrlrange_of_a_servo(tmp_path: Path) -> None:
     """The elbow's command for its torque is at the end of its ctrlrange with that mass."""
     servo, kp = '<position joint="elbow"', by_hand.STIFFNESS["elbow"]
     text = by_hand.MJCF.replace(servo, f'{servo} ctrlrange="0.98 3"')
@@ -278,7 +278,7 @@ FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm">
         ((0.138, 0.0, -0.507, 0.159), (-1.039, 0.0), ("1 0 0", "0 0 1", "1 0 0"), 0.129869),
     ],
 )
-def test_worst_postures_of_a_polynomial_coupling_are_those_of_mujoco(
+def test_worst_postures_of_a_polynomial_coupling_equal_mujoco(
     bent: tuple[float, ...],
     rest: tuple[float, ...],
     axes: tuple[str, ...],

@@ -47,7 +47,7 @@ _ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
     ],
     ids=["sound", "a bias", "a gain", "velocity", "motor", "none"],
 )
-def test_a_posture_is_judged_by_what_its_file_does(
+def test_posture_verdict_follows_the_unmodified_file(
     tmp_path: Path, servos: str, code: VerdictCode, joint: str | None
 ) -> None:
     robot = arm.load_arm(tmp_path, mjcf=arm.MJCF.replace(arm._SERVOS, servos))
@@ -58,7 +58,7 @@ def test_a_posture_is_judged_by_what_its_file_does(
     assert (verdict.own.unheld and verdict.own.unheld.joint) == joint
 
 
-def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
+def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
     urdf = tmp_path / "arm.urdf"
     inertial = (
         '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
@@ -109,6 +109,6 @@ ODD = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("feature", ODD)
-def test_of_what_is_odd_in_an_arm_the_right_one_is_told(tmp_path: Path, feature: str) -> None:
+def test_planted_fault_of_an_arm_is_named(tmp_path: Path, feature: str) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])
     assert right(urdf, mjcf, ODD[feature], judged)

@@ -44,7 +44,7 @@ SOCKET = {"Upgrade": "websocket"}
         ("127.0.0.1", {}, False),
     ],
 )
-def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
+def test_access_depends_on_host_and_origin(host: str, headers: dict[str, str], may: bool) -> None:
     access = Access(host)
     assert not access.token
     for more in ({}, SOCKET):
@@ -55,7 +55,7 @@ def code(message: Diagnostic | None) -> str:
     return "" if message is None else message.code
 
 
-def test_others_must_know_the_token() -> None:
+def test_remote_access_requires_the_token() -> None:
     access, headers = Access("0.0.0.0"), {"Host": "robot.example:8080"}
     assert len(access.token) >= 16
     assert Access("0.0.0.0").token != access.token
@@ -96,7 +96,7 @@ def test_others_must_know_the_token() -> None:
         ("geom 'a/b/c' of models/robot.xml", "geom 'a/b/c' of models/robot.xml"),
     ],
 )
-def test_a_page_tells_no_folders_of_the_server(text: str, shown: str) -> None:
+def test_page_shows_no_folders_of_the_server(text: str, shown: str) -> None:
     assert strip_folders(text) == shown
     assert Language("en").format_diagnostic(problem(text)) == shown
 
@@ -116,14 +116,14 @@ def asked(address: str, **headers: str) -> tuple[int, str]:
         return error.code, error.read().decode()
 
 
-def test_a_server_answers_by_its_own_names_alone(page: Page) -> None:
+def test_server_refuses_other_host_names(page: Page) -> None:
     assert asked(page.address)[0] == 200
     status, said = asked(page.address, Host="evil.example")
     assert status == 403
     assert "the address that the program printed" in said
 
 
-def test_a_page_that_others_can_reach_asks_for_its_token() -> None:
+def test_remote_page_requires_its_token() -> None:
     page = Page(pa.load_variant("v3"), host="0.0.0.0")
     try:
         (token,) = parse_qs(urlsplit(page.address).query)["token"]

@@ -166,7 +166,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
         (State(com_margin=500.0), pa.ConfigurationError),
     ],
 )
-def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> None:
+def test_refusal_is_part_of_the_answer(state: State, kind: type[Exception]) -> None:
     found = model_of().solve_state(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
@@ -180,7 +180,7 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
 
 
 @pytest.mark.slow
-def test_the_file_that_is_saved_makes_the_same_stand(tmp_path: Path) -> None:
+def test_saved_stance_file_gives_the_same_stand(tmp_path: Path) -> None:
     qpos, _ = outcome(model_of().solve_state(RICH))
     (tmp_path / "stance.toml").write_text(write_stance_file(RICH))
     words = ("stand", "v3", "--stance", "stance.toml", "--json", "stance.json")
@@ -205,7 +205,7 @@ def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
         read_stance(file)
 
 
-def test_nothing_in_a_name_acts() -> None:
+def test_markup_in_names_is_escaped() -> None:
     found = model_of().solve_state(State())
     assert found.robot is not None
     assert found.statics is not None
@@ -228,7 +228,7 @@ def test_nothing_in_a_name_acts() -> None:
         assert "&lt;img" in html
 
 
-def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
+def test_overloaded_motors_give_no_passing_verdict() -> None:
     """Knees beyond their limits: not green, whatever balances; as `stand` has it."""
     found = model_of().solve_state(State(payload=30.0))
     assert found.statics is not None
@@ -272,7 +272,7 @@ def test_errors_are_in_the_units_of_the_page(state: State, said: str) -> None:
     assert re.search("[\u4e00-\u9fff]", Language("zh").format_diagnostic(found.refusal.diagnostic))
 
 
-def test_colours_tell_how_hard_a_motor_works() -> None:
+def test_colour_depends_on_motor_utilisation() -> None:
     assert choose_utilisation_colour(0.0) == UTILISATION_COLOURS[0][1]
     assert choose_utilisation_colour(1.0) == UTILISATION_COLOURS[-1][1]
     assert choose_utilisation_colour(1.01) == OVERLOAD_COLOUR
@@ -306,7 +306,7 @@ def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected:
     assert mesh.vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
 
 
-def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
+def test_drawn_shapes_equal_those_of_mujoco() -> None:
     pytest.importorskip("trimesh")
     model = load("v3").mj_model
     parts = make_body_meshes(model)
@@ -325,7 +325,7 @@ def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
     assert min(near) < 1e-6
 
 
-def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_viser_is_refused_with_the_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(pa.MissingPackageError, match=r"pip install viser.*\[live\]"):
         render.import_viser()
@@ -371,7 +371,7 @@ def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) ->
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_arrows_begin_on_the_ground_and_point_as_forces_do() -> None:
+def test_force_arrows_start_at_the_contact_along_the_force() -> None:
     point, force = np.array([0.1, 0.2, 0.0]), np.array([1.0, -2.0, 8.0])
     ((begin, end),) = make_force_arrows(load("v3"), [Contact("FL", point, force)])
     np.testing.assert_array_equal(begin, point)

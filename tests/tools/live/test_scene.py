@@ -28,7 +28,7 @@ class Drawn:
         return add
 
 
-def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
+def test_payload_is_drawn_at_its_position_on_a_tilted_base() -> None:
     found = StanceSolver(pa.load_variant("v3")).solve_state(
         State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
     )

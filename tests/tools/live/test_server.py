@@ -27,7 +27,7 @@ def page() -> Iterator[Page]:
     one.close()
 
 
-def test_a_browser_that_does_not_answer_holds_up_nobody(page: Page) -> None:
+def test_unresponsive_browser_does_not_delay_closing(page: Page) -> None:
     """viser gives up after 6 s, and its thread is left; one that sleeps may need 10 s and more."""
     server = page._server._websock_server._server_thread
 
@@ -46,7 +46,7 @@ def test_a_browser_that_does_not_answer_holds_up_nobody(page: Page) -> None:
     asyncio.run(sleep_while_it_closes())
 
 
-def test_who_waited_until_it_is_closed_gets_no_session(
+def test_connection_after_closing_gets_no_session(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """viser calls for browsers in a queue, which Python waits for at its end."""
@@ -59,7 +59,7 @@ def test_who_waited_until_it_is_closed_gets_no_session(
 
 
 @pytest.mark.slow
-def test_a_served_page_collects_garbage_as_python_does(
+def test_serving_uses_the_default_garbage_collection(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Commands postpone it: each action of a browser left 60 KB of cycles, for hours."""

@@ -97,7 +97,7 @@ def page(server: Any) -> Iterator[Open]:
     end(one.session)
 
 
-def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
+def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
     angles = np.linspace(0.0, 6.0, 200)
     for angle in angles:
         page.ask(State(roll=float(angle)))
@@ -112,7 +112,7 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     assert page.browser.saved["stance.toml"] == b'roll = "6.0deg"\n'
 
 
-def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sag is held back; the page has the torques, and says that it is worked out."""
     go_on = threading.Event()
     real = pa.steady_state
@@ -136,7 +136,7 @@ def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPat
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
 
 
-def test_out_of_reach_is_told_at_once_and_explained_later(page: Open) -> None:
+def test_unreachable_stance_is_reported_before_its_explanation(page: Open) -> None:
     page.ask(State(roll=35.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
     wait_for(lambda: "as asked: roll 23.8 deg" in page.numbers, "it is not explained")
@@ -160,7 +160,7 @@ def test_a_stance_that_changes_during_a_simulation_ends_it(page: Open) -> None:
 
 
 @pytest.mark.slow
-def test_a_simulation_is_told(page: Open) -> None:
+def test_simulation_and_push_results_are_shown(page: Open) -> None:
     page.session.simulate()
     wait_for(lambda: "HOLDS" in page.result, "it is not verified")
     page.session.push()  # while it is played
@@ -168,7 +168,7 @@ def test_a_simulation_is_told(page: Open) -> None:
 
 
 @pytest.mark.slow
-def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) -> None:
+def test_simulation_is_compared_with_the_prediction_of_its_commands(page: Open) -> None:
     """Both are of the stand whose legs are longer by what feet sink: they are half a mm apart."""
     page.ask(State(roll=5.0))
     wait_for(lambda: page.shows(State(roll=5.0)), "not shown")
@@ -199,7 +199,7 @@ def move(control: Any, value: object) -> None:
         call(Hand(control))
 
 
-def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
+def test_each_foot_can_be_lifted_or_put_on_a_step(page: Open) -> None:
     controls = page.controls
     for foot, height in (("FL", 12.0), ("RR", 30.0)):
         move(controls.foot, foot)
@@ -221,7 +221,7 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) -> None:
+def test_typed_value_beyond_a_slider_is_kept(page: Open) -> None:
     payload = page.controls.sliders["payload"]
     assert payload.max < 12.0
     move(payload, 12.0)
@@ -274,7 +274,9 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     assert rod.radius == pytest.approx(0.01)
 
 
-def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unexpected_error_is_shown_and_the_page_continues(
+    page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fails(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("<b>oh</b>")
 

@@ -35,7 +35,7 @@ def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
     end(one)
 
 
-def test_it_stands_until_it_is_pushed_over_and_begins_again(session: WalkSession) -> None:
+def test_walk_restarts_after_a_fall(session: WalkSession) -> None:
     def shown(words: str) -> bool:
         return words in session._numbers.content
 
@@ -49,12 +49,12 @@ def test_it_stands_until_it_is_pushed_over_and_begins_again(session: WalkSession
     wait_for(lambda: session.fall is None and shown("on its feet for"), "it does not begin again")
 
 
-def test_what_is_commanded_is_what_the_sliders_say(session: WalkSession) -> None:
+def test_sliders_set_the_walk_command(session: WalkSession) -> None:
     session.sliders[0].value = 0.3
     wait_for(lambda: "of 0.30" in session._numbers.content, "the command is not shown")
 
 
-def test_it_plays_what_walk_simulates(tmp_path: Path) -> None:
+def test_played_walk_equals_the_simulation_of_walk(tmp_path: Path) -> None:
     """The same start, command and push: equal to the last bit."""
     stage = prepare_stage(load("v3"), Policy.load(made.trot(tmp_path / "trot.json")))
     case = stage.case(np.array(made.TROT[0]), 3)
@@ -64,7 +64,7 @@ def test_it_plays_what_walk_simulates(tmp_path: Path) -> None:
     assert np.array_equal(states, run.states[: len(states)])
 
 
-def test_a_push_gives_the_whole_robot_its_impulse(tmp_path: Path) -> None:
+def test_push_changes_the_momentum_by_its_impulse(tmp_path: Path) -> None:
     """In the air, where nothing else acts along the ground."""
     stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
     run = Lockstep(stage, [replace(stage.case(np.zeros(3)), lift=1.0)])

@@ -80,7 +80,7 @@ def test_only_a_robot_upright_on_its_feet_is_stable_after_a_drop(
     ("fixed", "sizes", "acceleration"),
     [(True, "nq=12, nv=12, nu=12", GRAVITY), (False, "nq=19, nv=18, nu=12", 0.0)],
 )
-def test_view_tells_sizes_and_what_sensors_read(
+def test_headless_view_prints_sizes_and_sensor_values(
     capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
 ) -> None:
     viewer.view_robot(pa.load_variant("v3", fixed_base=fixed), headless=True)
@@ -104,7 +104,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_display_is_refused_with_headless(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
         lambda: viewer.view_robot(load("v3"), headless=False),
         lambda: viewer.drop_and_report(load("v3"), headless=False),
@@ -135,7 +135,7 @@ def test_the_window_simulates_from_home_and_the_result_is_that_without(
     assert f"final z={dropped.height[-1]:.3f} m" in capsys.readouterr().out
 
 
-def test_a_fixed_robot_moves_only_by_its_sliders(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fixed_robot_stays_at_its_slider_positions(monkeypatch: pytest.MonkeyPatch) -> None:
     from mujoco import viewer as mujoco_viewer
 
     moved: list[float] = []

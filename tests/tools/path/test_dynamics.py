@@ -100,7 +100,7 @@ def test_zero_moment_point_two_ways(name: str) -> None:
     assert np.abs(closed - config.center_of_mass()[:2]).max() > 1e-3  # it is not the com
 
 
-def test_ground_resists_rolling_as_mujocos_does() -> None:
+def test_rolling_friction_equals_mujoco() -> None:
     """v3's feet roll as it rises: moments of MuJoCo's contacts in its own inverse dynamics."""
     robot = load("v3")
     stand = solve_stand_on_soft_ground(robot)
@@ -135,7 +135,7 @@ def test_ground_resists_rolling_as_mujocos_does() -> None:
             assert np.linalg.norm(levers["FL"][:2]) == pytest.approx(0.01, rel=0.05)
 
 
-def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
+def test_rolling_contact_on_a_slope_is_at_the_cone_boundary() -> None:
     """Feet that roll at 1 rad/s: (f_t / mu)^2 + (m / mu_r)^2 = f_n^2, in the ground's axes."""
     robot, ground = load("v3"), pa.Ground(0.4)
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground, pitch=-0.4))
@@ -158,7 +158,7 @@ def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
         assert np.linalg.norm((tangential, rolling, spinning)) == pytest.approx(pressing, rel=0.02)
 
 
-def test_what_no_feet_can_do_is_said() -> None:
+def test_infeasible_acceleration_states_its_reason() -> None:
     robot, stand = load("v3"), stand_of("v3")
     config, qacc = pa.Configuration(robot, stand.qpos), np.zeros(robot.nv)
     for index, acceleration, reason in (
@@ -193,7 +193,7 @@ def test_a_fixed_base_carries_all() -> None:
     assert found.zmp_margin is None
 
 
-def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
+def test_spinning_foot_has_only_torsional_friction() -> None:
     robot, stand = load("v3"), stand_of("v3")
     qvel = np.zeros(robot.nv)
     qvel[5] = 50.0  # far beyond where friction saturates

@@ -101,7 +101,7 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
-def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
+def test_rolling_feet_have_no_slip_velocity(name: str, kind: str) -> None:
     """The velocity of the foot's material point at the contact, by differences, is zero."""
     robot = load(name)
     path = stance_path(robot, stances(name, kind), 3.0, rate=60.0)
@@ -138,7 +138,7 @@ def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
+def test_torques_are_continuous_if_a_foot_is_unloaded() -> None:
     """From sample to sample they change half as much at twice the rate."""
     jumps = []
     for rate in (60.0, 120.0):
@@ -175,7 +175,7 @@ def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None
 
 
 @pytest.mark.slow
-def test_beyond_what_contacts_allow() -> None:
+def test_path_is_refused_if_contacts_cannot_supply_the_force() -> None:
     robot, tasks = load("v3"), stances("v3", "squat")
     with pytest.raises(pa.StaticsInfeasibleError, match=r"at 0\.\d\d s, between stances") as caught:
         stance_path(robot, tasks, 0.1)

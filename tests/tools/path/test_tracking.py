@@ -70,7 +70,7 @@ def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float)
 
 
 @pytest.mark.slow
-def test_an_integrators_own_error_is_kept_small() -> None:
+def test_time_step_of_tracking_is_reduced_for_an_inexact_integrator() -> None:
     """The skeleton's 4 ms, implicit, are good for standing, and not for a fast path."""
     robot = load("original")
     path = stance_path(robot, stances("original", "sway"), 3.0, rate=50)
@@ -99,7 +99,7 @@ def test_a_time_step_suits_the_servos_damping() -> None:
 
 
 @pytest.mark.slow
-def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
+def test_commands_include_the_foot_depth_on_soft_ground() -> None:
     """v3's feet are 4 mm in the ground: on its first command it stays, with 3 % less in knees."""
     robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
     lower = pa.StandTask(height=0.99 * robot.stand_height)
@@ -118,7 +118,7 @@ def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
 
 
 @pytest.mark.slow
-def test_what_fails_is_said() -> None:
+def test_tracking_failures_are_reported() -> None:
     robot = load("v3")
     path = path_of("v3", "lift")
     limp = track_path(robot, path, kp=0.3, kd=0.01)
@@ -145,7 +145,7 @@ def fast_sway() -> pa.stance.StancePath:
 
 
 @pytest.mark.slow
-def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
+def test_tangential_and_rolling_friction_share_one_cone() -> None:
     """Simulated contacts are on its edge while a foot is pushed and rolls; the path's are not out.
 
     With moments that took no heed of the push these would be out by as much as 0.64.
@@ -176,7 +176,7 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "passes"), [(5.0, True), (7.0, False)])
-def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> None:
+def test_path_passes_only_if_its_last_stand_holds(mass: float, passes: bool) -> None:
     """With 7 kg v3 follows it for a second, on its joints' dry friction, and buckles later."""
     robot = pa.robot.with_payload(load("v3"), mass, (0.0, 0.0, 0.08))
     found = study_path(robot, pa.StandTask(height=0.13), 1.0)
@@ -233,7 +233,7 @@ def judged(robot: pa.Robot) -> Verdict:
 
 
 @pytest.mark.slow
-def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
+def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
     assert verdict.asked is Asked.TRACKED
     assert verdict.passed

@@ -13,7 +13,7 @@ from tests.support.variants import load
 
 
 @pytest.mark.slow
-def test_what_lasts_is_what_motors_of_that_effort_carry(
+def test_continuous_payload_equals_the_payload_at_that_effort(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     found = {}

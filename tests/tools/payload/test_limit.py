@@ -66,7 +66,7 @@ def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analys
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
-def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
+def test_payload_limit_holds_in_stand_and_more_fails(name: str) -> None:
     check_typed_back(load(name), ON_TOP)
 
 
@@ -74,7 +74,9 @@ def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
 @pytest.mark.parametrize(
     ("seed", "legs"), [*((seed, 0) for seed in (3, 5, *range(20, 32))), (0, 3), (1, 5), (2, 6)]
 )
-def test_so_do_those_of_random_robots(seed: int, legs: int, tmp_path: Path) -> None:
+def test_payload_limits_of_random_robots_are_exact_in_stand(
+    seed: int, legs: int, tmp_path: Path
+) -> None:
     """At a point somewhere about the base; and of any number of legs."""
     robot = pa.load_robot(*written(ring(seed, legs) if legs else drawn(seed), tmp_path))
     place = np.random.default_rng(seed).uniform((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2))
@@ -96,7 +98,7 @@ def test_the_base_moves_from_under_the_load() -> None:
 
 
 @pytest.mark.slow
-def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
+def test_tipping_payload_equals_the_moment_balance() -> None:
     """Ahead of the front feet: m (a - d) = M d, with d and a from the com to edge and mass."""
     robot = with_efforts(load("v3"), 1e3)
     task = pa.StandTask(offset=(0.0, 0.0))
@@ -110,7 +112,7 @@ def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
 
 
 @pytest.mark.slow
-def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated() -> None:
+def test_weakest_motor_is_at_its_limit_with_the_payload() -> None:
     robot = load("v3")
     limit = payload_limit(robot, None, ON_TOP, **STIFF)
     assert limit.binding == "motors"
@@ -158,7 +160,7 @@ def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
 
 
 @pytest.mark.slow
-def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
+def test_payload_on_a_leg_is_limited_by_its_motors() -> None:
     robot = load("v3")
     tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
     limit = check_typed_back(robot, tool)
@@ -195,7 +197,7 @@ def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bo
 
 
 @pytest.mark.slow
-def test_what_does_not_hold_without_payload_carries_nothing(
+def test_payload_is_zero_if_the_stand_fails_without_payload(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A file that fails as published fails with a payload: the word is the one judge's."""
@@ -221,7 +223,7 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
 
 
 @pytest.mark.parametrize("most", [39.0, 9.0, 3.3])
-def test_where_the_trial_falls_what_it_bears_is_bisected(most: float) -> None:
+def test_failed_trial_load_is_bisected(most: float) -> None:
     """To a part of itself, and not of the equilibrium's: 1.03 kg were stated where 1.13 hold."""
     found = simulated(most, nudged=3.0)
     assert 3.0 / (1 + FINE) <= TRIED * found.mass <= 3.0
@@ -269,7 +271,7 @@ def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "stands"), [(MOST_SEEN, False), (LESS, True)])
-def test_who_stands_the_nudges_stands_those_between_them(
+def test_nudges_between_the_tried_directions_do_not_decide(
     mass: float, stands: bool, biped: pa.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nudges = trial.nudge_velocities

@@ -33,7 +33,7 @@ def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
 
 
 @pytest.mark.slow
-def test_dry_friction_does_not_hold_up_what_is_not_stable() -> None:
+def test_unstable_load_is_refused_despite_dry_friction() -> None:
     """With 7 kg v3 stays up for 6 s of nudges, but a deviation doubles within 12 s in MuJoCo."""
     assert simulate_payload(load("v3"), stand_of("v3"), 7.0, duration=6).held
     loaded = pa.robot.with_payload(load("v3"), 7.0, (0.0, 0.0, 0.0))

@@ -17,7 +17,7 @@ COARSE = ("--directions", "4", "--resolution", "0.3")
 
 
 @pytest.mark.slow
-def test_a_stand_that_does_not_last_is_exit_status_1(
+def test_stand_that_does_not_last_gives_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from pupper_analysis.robot import fall

@@ -14,7 +14,7 @@ def printed(shown: object) -> list[str]:
     return printing.printed(shown, width=240).split()
 
 
-def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
+def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
     one = pushed("one", 0.0, 0.00311)
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False

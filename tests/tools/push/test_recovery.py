@@ -185,9 +185,7 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
-def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
-    tmp_path: Path, kd: float, stands: bool
-) -> None:
+def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands: bool) -> None:
     """At 8 N m s/rad its servos shake, and throw it over in the second after a nudge at 5 s."""
     robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
     stand = pa.stance.solve_stand_on_soft_ground(robot)
@@ -205,7 +203,7 @@ def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
-def test_what_ends_early_ends_as_it_would(name: str) -> None:
+def test_early_termination_does_not_change_the_outcome(name: str) -> None:
     """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
     robot, stand, found = load(name), stand_of(name), pushed(name)
     bench = bench_of(
@@ -220,7 +218,7 @@ def test_what_ends_early_ends_as_it_would(name: str) -> None:
     assert any(whole)
 
 
-def test_a_push_is_judged_by_where_it_ends() -> None:
+def test_push_outcome_depends_on_the_final_state() -> None:
     """Half a second in which it stands, and a last state in which it leans, or is low."""
     options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
     known = SimpleNamespace(stays=True, failures=())
@@ -238,7 +236,7 @@ def test_a_push_is_judged_by_where_it_ends() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_pushed_is_the_stand_that_is_told() -> None:
+def test_pushed_stand_equals_the_reported_stand() -> None:
     robot, task = load("v3"), pa.StandTask(roll=math.radians(4.0))
     stand = pa.stance.solve_stand_as_simulated(robot, task)
     assert any(stand.depths.values())
@@ -277,6 +275,6 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
         ({"impulse": 1.0, "duration": 1.0}, "duration"),
     ],
 )
-def test_what_is_no_push_is_refused(arguments: dict[str, float], message: str) -> None:
+def test_invalid_push_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.simulation.simulate_push(load("v3"), stand_of("v3"), **arguments)

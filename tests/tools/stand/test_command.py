@@ -81,7 +81,7 @@ def test_servos_stiffness_margins_and_a_derived_variant(
 
 
 @pytest.mark.slow
-def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
+def test_minimum_stiffness_is_found_if_the_given_one_is_too_low() -> None:
     robot = load_variant("v3-long-leg")
     result = study_stance(robot, StandTask(), kp=4.0, kd=0.1, stiffness=True)
     assert result.settled is None
@@ -90,7 +90,7 @@ def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
 
 
 @pytest.mark.slow
-def test_motors_too_weak_are_said_so() -> None:
+def test_overloaded_motors_are_reported() -> None:
     """Reached and in balance, but held by no motor of 3 N m."""
     robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
     result = study_stance(robot, StandTask())
@@ -137,7 +137,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
 
 
 @pytest.mark.slow
-def test_what_is_told_is_what_the_robot_has(tmp_path: Path) -> None:
+def test_explanation_equals_the_loaded_robot(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     files = read_urdf(pair.urdf), read_mjcf(pair.mjcf)
     explained, robot = explain_loading(*files, LoadRequest())

@@ -38,7 +38,7 @@ def outcome() -> pa.study.StudyOutcome:
 
 
 @pytest.mark.slow
-def test_the_report_counts_what_the_table_has() -> None:
+def test_study_report_counts_equal_the_table() -> None:
     found = outcome()
     table = found.table
     assert len(table) == found.designs == 18
@@ -56,7 +56,7 @@ def test_the_report_counts_what_the_table_has() -> None:
 
 
 @pytest.mark.slow
-def test_the_front_is_of_what_stands() -> None:
+def test_front_contains_only_standing_designs() -> None:
     found = outcome()
     assert found.objectives == {"peak_utilisation": "min", "servo_sag": "min"}
     assert (found.front["stands"] == 1).all()
@@ -114,7 +114,7 @@ def test_the_front_is_drawn_and_in_a_table() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_writes_it(tmp_path: Path) -> None:
+def test_study_command_writes_its_report(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         'robot = "v3"\nmeasure = ["servo_sag", "peak_utilisation"]\n'
         "[vary]\nleg_scale = [1.0, 1.1]\nkp = [5, 10]\n"

@@ -103,7 +103,7 @@ def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_ones_own_links_grow_in_both_engines(own: Robot) -> None:
+def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
     """Links between two joints get longer by the factor, across the second joint's axis alone."""
     urdf = UrdfTree.of(own.description.urdf)
     upper = {
@@ -160,6 +160,6 @@ def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
     ("{base}", "is the base"),
     ("nothing*", "nothing"),
 ])  # fmt: skip
-def test_what_has_no_length_is_refused(own: Robot, pattern: str, message: str) -> None:
+def test_length_of_a_link_without_length_is_refused(own: Robot, pattern: str, message: str) -> None:
     with pytest.raises(pa.PupperAnalysisError, match=message):
         scale_robot(own, {f"length:{pattern.format(base=own.base)}": 1.2})

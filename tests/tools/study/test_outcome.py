@@ -15,7 +15,7 @@ from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import compute_main_effects, pareto_front
 
 
-def test_nobody_beats_the_front_and_the_front_beats_all_others() -> None:
+def test_pareto_front_dominates_all_other_designs() -> None:
     random = np.random.default_rng(0)
     table = pd.DataFrame(random.integers(0, 12, (300, 3)).astype(float), columns=["a", "b", "c"])
     table.loc[5, "b"] = np.nan
@@ -59,7 +59,7 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     assert shares["y"] < 0.05
 
 
-def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
+def test_recorded_diagnostics_render_in_each_language() -> None:
     missed = diagnose(
         "foot-misses-target",
         subject=("foot", "FL"),

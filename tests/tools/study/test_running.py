@@ -53,7 +53,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 
 
 @pytest.mark.slow
-def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
+def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
     """Of v3 on legs of 1.4: it stands, has no equilibrium, or one that is not stable; or no place.
@@ -147,7 +147,7 @@ def test_threads_processes_and_any_order_give_the_same_bits(
     same(ordered[undisturbed.columns], undisturbed)
 
 
-def test_of_other_versions_no_result_is_taken(
+def test_results_of_other_engine_versions_are_not_reused(
     tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = study()
@@ -164,7 +164,7 @@ def test_of_other_versions_no_result_is_taken(
 
 
 @pytest.mark.slow
-def test_what_is_there_is_not_done_again(
+def test_existing_results_are_not_computed_again(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
     part = study({**FEW, "kp": [20.0, 5.0]})
@@ -178,7 +178,7 @@ def test_what_is_there_is_not_done_again(
     same(pa.read_study(tmp_path), undisturbed)
 
 
-def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executor) -> None:
+def test_changed_study_uses_only_its_own_rows(tmp_path: Path, threads: Executor) -> None:
     study({"kp": [5.0]}).execute(tmp_path, executor=threads)
     other = study({"kp": [5.0, 6.0]}, "servo_sag")
     assert other.execute(tmp_path, executor=threads).done == 2  # other metrics: other designs
@@ -250,7 +250,7 @@ HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs m
 
 @pytest.mark.slow
 @pytest.mark.parametrize("guilty", ["crashes", "hangs"])
-def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
+def test_design_that_crashes_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     """Whatever else the machine does: sound designs may need a longer limit, this one any."""
     kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
     for limit in (3.0, 12.0, 60.0):
@@ -267,9 +267,7 @@ def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_once_costs_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_worker_loses_no_design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STUDY_MARKER", str(tmp_path / "marker"))
     table = study(HEAVY, study_metrics.crashes_once).run(tmp_path / "study", workers=2)
     assert (tmp_path / "marker").exists()
@@ -288,7 +286,7 @@ def test_workers_are_begun_anew_before_engines_fill_the_memory(
 
 
 @pytest.mark.slow
-def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
+def test_broken_executor_loses_no_finished_design(tmp_path: Path) -> None:
     made = study(HEAVY, study_metrics.crashes)
     with (
         ProcessPoolExecutor(1, get_context("spawn")) as executor,
@@ -360,7 +358,7 @@ def left_over(session: int) -> list[int]:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="it looks into /proc")
 @pytest.mark.slow
-def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
+def test_killed_study_resumes_without_loss(tmp_path: Path) -> None:
     """The parent is killed after some rows, again and again; no row is lost, doubled or halved."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
@@ -395,7 +393,7 @@ with Store(Path(sys.argv[1])).locked()"""
 
 
 @pytest.mark.slow
-def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
+def test_second_run_in_one_folder_is_refused(tmp_path: Path, threads: Executor) -> None:
     """The second is refused, in this process and in another; a dead run does not hold it."""
     refusals = []
 

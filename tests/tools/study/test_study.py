@@ -46,7 +46,7 @@ def study(vary: Mapping[str, Any], *metrics: Any, robot: Any = "v3", **options: 
     ],
     ids=["uniform", "normal", "log_uniform", "values"],
 )
-def test_quantiles_are_those_of_the_distribution(given: Any, known: Any) -> None:
+def test_quantiles_equal_those_of_scipy(given: Any, known: Any) -> None:
     shares = np.linspace(0.003, 0.996, 41)  # not at 1/2: a step of values
     expected = known.ppf(shares)
     if given.levels:
@@ -69,12 +69,12 @@ def test_quantiles_are_those_of_the_distribution(given: Any, known: Any) -> None
         (pa.study.normal, (1, 0), "not above 0"),
     ],
 )
-def test_what_is_no_variable_is_refused(make: Any, arguments: Any, message: str) -> None:
+def test_invalid_variable_is_refused(make: Any, arguments: Any, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         make(*arguments)
 
 
-def test_plain_data_says_the_same() -> None:
+def test_variable_from_plain_data_is_equal() -> None:
     for made in (
         pa.study.linspace(1, 2, 3),
         pa.study.values([1, 2]),
@@ -108,7 +108,7 @@ def all_of(sampling: Sampling) -> np.ndarray:
     return np.concatenate(list(sampling.blocks()))
 
 
-def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
+def test_longer_sample_sequence_extends_the_shorter() -> None:
     variables = {
         "a": pa.study.uniform(0, 1),
         "b": pa.study.normal(0, 1),
@@ -120,7 +120,7 @@ def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
     assert not np.array_equal(all_of(Sampling(variables, 100, 4)), short)
 
 
-def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
+def test_design_hash_depends_on_named_values_only() -> None:
     block = np.array([[1.0, 2.0], [2.0, 1.0], [-0.0, 3.0], [0.0, 3.0]])
     names = hash_designs("x", ("a", "b"), block)
     assert hash_designs("x", ("b", "a"), block[:, ::-1]) == names
@@ -164,7 +164,7 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
         (local_function, r"no function of \(robot, stand\)"),
     ],
 )
-def test_measures_that_do_not_fit_are_refused(metric: Any, message: str) -> None:
+def test_invalid_metric_is_refused(metric: Any, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         study({"kp": [5]}, metric)
 
@@ -259,7 +259,7 @@ def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
     return np.array(data.qfrc_bias[robot.mj_convention.qvel_index])
 
 
-def test_gains_and_friction_are_what_the_predictions_read() -> None:
+def test_predictions_use_changed_gains_and_friction() -> None:
     robot, stand = load("v3"), stand_of("v3")
     other = with_gains(robot, 8.0, 0.3, {"kp:*_3": 1.5})
     kp = np.array([12.0 if name.endswith("_3") else 8.0 for name in robot.joint_names])
@@ -275,7 +275,7 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
         pa.stance.stand_statics(slippery, steep)
 
 
-def test_a_design_is_the_robot_that_its_numbers_say() -> None:
+def test_design_has_the_values_of_its_variables() -> None:
     study_of = study({"leg_scale": [1.2], "torso_mass_scale": [1.5]})
     maker = DesignBuilder(study_of.source, pa.StandTask(roll=0.05), (0.02, 0.0, 0.1))
     numbers = {"leg_scale": 1.2, "torso_mass_scale": 1.5, "payload": 0.7, "kp": 9.0, "pitch": 0.1,
@@ -294,7 +294,7 @@ def test_a_design_is_the_robot_that_its_numbers_say() -> None:
     assert METRICS["base_height"].function(design) == pytest.approx(rest.base_height, rel=1e-9)
 
 
-def test_measures_are_what_their_names_say() -> None:
+def test_metrics_equal_the_direct_calls() -> None:
     """Each against the call that a user would make."""
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
     design = DesignBuilder(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design(
@@ -323,7 +323,7 @@ def test_measures_are_what_their_names_say() -> None:
 
 
 @pytest.mark.slow
-def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
+def test_design_fails_if_its_unmodified_file_falls(tmp_path: Path) -> None:
     """On servos that were added in the place of its own; with gains that are given it may."""
     pair = slips.standing(tmp_path)
     text = pair.mjcf.read_text()
@@ -347,7 +347,7 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_measures_that_simulate_are_what_their_names_say() -> None:
+def test_simulated_metrics_equal_the_direct_calls() -> None:
     robot, stand = load("v3"), stand_of("v3")
     held = pa.stance.solve_stand_as_simulated(robot)  # as `push` and `stand` have it
     design = DesignBuilder(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})

@@ -34,7 +34,7 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
 
 
 @pytest.mark.slow
-def test_files_give_what_the_study_measured(heavy: WrittenDesign) -> None:
+def test_written_design_has_the_measured_values(heavy: WrittenDesign) -> None:
     assert heavy.passed
     assert heavy.numbers == {"leg_scale": 1.2, "mass:*_1": 1.1, "kp": 10.0}
     assert len(heavy.measured) == 4 + 12
@@ -61,7 +61,7 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
 
 
 @pytest.mark.slow
-def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
+def test_written_design_includes_payload_and_stance(tmp_path: Path) -> None:
     """Payload and a tilted stance are in what is written; the payload is a link of both files."""
     pair = quadruped(tmp_path)
     files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
@@ -76,7 +76,7 @@ def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_there_is_not_replaced(heavy: WrittenDesign) -> None:
+def test_existing_design_files_are_not_replaced(heavy: WrittenDesign) -> None:
     folder = heavy.urdf.parent.parent
     study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
     write_design(study, 2, folder)  # the same: nothing is to be written

@@ -36,7 +36,7 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     assert (folder / "robot.xml").read_bytes() == before
 
 
-def test_what_was_written_is_shown(folder: Path) -> None:
+def test_sync_prints_the_written_values(folder: Path) -> None:
     result = run(folder, "--take", "urdf:1", "--take", "mjcf:effort")
     assert result.returncode == 0
     assert "body base > inertial: mass: 7.5 -> 6" in result.stdout

@@ -91,7 +91,7 @@ def another_zero(**more: Any) -> Parts:
 
 
 @pytest.mark.slow
-def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
+def test_difference_beside_a_joint_zero_is_written_in_the_own_convention(tmp_path: Path) -> None:
     part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
@@ -104,7 +104,7 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
+def test_different_base_frame_is_not_changed(tmp_path: Path) -> None:
     """And what differs beside it is written in the file's own frame."""
     x, y, z = ROBOT["base"].com
     parts = changed(ROBOT, "base", com=(x, y, z + 0.05))
@@ -122,7 +122,7 @@ def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_places_in_a_frame_are_left(tmp_path: Path) -> None:
+def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
     """Bodies, joints and sites in a <frame> state their places in that."""
     text = mjcf_text(ROBOT)
     leg = text[text.index('<body name="thigh2"') : text.index('<body name="thigh3"')]
@@ -143,7 +143,7 @@ def test_places_in_a_frame_are_left(tmp_path: Path) -> None:
     assert agree(files)
 
 
-def test_a_joint_elsewhere_in_its_body_is_left(tmp_path: Path) -> None:
+def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
     """Its body would be moved beneath its shapes."""
     text = mjcf_text(ROBOT).replace('<joint name="hip2"', '<joint name="hip2" pos="0 0.01 -0.02"')
     files = write(tmp_path, urdf_text(ROBOT), text)
@@ -155,7 +155,7 @@ def test_a_joint_elsewhere_in_its_body_is_left(tmp_path: Path) -> None:
     assert agree(files)
 
 
-def test_copies_are_left(tmp_path: Path) -> None:
+def test_attached_copies_are_not_changed(tmp_path: Path) -> None:
     """A leg that is attached stands in a file of its own, under another name."""
     parts = {name: part for name, part in ROBOT.items() if name in ("base", "thigh0", "shank0")}
     text = mjcf_text(parts)

@@ -126,7 +126,7 @@ def shank_of_three(thin: float) -> Parts:
     return {**changed(quadruped(), "shank0", mass=0.05), "rod": rod, "other": other}
 
 
-def test_of_several_links_one_gets_the_change_or_none(tmp_path: Path) -> None:
+def test_change_of_merged_links_is_written_to_one_link_or_refused(tmp_path: Path) -> None:
     parts = shank_of_three(1e-6)
     files = write(tmp_path, urdf_text(parts), mjcf_text(parts))
     old = in_urdf(files.urdf, "shank0")
@@ -141,7 +141,7 @@ def test_of_several_links_one_gets_the_change_or_none(tmp_path: Path) -> None:
         write_numbers(robot_of(files), {("mass", "shank0"): 0.6 * old.mass})
 
 
-def test_what_cannot_be_written_is_named_and_nothing_is(plain: Files, tmp_path: Path) -> None:
+def test_unwritable_number_is_named_and_no_file_is_changed(plain: Files, tmp_path: Path) -> None:
     text = plain.mjcf.read_text()
     plain.mjcf.write_text(text.replace(f'{SERVO} name="m_hip1"', '<motor name="m_hip1"'))
     with pytest.raises(pa.ModelError) as refused:
@@ -177,7 +177,9 @@ def test_files_of_a_variant_are_found_from_their_copies(tmp_path: Path) -> None:
     assert all(path is not None and tmp_path in path.parents for path in found)
 
 
-def test_a_robot_of_one_file_gets_that_file(plain: Files, tmp_path: Path) -> None:
+def test_numbers_of_a_single_file_robot_are_written_to_that_file(
+    plain: Files, tmp_path: Path
+) -> None:
     for path, converted in ((plain.urdf, "mjcf"), (plain.mjcf, "urdf")):
         robot = robot_of(plain)
         alone = replace(robot, description=replace(robot.description, converted=converted))

@@ -96,7 +96,7 @@ def test_choices_are_a_side_a_kind_or_a_number(
         ("urdf:2-1", "'2-1': the differences are numbered from 1 to 3"),
     ],
 )
-def test_choices_that_mean_nothing_are_refused(tmp_path: Path, take: str, said: str) -> None:
+def test_invalid_choices_are_refused(tmp_path: Path, take: str, said: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=re.escape(said)):
         sync(pair(tmp_path, DIFFERENT), take)
 
@@ -104,7 +104,7 @@ def test_choices_that_mean_nothing_are_refused(tmp_path: Path, take: str, said: 
 # ------------------------------------------------------------------------------------- forms
 
 
-def test_degrees_are_kept(tmp_path: Path) -> None:
+def test_degrees_of_the_file_are_kept(tmp_path: Path) -> None:
     files = pair(tmp_path)
     text = files.mjcf.read_text().replace('angle="radian"', 'angle="degree"')
     text = re.sub(
@@ -120,7 +120,7 @@ def test_degrees_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_directions_are_left(tmp_path: Path) -> None:
+def test_directional_attributes_are_not_changed(tmp_path: Path) -> None:
     """And what depends on none is written, where it was chosen by itself."""
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
     text = files.mjcf.read_text()
@@ -149,7 +149,7 @@ def test_axes_of_an_inertia_are_a_quaternion(tmp_path: Path, quaternion: str) ->
     assert agree(files)
 
 
-def test_other_words_for_axes_of_an_inertia_are_left(tmp_path: Path) -> None:
+def test_other_inertia_orientations_are_not_changed(tmp_path: Path) -> None:
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
     moments = 'diaginertia="0.002 0.003 0.004" euler="0.1 0.2 0.3"'
     text = re.sub('fullinertia="[^"]*"', moments, files.mjcf.read_text(), count=1)
@@ -184,7 +184,7 @@ def test_includes_are_changed_in_place(tmp_path: Path) -> None:
     assert len(list(tmp_path.rglob("*.xml"))) == 2
 
 
-def test_what_stays_in_a_file(tmp_path: Path) -> None:
+def test_text_around_a_changed_number_is_kept(tmp_path: Path) -> None:
     """A byte order mark, a declaration, comments, white space, quotes, line ends, letters."""
     files = pair(tmp_path)
     text = files.urdf.read_text().replace("\n", "\r\n")
@@ -196,7 +196,7 @@ def test_what_stays_in_a_file(tmp_path: Path) -> None:
     assert files.urdf.read_bytes() == data.replace(b"value = '6.5'", b"value = '6'")
 
 
-def test_what_is_not_there_is_put_in(tmp_path: Path) -> None:
+def test_missing_element_is_inserted(tmp_path: Path) -> None:
     files = pair(tmp_path)
     text = files.urdf.read_text()
     inertial = text[text.index("<inertial>") : text.index("</inertial>") + len("</inertial>")]
@@ -216,7 +216,7 @@ def test_what_is_not_there_is_put_in(tmp_path: Path) -> None:
     assert '<mass value="6"/>' in files.urdf.read_text()
 
 
-def test_limits_come(tmp_path: Path) -> None:
+def test_missing_limits_are_inserted(tmp_path: Path) -> None:
     endless = changed(ROBOT, "thigh2", kind="continuous")
     files = pair(tmp_path, urdf=endless)
     assert sync(files, "mjcf").agree
@@ -227,7 +227,7 @@ def test_limits_come(tmp_path: Path) -> None:
     assert agree(files)
 
 
-def test_what_is_not_stated_overwrites_nothing(tmp_path: Path) -> None:
+def test_unstated_values_overwrite_nothing(tmp_path: Path) -> None:
     """Efforts of 0 are none, and a <dynamics> or an attribute that is not there is no 0."""
     heavy = changed(ROBOT, "base", mass=7.0)
     stated = re.sub('effort="[^"]*"', 'effort="0"', urdf_text(heavy))
@@ -253,7 +253,7 @@ def test_what_is_not_stated_overwrites_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
+def test_all_chosen_changes_are_written_or_none(tmp_path: Path) -> None:
     """One body that cannot be mended would leave a robot of two versions on the disk."""
     parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
     parts = changed(changed(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
@@ -280,7 +280,7 @@ def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- bodies
 
 
-def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_path: Path) -> None:
+def test_merged_link_with_the_fewest_changes_is_edited(tmp_path: Path) -> None:
     """A foot on a fixed joint weighs 0.1 kg in the URDF, 0.12 kg in the MJCF's one body."""
     foot = ROBOT["shank0"]
     parts = {**ROBOT, "pad": type(foot)("pad", "shank0", "to_pad", "fixed", (0, 0, -0.2), mass=0.1)}
@@ -297,7 +297,7 @@ def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_pa
     assert len(result.edits) >= 1
 
 
-def test_a_body_that_gets_its_mass_from_shapes_is_given_an_inertial(tmp_path: Path) -> None:
+def test_body_with_mass_from_shapes_gets_an_inertial(tmp_path: Path) -> None:
     files = pair(tmp_path)
     text = re.sub(
         r"<inertial [^>]*/>", '<geom size="0.1" mass="6"/>', files.mjcf.read_text(), count=1
@@ -315,7 +315,7 @@ def test_a_body_that_gets_its_mass_from_shapes_is_given_an_inertial(tmp_path: Pa
 # ------------------------------------------------------------------------------------- left
 
 
-def test_what_a_urdf_cannot_state_is_left_and_said(tmp_path: Path) -> None:
+def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
     sprung = mjcf_text(changed(ROBOT, "base", mass=7.0)).replace(
         '<joint name="knee1"', '<joint name="knee1" stiffness="3"'
     )
@@ -333,7 +333,7 @@ def test_what_a_urdf_cannot_state_is_left_and_said(tmp_path: Path) -> None:
         assert not result.agree
 
 
-def test_a_joint_of_one_file_is_left(tmp_path: Path) -> None:
+def test_joint_of_one_file_alone_is_not_changed(tmp_path: Path) -> None:
     fixed = changed(ROBOT, "shank2", kind="fixed")
     files = pair(tmp_path, urdf=fixed)
     result = sync(files, "urdf")
@@ -346,7 +346,7 @@ def test_a_joint_of_one_file_is_left(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- writing
 
 
-def test_a_dry_run_shows_what_a_run_does(tmp_path: Path) -> None:
+def test_dry_run_shows_the_changes_without_writing(tmp_path: Path) -> None:
     files = pair(tmp_path, DIFFERENT)
     before = files.mjcf.read_text()
     result = sync(files, "urdf", dry_run=True)
@@ -476,9 +476,7 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("done", [False, True], ids=["to do", "nothing to do"])
-def test_what_a_killed_sync_left_is_cleared_also_if_nothing_is_to_be_written(
-    tmp_path: Path, done: bool
-) -> None:
+def test_leftovers_of_a_killed_sync_are_removed(tmp_path: Path, done: bool) -> None:
     """Killed after its rename, before its clean-up: run again it has nothing to write."""
     (tmp_path / "part").mkdir()
     files = pair(tmp_path, ROBOT if done else DIFFERENT)
@@ -496,7 +494,7 @@ def test_what_a_killed_sync_left_is_cleared_also_if_nothing_is_to_be_written(
 # ------------------------------------------------------------------------------------- its parts
 
 
-def test_an_effort_that_nobody_meant_is_not_copied_without_a_word(tmp_path: Path) -> None:
+def test_copied_placeholder_effort_gives_a_note(tmp_path: Path) -> None:
     joint = ROBOT["thigh0"].joint
     files = pair(tmp_path, urdf=changed(ROBOT, "thigh0", effort=5000.0))
     result = sync(files, "urdf")

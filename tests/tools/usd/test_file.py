@@ -42,7 +42,7 @@ def test_what_is_no_robot_is_refused(
     assert capfd.readouterr() == ("", "")  # USD's own warnings are not written
 
 
-def test_a_file_that_is_not_there_and_a_folder_are_refused(tmp_path: Path) -> None:
+def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.usda", tmp_path):
         with pytest.raises(ModelError):
             read_usd(path)
@@ -58,7 +58,7 @@ def test_nesting_that_usd_would_die_of_is_refused(tmp_path: Path) -> None:
     assert read_usd(file).bodies == {"b": "/b"}
 
 
-def test_what_is_missing_is_told_and_nothing_is_fetched(tmp_path: Path) -> None:
+def test_missing_usd_references_are_reported_and_not_fetched(tmp_path: Path) -> None:
     file = tmp_path / "a.usda"
     away = 'def "w" ( references = @https://example.com/x.usd@ )\n{\n}\n'
     file.write_text(HEAD + BODY + 'def "v" ( payload = @./none.usda@ )\n{\n}\n' + away)
@@ -103,14 +103,14 @@ def Xform "w"
     assert str(found.place("joint", "hip")) == "scene.usda:</w/one/joints/hip>"
 
 
-def test_names_that_are_alike_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+def test_equal_prim_names_are_distinguished_by_path(tmp_path: Path) -> None:
     file = tmp_path / "two.usda"
     two = "".join(f'def Xform "{name}"\n{{\n{BODY}}}\n' for name in ("left", "right"))
     file.write_text(HEAD + two)
     assert read_usd(file).bodies == {"left/b": "/left/b", "right/b": "/right/b"}
 
 
-def test_elsewhere_a_usd_is_told_from_xml(tmp_path: Path) -> None:
+def test_usd_is_refused_by_commands_that_need_xml(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="is a USD"):
         read_model(usd.write(tmp_path))
 

@@ -33,7 +33,7 @@ def test_every_convention_gives_the_drives_of_the_urdf(tmp_path: Path) -> None:
     assert mine.gains == {"hip": pytest.approx((90 / math.pi, 0.9 / math.pi), rel=1e-9)}
 
 
-def test_up_is_up_and_what_is_unknown_is_not_zero(tmp_path: Path) -> None:
+def test_up_axis_is_converted_and_unknown_values_are_absent(tmp_path: Path) -> None:
     mine = model(usd.write(tmp_path))
     assert mine.floating
     assert np.allclose(mine.mount.rotation, np.eye(3), atol=1e-7)
@@ -46,7 +46,7 @@ def test_up_is_up_and_what_is_unknown_is_not_zero(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings(
     "ignore:LoadUsdPhysicsFromRange:DeprecationWarning"
 )  # its new name is new
-def test_joints_are_where_usd_itself_finds_them(tmp_path: Path) -> None:
+def test_joint_frames_equal_those_of_usd_physics(tmp_path: Path) -> None:
     """Frames that are written in a child of a body, against USD's own parser of its physics."""
     path = usd.write(
         tmp_path,
@@ -95,7 +95,7 @@ NEXT = 'def Xform "shank"'
         ((INERTIA,), None, Origin.SHAPES),
     ],
 )
-def test_a_body_weighs_what_it_states_or_nobody_knows_what(
+def test_usd_mass_is_stated_or_unknown(
     gone: tuple[str, ...], shape: str | None, origin: Origin, tmp_path: Path
 ) -> None:
     changes = [(text, "\n") for text in gone]
@@ -118,7 +118,7 @@ def test_a_body_weighs_what_it_states_or_nobody_knows_what(
          "usd-joint-of-no-prim"),
     ],
 )  # fmt: skip
-def test_what_no_engine_can_take_is_refused(
+def test_usd_that_no_engine_accepts_is_refused(
     change: tuple[str, str], code: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/") as refused:

@@ -28,9 +28,7 @@ CONVERTERS = ROOT / "build" / "converters" / "bin"
 @pytest.mark.parametrize(
     ("converter", "folder"), [("urdf_usd_converter", "urdf"), ("mujoco_usd_converter", "mjcf")]
 )
-def test_what_converters_write_of_our_files_agrees(
-    converter: str, folder: str, tmp_path: Path
-) -> None:
+def test_converted_usd_agrees_with_its_source(converter: str, folder: str, tmp_path: Path) -> None:
     """The converters depend on other libraries and have an environment of their own."""
     command = shutil.which(converter, path=f"{CONVERTERS}{os.pathsep}{os.environ['PATH']}")
     if command is None:
@@ -78,7 +76,7 @@ SLIPS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SLIPS)
-def test_a_changed_number_is_found_at_its_prim(kind: str, tmp_path: Path) -> None:
+def test_changed_usd_number_is_found_at_its_prim(kind: str, tmp_path: Path) -> None:
     change, element, prim = SLIPS[kind]
     found = compared(tmp_path, change)
     assert not found.agree
@@ -110,9 +108,7 @@ def test_a_gain_per_radian_is_57_times_too_large(tmp_path: Path) -> None:
     "change",
     [("float physics:mass = 2000\n", "\n"), ("physics:centerOfMass = (1", "physics:velocity = (1")],
 )
-def test_a_body_that_leaves_its_mass_to_shapes_is_refused(
-    tmp_path: Path, change: tuple[str, str]
-) -> None:
+def test_usd_body_with_mass_from_shapes_is_refused(tmp_path: Path, change: tuple[str, str]) -> None:
     """What a converter wrote of a link without <inertial>: 2 kg became 30 kg."""
     for pair in ((usd.write_urdf(tmp_path), usd.write(tmp_path, change)),
                  (usd.write(tmp_path, change), usd.write(tmp_path, name="old.usda"))):  # fmt: skip
@@ -120,14 +116,14 @@ def test_a_body_that_leaves_its_mass_to_shapes_is_refused(
             compare_models(*pair, configurations=2)
 
 
-def test_actuators_of_another_schema_are_said_not_to_be_read(tmp_path: Path) -> None:
+def test_unread_usd_actuators_give_a_note(tmp_path: Path) -> None:
     motor = 'def MjcActuator "motor"\n{\n}\ndef PhysicsFixedJoint "ankle"'
     found = compared(tmp_path, ('def PhysicsFixedJoint "ankle"', motor))
     (note,) = (note for note in found.notes if note.code == "usd-actuators-not-read")
     assert note.values["count"] == 1
 
 
-def test_what_the_usd_leaves_open_is_the_urdfs(tmp_path: Path) -> None:
+def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
     """No drive, no friction: not zero, and no difference but for who is strict."""
     changes = (
         ("float drive:angular:physics:maxForce = 120000000\n", ""),
@@ -181,7 +177,7 @@ def test_a_thin_plate_in_single_precision_is_no_impossible_body(tmp_path: Path) 
     assert compare_models(urdf, path, configurations=2).agree
 
 
-def test_an_inertia_that_no_body_has_is_refused_at_its_prim(tmp_path: Path) -> None:
+def test_invalid_usd_inertia_is_refused_at_its_prim(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/base/thigh/shank>"):
         compared(tmp_path, ("(20000, 19000, 2000)", "(20000, 10000, 2000)"))
 
@@ -219,7 +215,7 @@ def test_frames_of_urdf_links_are_at_their_joints(tmp_path: Path) -> None:
     assert max(found.deviations.values()) < 1e-9
 
 
-def test_a_base_that_slides_on_the_world_keeps_its_joint(tmp_path: Path) -> None:
+def test_usd_base_on_a_prismatic_joint_keeps_the_joint(tmp_path: Path) -> None:
     """A cart on a rail: the world is the first link."""
     rail = """def PhysicsPrismaticJoint "rail"
         {

@@ -30,7 +30,7 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("rule", SLIPS)
-def test_a_slip_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
+def test_usd_fault_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     change, prim = SLIPS[rule]
     path = usd.write(tmp_path, change)
     found = [one for one in audit_model(path).findings if one.rule == rule]

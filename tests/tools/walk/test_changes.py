@@ -48,7 +48,7 @@ def test_a_stand_falls_from_weak_motors_whatever_the_workers(still: Policy) -> N
     assert (found[1].intervals[0].least == one.least).all()
 
 
-def test_what_is_changed(still: Policy) -> None:
+def test_changed_cases_have_the_changed_parameters(still: Policy) -> None:
     stage = prepare_stage(load("v3"), still)
     base = stage.model.body("base_link").id
     heavy = make_changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
@@ -66,7 +66,7 @@ def test_what_is_changed(still: Policy) -> None:
     assert make_changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
 
 
-def test_the_mass_of_the_base_is_scaled_with_its_inertia(still: Policy) -> None:
+def test_mass_change_scales_the_inertia_of_the_base(still: Policy) -> None:
     """Reference: of a body of the same shape and twice the density all moments double."""
     stage = prepare_stage(load("v3"), still)
     base = stage.model.body("base_link").id
@@ -98,7 +98,7 @@ def test_sliding_friction_of_geoms_and_of_pairs_is_scaled(pair: str) -> None:
     np.testing.assert_allclose(contact_friction(model), stated * [0.5, 0.5, 1, 1, 1])
 
 
-def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Policy) -> None:
+def test_motor_and_com_changes_equal_mujoco_forces(still: Policy) -> None:
     """Reference: forces of position servos, kp (ctrl - q) - kd v, and MuJoCo's subtree CoM."""
     stage = prepare_stage(load("v3"), still)
     robot, motors = stage.robot, stage.robot.mj_convention.actuator_index
@@ -134,7 +134,7 @@ def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Pol
     )
 
 
-def test_a_push_is_its_impulse(still: Policy) -> None:
+def test_push_velocity_equals_impulse_by_mass(still: Policy) -> None:
     """Over the mass it is the step of the velocity of the com, less what the feet hold."""
     stage = prepare_stage(load("v3"), still)
     model, data = stage.model, mujoco.MjData(stage.model)
@@ -165,7 +165,7 @@ def trot(tmp_path_factory: pytest.TempPathFactory) -> Policy:
 
 
 @pytest.mark.slow
-def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Policy) -> None:
+def test_intervals_are_reproducible_and_their_ends_are_exact(trot: Policy) -> None:
     """Each end is walked, and what is beyond is not, in a run of its own; repeated, bit by bit."""
     robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
     one, two = (
@@ -210,7 +210,7 @@ def row(
 
 
 @pytest.mark.slow
-def test_where_a_fit_says_that_the_robot_is(still: Policy, tmp_path: Path) -> None:
+def test_measured_intervals_are_read_from_a_fit(still: Policy, tmp_path: Path) -> None:
     robot = load("v3")
     path = fit_file(
         tmp_path,
@@ -238,7 +238,7 @@ def test_where_a_fit_says_that_the_robot_is(still: Policy, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("text", ["{}", "[", '{"estimates": [1]}', '{"parameters": [{}]}'])
-def test_what_is_no_fit_is_said_in_a_line(text: str, tmp_path: Path) -> None:
+def test_invalid_fit_file_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ModelError) as caught:
@@ -293,7 +293,7 @@ def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
 
 
 @pytest.mark.slow
-def test_what_walks_as_well_is_said_to_be_not_determined(tmp_path: Path) -> None:
+def test_candidates_that_walk_equally_are_not_determined(tmp_path: Path) -> None:
     """A history that is read the other way round: here it is one frame late, which walks, too."""
     policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
     found = ranked(policy.with_contract(newest_first=True))

@@ -13,7 +13,9 @@ from tests.support.repository import ROOT
 from tests.tools.walk import made
 
 
-def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_walk_with_a_standing_policy_passes(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     policy = made.still(tmp_path / "still.json")
     path, page = tmp_path / "walk.json", tmp_path / "walk.html"
     status, out, err = run_command(
@@ -32,9 +34,7 @@ def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_an_audit_calls_an_error_is_said(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """As by all other commands that say whether a robot holds."""
     text = (ROOT / "urdf/pupper_v3.urdf").read_text(encoding="utf-8")
     text = text.replace("../mjcf/", f"{ROOT}/mjcf/").replace('ixx="7.4e-05"', 'ixx="7.4e-03"', 1)
@@ -88,7 +88,7 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
 
 
 @pytest.mark.slow
-def test_push_and_payload_answer_as_walk_does(
+def test_push_and_payload_with_a_policy_equal_walk(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """One question, one answer: the intervals are equal, and their ends in N s and kg."""

@@ -83,7 +83,7 @@ def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
     assert (now.targets[0] != moving.ctrl).any()
 
 
-def test_what_is_observed_is_what_mujocos_sensors_at_the_base_do(still: Policy) -> None:
+def test_observations_equal_mujoco_sensors_at_the_base(still: Policy) -> None:
     spec = mujoco.MjSpec.from_file(str(load("v3").description.mjcf_source))
     spec.body("base_link").add_site(name="eye")
     for kind in ("velocimeter", "gyro"):
@@ -106,7 +106,7 @@ def test_what_is_observed_is_what_mujocos_sensors_at_the_base_do(still: Policy) 
     assert seen == pytest.approx(np.concatenate(sensed), abs=1e-12)
 
 
-def test_what_falls_says_so(still: Policy) -> None:
+def test_fall_of_a_walk_is_reported(still: Policy) -> None:
     """Thrown over by a pose on which nothing stands."""
     pose = POSE + np.array([0, 1.2, 0] * 4)
     walk = simulate_walk(load("v3"), still.with_contract(default=pose), (0, 0, 0), seconds=4.0)
@@ -120,14 +120,14 @@ def test_what_falls_says_so(still: Policy) -> None:
 
 
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
-def test_one_gain_alone_is_not_passed_over(
+def test_single_gain_of_a_policy_is_refused(
     still: Policy, gain: dict[str, object], text: str
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=f"states {text}"):
         prepare_stage(load("v3"), still.with_contract(**gain))
 
 
-def test_joints_that_do_not_fit(still: Policy) -> None:
+def test_policy_with_unknown_joints_is_refused(still: Policy) -> None:
     named = still.with_contract(joints=(*load("v3").joint_names[:11], "knee"))
     with pytest.raises(PupperAnalysisError, match="knee"):
         prepare_stage(load("v3"), named)
@@ -136,7 +136,7 @@ def test_joints_that_do_not_fit(still: Policy) -> None:
         prepare_stage(load("v3"), fewer)
 
 
-def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
+def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
     """On two feet, by Pinocchio: the joints' share in lifting the weight, less what feet carry.
 
     tau = d(m g z - sum n_i z_i)/dq, with the weight n shared as a lever on the line of the feet.

@@ -17,7 +17,7 @@ from tests.tools.walk import made
 
 
 @pytest.mark.slow
-def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
+def test_walk_metrics_equal_walk(tmp_path: Path) -> None:
     path, design = made.still(tmp_path / "still.json"), SimpleNamespace(robot=load("v3"))
     [gait] = simulate_walk(load("v3"), Policy.load(path), (0, 0, 0)).gaits
     margin = make_metric(f"walk_margin:{path}@0,0,0")
@@ -40,7 +40,7 @@ def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
         ("walk_margin:still.json@0,0", "nor 3 of them"),
     ],
 )
-def test_bad_metrics(
+def test_invalid_walk_metrics_are_refused(
     given: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made.still(tmp_path / "still.json")
@@ -50,7 +50,7 @@ def test_bad_metrics(
 
 
 @pytest.mark.slow
-def test_a_study_seeks_a_policy_beside_its_file(tmp_path: Path) -> None:
+def test_policy_path_of_a_study_is_relative_to_its_file(tmp_path: Path) -> None:
     """Which designs are walked: one on motors too weak to stand is not."""
     made.still(tmp_path / "still.json")
     (tmp_path / "study.toml").write_text(

@@ -174,7 +174,7 @@ def dense(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
     return {"type": "dense", "activation": "tanh", "weights": [matrix, bias], **more}
 
 
-def test_what_does_not_fit_names_its_layer() -> None:
+def test_layer_size_mismatch_names_its_layer() -> None:
     good = dense([[1.0, 2.0]], [0.0, 0.0])
     assert "layer 2 (dense)" in refused([good, dense([[1.0]], [0.0])])
     assert "layer 2 (dense), weights 1" in refused([good, dense([[1.0], [float("nan")]], [0.0])])
@@ -184,7 +184,7 @@ def test_what_does_not_fit_names_its_layer() -> None:
     assert "RTNeural" in refused([])
 
 
-def test_torchscript_needs_torch_and_says_so(
+def test_torchscript_without_torch_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)  # importing it fails, installed or not

@@ -47,7 +47,7 @@ def refusal(path: Path) -> str:
     return str(caught.value)
 
 
-def test_metadata_and_what_a_toml_says_instead(tmp_path: Path) -> None:
+def test_toml_takes_precedence_over_onnx_metadata(tmp_path: Path) -> None:
     stated = {"joint_names": "left,right", "joint_stiffness": "40.0,41.0", "action_scale": "0.3"}
     toml = TOML.replace('joints = ["a", "b"]\n', "").replace("kp = [20, 30]\n", "")
     contract = Policy.load(onnx_policy(tmp_path, toml, stated)).contract
