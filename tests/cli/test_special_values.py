@@ -38,7 +38,7 @@ ARM_URDF = """<robot name="arm">
 
 ARM_MJCF = """<mujoco model="arm">
 <compiler angle="radian"/><option integrator="implicitfast"/>
-<worldbody><body name="upper" pos="0 0 0.5">
+<worldbody><body name="upper" pos="0 0 0.1">
   <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.001 0.002 0.002"/>
   <joint name="shoulder" axis="0 1 0" range="-1 1.2" armature="0.01"/>
   <body name="fore" pos="0.2 0 0">
@@ -50,12 +50,21 @@ ARM_MJCF = """<mujoco model="arm">
 
 FOOT = '<collision><origin xyz="0 0 -0.2"/><geometry><sphere radius="0.02"/></geometry></collision>'
 
+DEPLOYMENT = """joint_names: [shoulder, elbow]
+effort_limits: [9.0, 9.0]
+velocity_limits: [5.0, 5.0]
+kp: [100.0, 100.0]
+"""
+
 OPTIONS = {
+    "live": ("--drop", "--headless"),
+    "path": ("--seconds", "1", "--height", "30cm"),
     "push": ("--directions", "3"),
     "best": ("utilisation",),
     "hold": ("--joints", "shoulder=0.3"),
 }
-SLOW = {"stand", "payload", "push", "best"}
+COMPARING = {"crosscheck", "convert", "sync", "diff"}
+SLOW = {"stand", "payload", "push", "best", "live", "path"}
 
 
 def rows() -> list[object]:
@@ -89,23 +98,57 @@ def edited(folder: Path, name: str, edit: str) -> Path:
     return path
 
 
+def typed(folder: Path, row: dict[str, str]) -> list[str]:
+    """Return the arguments of a command: the edited file, beside unedited ones if it takes two."""
+    name, command = row["file"], row["command"]
+    path = edited(folder, name, row["edit"])
+    pair = {"arm.urdf": "arm.xml", "arm.xml": "arm.urdf"}
+    beside = folder / "unedited"
+    beside.mkdir()
+    match command:
+        case "crosscheck":
+            other = edited(beside, pair[name], "")
+            return [str(file) for file in sorted([path, other], key=lambda file: file.suffix)]
+        case "sync":
+            other = edited(beside, pair[name], "")
+            files = sorted([path, other], key=lambda file: file.suffix)
+            side = "urdf" if name.endswith("urdf") else "mjcf"
+            return [*map(str, files), "--take", side, "--dry-run"]
+        case "diff":
+            return [str(edited(beside, name, "")), str(path)]
+        case "convert":
+            new = "new.xml" if name.endswith("urdf") else "new.urdf"
+            return [str(path), "-o", str(folder / new)]
+        case "contract":
+            deployment = folder / "deploy.yaml"
+            deployment.write_text(DEPLOYMENT)
+            return [str(path), str(deployment), "--no-stand"]
+        case "best":
+            return [*OPTIONS["best"], str(path)]
+    return [str(path), *OPTIONS.get(command, ())]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("row", rows())
 def test_a_command_answers_as_the_table_states(
     row: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    path, output = edited(tmp_path, row["file"], row["edit"]), tmp_path / "out.json"
-    command, *options = row["command"], *OPTIONS.get(row["command"], ())
-    positional = [*options, str(path)] if command == "best" else [str(path), *options]
-    status, out, err = run_command(capfd, command, *positional, "--json", str(output))
+    command, output = row["command"], tmp_path / "out.json"
+    asked = [] if command == "live" else ["--json", str(output)]
+    status, out, err = run_command(capfd, command, *typed(tmp_path, row), *asked)
     assert status == int(row["exit status"]), out + err
     assert "unexpected" not in err
     word = row["verdict"].split(":")[0].split(";")[0]
     if word in ("HOLDS", "FAILS", "UNKNOWN"):
         assert out.startswith(word), out
+    if word in ("AGREE", "DISAGREE", "DIFFER", "SAME", "DIFFERENT", "TRACKED"):
+        assert out.startswith(word + " "), out
+    if ": " in row["verdict"] and word == "DISAGREE":
+        assert row["verdict"].partition(": ")[2] in out
     assert ("motors without torque" in out) is ("without torque" in row["verdict"])
-    for word in ("any mass", "any force", "inf "):
-        assert word not in out
+    if command not in COMPARING:  # in these, a deviation relative to zero is infinite
+        for word in ("any mass", "any force", "inf "):
+            assert word not in out
     if row["code in JSON"]:
         result = json.loads(output.read_text())
         answer = result.get("payload", result) if command == "hold" else result

@@ -106,7 +106,6 @@ def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
 )
 def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
     urdf = slipped(tmp_path, slip)
-    errors = [finding for finding in pa.audit_model(urdf).findings if finding.severity == "error"]
-    assert "value-impossible" in [finding.rule for finding in errors]
-    assert {finding.rule for finding in errors} <= {"value-impossible", "effort-negative"}
+    (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
+    assert found.rule in ("value-impossible", "effort-negative")
     assert f"audit lists them): {message}" in in_words(verdict_of(pa.load_robot(urdf)))

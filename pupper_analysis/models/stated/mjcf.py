@@ -17,7 +17,7 @@ from pupper_analysis.models.attributes import (
     TREE_ATTRIBUTES,
 )
 from pupper_analysis.models.conversion import inertia_of_body
-from pupper_analysis.models.efforts import find_max_effort
+from pupper_analysis.models.efforts import EffortStatement, null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -63,6 +63,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
         if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
     }
+    null = null_efforts(file)
     spec_joints = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
@@ -80,7 +81,16 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             parent=names[parent] if parent else None,
             pose=pose,
             joints=tuple(
-                _make_joint(file, model, data, joint, names, to_base, spec_joints.get(joint))
+                _make_joint(
+                    file,
+                    model,
+                    data,
+                    joint,
+                    names,
+                    to_base,
+                    spec_joints.get(joint),
+                    null.get(str(model.joint(joint).name)),
+                )
                 for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_make_inertial(model, body, explicit_inertials.get(body)),
@@ -166,12 +176,15 @@ def _make_joint(
     names: list[str],
     to_base: Pose,
     spec_joint: mujoco.MjsJoint | None,
+    null: EffortStatement | None,
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
     kind = JOINT_KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
-    limits = {"lower": float(lower), "upper": float(upper), "effort": find_max_effort(model, joint)}
+    limit = resolve_effort_limit(model, joint, null=null)
+    effort = max(abs(limit.lower), abs(limit.upper))
+    limits = {"lower": float(lower), "upper": float(upper), "effort": effort}
     return Joint(
         name=joint_name(model, joint),
         kind=kind,

@@ -637,8 +637,6 @@ def _compare_joint_parameters(
             <= tolerance * (max(abs(first), abs(second)) if attribute.relative else 1.0)
         ):
             continue
-        if kind == "effort" and first == 0 and math.isinf(second) and not sides.alike:
-            continue  # neither states one
         is_unlimited_slide = (
             kind in ("lower limit", "upper limit")
             and one.slides

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,16 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
         robot.joint_names,
         {name: pair[1] for name, pair in frames.items()},
     )
-    return urdf, mjcf
+    return urdf, with_null_efforts(mjcf, robot.description.null_efforts)
+
+
+def with_null_efforts(tree: MultibodyTree, joints: Collection[str]) -> MultibodyTree:
+    """Return a tree with an effort of zero at the joints whose force range in the MJCF is empty.
+
+    A compiled model has no limit there: see ``models.efforts.null_efforts``.
+    """
+    null = {name: replace(tree.joints[name], effort=0.0) for name in joints if name in tree.joints}
+    return replace(tree, joints={**tree.joints, **null})
 
 
 def base_pose(robot: Robot) -> pin.SE3:

@@ -203,7 +203,8 @@ def _grouped(
         head = members[0]
         one, two = differing[head]
         slip, unit = _slip(quantity, a, b)
-        meant = asks and lower * a <= lower * b + 1e-6
+        null = a == 0 and quantity in ("effort", "velocity")  # a motor that does nothing
+        meant = asks and not null and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
         what = Term(quantity) if quantity in QUANTITIES else quantity
         message = diagnose(

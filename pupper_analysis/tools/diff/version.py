@@ -18,6 +18,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.efforts import null_efforts
 from pupper_analysis.models.git import (
     SAFE_ENVIRONMENT,
     SAFE_OPTIONS,
@@ -43,6 +44,7 @@ from pupper_analysis.robot.matching.trees import (
     moving_joints,
     urdf_mimics,
     urdf_tree,
+    with_null_efforts,
     without_shapes,
 )
 from pupper_analysis.tools.diff.elements import Element, Key, list_collisions, list_elements
@@ -134,7 +136,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     }
     return Version(
         file=published,
-        tree=mjcf_tree(spec, file.path, base, frames),
+        tree=with_null_efforts(mjcf_tree(spec, file.path, base, frames), null_efforts(file)),
         extra_values={**others, **_motors(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import os
@@ -14,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.prepare.judge import describe_given_masses
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.monitor import StandCheck, Upright, Watcher
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
@@ -53,11 +56,14 @@ class Drop:
 def simulate_drop(robot: Robot) -> Drop:
     """Drops a robot, its servos at the joint positions of its keyframe ``home``.
 
-    It falls from where the keyframe has it (v3: 0.28 m up); if that is on the ground, its feet are
-    ``FALL`` above it.
+    It falls from the height of the keyframe (v3: 0.28 m); if that is on the ground, from
+    ``DROP_HEIGHT``. Torque limits of both files apply, limits of zero included.
     """
     data = make_home_data(robot)
-    model, servos_at_home = robot.mj_model, data.ctrl.copy()
+    model = robot.mj_model
+    with contextlib.suppress(ModelError):  # torque motors have no servo, and keep their ranges
+        model = model_with_servos(robot).model
+    servos_at_home = data.ctrl.copy()
     timestep = float(model.opt.timestep)
     height = np.full(round(DROP_SECONDS / timestep) + 1, data.qpos[2])
     for step in range(1, len(height)):
@@ -143,7 +149,8 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         headless: Open no window.
 
     Returns:
-        Whether the stand is stable; a command whose stand is not ends with status 1.
+        Whether the stand is stable, and no link has a mass that the file does not state; otherwise
+        the command ends with status 1.
 
     Raises:
         DisplayError: If no window can be opened.
@@ -152,7 +159,10 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)
     print(format_drop(result))
-    return result.stable
+    masses = describe_given_masses(robot)
+    if masses is not None:
+        print(f"UNKNOWN: {masses}")
+    return result.stable and masses is None
 
 
 def format_drop(result: Drop) -> str:

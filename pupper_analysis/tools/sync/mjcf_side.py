@@ -344,7 +344,16 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
             pair = ends * (value / float(np.abs(ends).max()))  # one-sided ranges keep their shape
             symmetric = abs(ends.sum()) <= NUMBER_RTOL
             side.elements.write(owner, one.attribute, [-value, value] if symmetric else pair)
-    if not stated:
+    null = side.robot.description.null_efforts.get(name)
+    if null is not None:  # a range from 0 to 0, which the compiled model lacks
+        owner, factor = element, 1.0
+        if null.element == "actuator":
+            owner, factor = motors[0], float(actuator_gear(model, drives[0])[0])
+            if null.attribute == "ctrlrange":
+                factor *= float(model.actuator_gainprm[drives[0], 0])
+        value = wanted / abs(factor)
+        side.elements.write(owner, null.attribute, [-value, value])
+    elif not stated:
         side.elements.write(element, "actuatorfrcrange", [-wanted, wanted])
         limited = side.robot.description.mjcf.joint(name).actfrclimited
         automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
+from pupper_analysis.models.xml import write_numbers
 from pupper_analysis.tools.sync.digits import format_numbers
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
 from pupper_analysis.tools.sync.xml_bytes import Element
@@ -24,9 +25,9 @@ Array = NDArray[np.float64]
 Changes = dict[tuple[str, str], str]
 """{(path below an element, attribute): new value}."""
 
-UNKNOWN_LIMITS = {"effort": "0", "velocity": "1000"}
-"""What is written where nothing is known: 0 is what exporters write, which cross-checking knows to
-be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
+UNKNOWN_LIMITS = {"effort": write_numbers(UNSTATED), "velocity": "1000"}
+"""Limits that a new <limit> gets if no file states them, since a URDF requires both. An effort of
+``UNSTATED`` means that none is stated; 0 would be a motor without torque."""
 
 _RANGE = ("lower limit", "upper limit")
 

@@ -232,8 +232,8 @@ def _mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
 
 @rule
 def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find limits of effort and velocity below zero, on joints that move and mimic none."""
-    for name, stated in _stated_limits(robot):
+    """Find limits of effort and velocity below zero."""
+    for name, stated in ((joint.name, joint.stated) for joint in robot.joints.values()):
         for what, unit in (("effort", "N m"), ("velocity", "rad/s")):
             value = stated.get(what, 0.0)
             if value < 0:

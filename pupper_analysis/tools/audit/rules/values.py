@@ -36,7 +36,8 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     for joint in robot.joints.values():
         for one in JOINT_ATTRIBUTES:
             value = joint.stated.get(one.kind, 0.0)
-            if value < 0 and not one.signed:
+            by_another_rule = isinstance(robot, UrdfModel) and one.kind in ("effort", "velocity")
+            if value < 0 and not one.signed and not by_another_rule:  # rule effort-negative
                 word, child = robot.words(one)
                 message = diagnose("value-impossible", attribute=word, value=value)
                 yield CheckFinding("joint", joint.name, message, child)

@@ -50,9 +50,7 @@ def read(request: Request) -> Iterator[Source]:
 def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[Statement]:
     for attribute in TREE_ATTRIBUTES:
         kind, value = attribute.kind, joint.stated.get(attribute.kind)
-        # An effort or velocity of 0 in a URDF is how it says that it states none.
-        placeholder = kind in ("effort", "velocity") and not value
-        if value is None or placeholder or kind not in QUANTITIES:
+        if value is None or kind not in QUANTITIES:
             continue
         _, child = model.words(attribute)
         place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
@@ -77,10 +75,12 @@ def read_model_file(path: Path) -> RobotModel:
 
 
 def _servo(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yields gains of a position servo, as they are at the joint."""
+    """Yield the gains of a position servo at its joint, including a stated stiffness of zero."""
     kp, kd = read_actuator_law(model.mj_model, drive).at_joint
     place = _of_actuator(model, drive, ("kp", "kv", "biasprm", "gainprm"))
-    if kp > 0:
+    actuator = model.mj_model.actuator(drive).name if model.mj_model else ""
+    states_kp = bool(actuator) and model.file.stated("actuator", actuator, ("kp",)) is not None
+    if kp or states_kp:
         yield Statement("kp", kp, place, joint)
     if kp > 0 and kd > 0:
         # Of a damping ratio MuJoCo makes what the inertia there asks for.
