@@ -1,4 +1,4 @@
-"""Checks a legged robot's URDF and MJCF against each other, and predicts how it stands.
+"""Compare the URDF and MJCF of a legged robot, and predict and verify how the robot stands.
 
     import pupper_analysis as pa
 
@@ -7,8 +7,8 @@
     torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
     report = pa.verify_stand(robot, stand)
 
-Everything public speaks MuJoCo's qpos and qvel, with the joints in actuator order; see
-``pupper_analysis.robot.coordinates``. Names are imported when they are first used.
+All public functions use MuJoCo's qpos and qvel, with the joints in actuator order; see
+``pupper_analysis.robot.coordinates``. Names are imported at first use.
 """
 
 from pupper_analysis.base.drivers import import_mujoco

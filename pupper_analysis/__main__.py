@@ -8,15 +8,14 @@ import threading
 
 
 def main(command: str | None = None, *arguments: str) -> None:
-    """Runs the command line; Ctrl-C while it is loaded is no traceback either.
+    """Run the command line, and exit with its status.
 
-    A package that is not installed is one line and exit status 2: mostly the environment is not
-    activated.
+    Ctrl-C during import prints one line instead of a traceback. A missing package prints one line
+    and exits with status 2; the usual cause is an environment that is not activated.
 
     Args:
-        command: One command by its name; by default the first argument
-            names it.
-        *arguments: Of that command, before those that are typed.
+        command: Name of the command; None: the first command-line argument.
+        *arguments: Arguments of the command, placed before the command-line arguments.
     """
     try:
         from pupper_analysis import cli
@@ -44,17 +43,17 @@ def main(command: str | None = None, *arguments: str) -> None:
 
 
 SIGNALLED = 128
-"""Exit statuses above are those of signals, by convention of shells."""
+"""Exit statuses above this value denote signals, by convention of Unix shells."""
 
 
 def end_without_waiting(status: int) -> None:
-    """End a process that a signal has ended, if threads still compute.
+    """Exit at once after a signal if non-daemon threads are still running.
 
-    All output is written by now. Python would wait for the threads of pools, for example of the
-    page that ``live`` makes for each browser: 5 to 9 s with twelve of them.
+    At this point all output is written. A normal exit would wait for the threads of pools, for
+    example those of the browser sessions of ``live``: 5 to 9 s with twelve sessions.
     """
     main_thread = threading.main_thread()
-    if any(one is not main_thread and not one.daemon for one in threading.enumerate()):
+    if any(thread is not main_thread and not thread.daemon for thread in threading.enumerate()):
         os._exit(status)
 
 

@@ -1,1 +1,1 @@
-"""Errors, diagnostics, files, arrays, arguments, results: knows no robot."""
+"""Errors, diagnostics, files, arrays, arguments and results, independent of any robot."""

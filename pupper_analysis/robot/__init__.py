@@ -1,4 +1,4 @@
-"""One robot, two models, at a state."""
+"""The robot: its models in both engines, its configuration, contacts, servos and ground."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

@@ -1,4 +1,4 @@
-"""Forces in equilibrium."""
+"""Static equilibrium: contact forces and motor torques under gravity."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

@@ -1,4 +1,4 @@
-"""One folder for each question, named as its command."""
+"""Commands, one package per command, with the name of the command."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 
