@@ -1,6 +1,7 @@
-"""Measure what a robot really weighs.
+"""Estimate masses, offsets and gains of a real robot from measurements.
 
-Fit: what the robot in front of one really weighs, and what measurements cannot tell.
+`fit` estimates parameters of a robot, with intervals, from stands at rest or from logs of motions,
+and reports the parameters that the measurements do not determine.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

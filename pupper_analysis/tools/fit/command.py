@@ -1,4 +1,4 @@
-"""``pupper-analysis fit``: what a robot really weighs, by stands at rest."""
+"""``pupper-analysis fit``: estimate a robot's parameters from measurements."""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
-_ALWAYS = {one.name for one in fields(RobotOptions)} | {
+_SHARED_OPTIONS = {one.name for one in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-_USES = {
-    "--record": {*_ALWAYS, "record", "bridge"} - {"priors", "kp"},
-    "--stands": {*_ALWAYS, "stands", "weight", "anyway"},
-    "--log": {*_ALWAYS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
-    "--plan": {*_ALWAYS, "count", "added", "added_at"},
+"""Options that every mode accepts."""
+_MODE_OPTIONS = {
+    "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
+    "--stands": {*_SHARED_OPTIONS, "stands", "weight", "anyway"},
+    "--log": {*_SHARED_OPTIONS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
+    "--plan": {*_SHARED_OPTIONS, "count", "added", "added_at"},
 }
-"""{mode: what it uses}."""
+"""{option that selects a mode: options that the mode accepts}."""
 
 
 @shared.command("fit")
@@ -189,7 +190,7 @@ def command(
     mode = (
         "--record" if record else "--plan" if count is not None else "--log" if logs else "--stands"
     )
-    refuse_unused(mode, _USES)
+    refuse_unused(mode, _MODE_OPTIONS)
     if output is None:
         refuse_alone(("--output",), "anyway")
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
@@ -201,7 +202,7 @@ def command(
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording
     if record is not None:
-        result = _record(robot, record, output, bridge)
+        result = _record_plan(robot, record, output, bridge)
     elif count is not None:
         from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
@@ -222,14 +223,16 @@ def command(
         from pupper_analysis.tools.fit.measurements.log import read_log
         from pupper_analysis.tools.fit.measurements.stands import read_stands
 
-        said = dict(shared.parse_assignment("--topic", one) for one in topics)
-        read = partial(read_log, topics=said, joints=joints.split(",") if joints else ())
+        topic_names = dict(
+            shared.parse_assignment("--topic", topic_option) for topic_option in topics
+        )
+        read = partial(read_log, topics=topic_names, joints=joints.split(",") if joints else ())
         measured = list(map(read, logs)) if stands is None else read_stands(stands)
         share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
         if share and not float(hold_out[-1]) < 1:
             finding = diagnose("not-between", given=float(hold_out[-1]), low=0, high=1)
             raise ConfigurationError("--hold-out", finding)
-        apart = float(hold_out[-1]) if share else list(map(read, hold_out)) or None
+        held_out = float(hold_out[-1]) if share else list(map(read, hold_out)) or None
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(
                 robot,
@@ -238,34 +241,34 @@ def command(
                 kp=stiffness,
                 kd=damping,
                 weight=mass,
-                hold_out=apart,
+                hold_out=held_out,
             )
     if style == "text":
         print_notes(robot, everything=everything)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     if output is not None and isinstance(result, Fit):
-        _write(robot, meant, result, output, anyway=anyway)
+        _write_models(robot, meant, result, output, anyway=anyway)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 
 
-def _record(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
-    """Takes the stands of a plan."""
+def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
+    """Record the stands of a plan with a robot."""
     from pupper_analysis.tools.fit.record.bridge import open_bridge
     from pupper_analysis.tools.fit.record.recorder import record_stands
 
     if bridge is None or output is None:
         option = "--bridge" if bridge is None else "--output"
         raise ConfigurationError(option, diagnose("recording-needs"))
-    way, person = open_bridge(bridge, robot)
-    return record_stands(robot, plan, output, way, person)
+    bridge_handle, operator = open_bridge(bridge, robot)
+    return record_stands(robot, plan, output, bridge_handle, operator)
 
 
-def _write(
+def _write_models(
     robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path, *, anyway: bool
 ) -> None:
-    """Writes the corrected models, unless they would be of a fit that explains nothing."""
+    """Write the corrected models. An unexplained fit is only written with ``--anyway``."""
     from pupper_analysis.tools.fit.write import write_fit
 
     posterior = found.posterior
@@ -275,16 +278,16 @@ def _write(
     elif not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
         return
-    with TemporaryDirectory() as place:
+    with TemporaryDirectory() as temporary:
         files = None
         if not isinstance(meant, RobotFiles):  # a derived variant has no files of its own
             from pupper_analysis.pupper.variant_files import write_variant
 
-            files = write_variant(meant, place)
-        made = write_fit(robot, posterior, folder, fit=found, files=files)
-    first = {note.code: note for note in reversed(made.diagnostics)}  # one of each kind
-    for note in reversed(first.values()):
-        alike = sum(one.code == note.code for one in made.diagnostics) - 1
-        more = f" (and {alike} more of this kind)" if alike else ""
+            files = write_variant(meant, temporary)
+        written = write_fit(robot, posterior, folder, fit=found, files=files)
+    first_notes = {note.code: note for note in reversed(written.diagnostics)}  # one of each kind
+    for note in reversed(first_notes.values()):
+        num_similar = sum(similar.code == note.code for similar in written.diagnostics) - 1
+        more = f" (and {num_similar} more of this kind)" if num_similar else ""
         click.echo(f"note: {note}{more}", err=True)
     shared.confirm_written(folder)

@@ -1,4 +1,4 @@
-"""What documents of fits have in common: parameters, and what measurements cannot tell."""
+"""Documents of fits, plans and recordings."""
 
 from __future__ import annotations
 
@@ -18,56 +18,74 @@ from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
 def describe_fit(
-    fit: Fit, title: doc.Words, messages: Iterable[doc.Words], left: Iterable[doc.Block]
+    fit: Fit, title: doc.Words, messages: Iterable[doc.Words], extra_blocks: Iterable[doc.Block]
 ) -> doc.Document:
-    """Returns the document of a fit.
+    """Create the document of a fit.
 
     Args:
-        fit: The fit.
-        title: Its title.
-        messages: What it rests on, and how well it explains that.
-        left: What is left unexplained, and where.
+        fit: Fit.
+        title: Title.
+        messages: Summary of the measurements and of the agreement with them.
+        extra_blocks: Plots of the residuals.
     """
-    own = [one for one in fit.estimates if one.kind not in SURROUNDINGS_KINDS]
-    parts = {by: [one for one in own if one.determined is by] for by in Determined}
-    finding, partly, untold = parts.values()
+    robot_estimates = [
+        estimate for estimate in fit.estimates if estimate.kind not in SURROUNDINGS_KINDS
+    ]
+    parts = {
+        determined: [estimate for estimate in robot_estimates if estimate.determined is determined]
+        for determined in Determined
+    }
+    by_data, partly, by_prior = parts.values()
     tables = [
-        (text(f"fitted-{kind}"), [one for one in finding if one.kind == kind], False)
-        for kind in dict.fromkeys(one.kind for one in finding)
+        (text(f"fitted-{kind}"), [estimate for estimate in by_data if estimate.kind == kind], False)
+        for kind in dict.fromkeys(estimate.kind for estimate in by_data)
     ]
     tables += [
         (text("determined-in-part"), partly, True),
-        (text("prior-alone"), untold, True),
-        (text("fitted-surroundings"), [one for one in fit.estimates if one not in own], True),
+        (text("prior-alone"), by_prior, True),
+        (
+            text("fitted-surroundings"),
+            [estimate for estimate in fit.estimates if estimate not in robot_estimates],
+            True,
+        ),
     ]
-    held = text("held-by-prior", partly=str(len(partly)), count=str(len(untold)))
+    held = text("held-by-prior", partly=str(len(partly)), count=str(len(by_prior)))
     return doc.Document(
         title,
         doc.Name(fit.name),
-        (*(_table(name, rows, detail=more) for name, rows, more in tables if rows), *left),
+        (
+            *(_estimate_table(name, rows, detail=detail) for name, rows, detail in tables if rows),
+            *extra_blocks,
+        ),
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
-        failures=tuple(doc.tell(one) for one in fit.failures),
-        findings=(*messages, *([held] if partly or untold else [])),
-        notes=tuple(doc.tell(one) for one in fit.diagnostics),
+        failures=tuple(doc.tell(failure) for failure in fit.failures),
+        findings=(*messages, *([held] if partly or by_prior else [])),
+        notes=tuple(doc.tell(note) for note in fit.diagnostics),
     )
 
 
-def _table(
+def _estimate_table(
     title: doc.Words, estimates: Sequence[Estimate], *, detail: bool = False, planned: bool = False
 ) -> doc.Table:
-    """Returns estimates with their intervals, or those that a plan will leave."""
-    units = {one.unit: READ_IN.get(one.unit, (1.0, one.unit)) for one in estimates}
+    """Create the table of estimates with intervals, or of the intervals that a plan predicts."""
+    units = {
+        estimate.unit: READ_IN.get(estimate.unit, (1.0, estimate.unit)) for estimate in estimates
+    }
     shared = next(iter(units.values()))[1] if len(units) == 1 else ""
     rows: list[tuple[doc.Cell, ...]] = []
-    for one in estimates:
-        scale, unit = units[one.unit]
-        values = [(one.stated, ".4g"), (one.mean, ".4g"), (one.high - one.mean, ".2g")]
-        values += [(one.mean - one.stated, "+.3g")]
+    for estimate in estimates:
+        scale, unit = units[estimate.unit]
+        values = [
+            (estimate.stated, ".4g"),
+            (estimate.mean, ".4g"),
+            (estimate.high - estimate.mean, ".2g"),
+        ]
+        values += [(estimate.mean - estimate.stated, "+.3g")]
         cells = [doc.number_cell(value, form, scale=scale) for value, form in values]
         chosen = [cells[0], cells[2]] if planned else cells
-        named = [doc.Name(one.name), *([] if shared else [doc.Name(unit)])]
-        rows.append((*named, *chosen, text(f"determined-by-{one.determined}")))
+        named = [doc.Name(estimate.name), *([] if shared else [doc.Name(unit)])]
+        rows.append((*named, *chosen, text(f"determined-by-{estimate.determined}")))
     after = text("fitted"), text("half-of-95"), text("fitted-difference")
     numbers = text("in-the-file"), *((text("known-after"),) if planned else after)
     columns = (
@@ -81,17 +99,17 @@ def _table(
 
 @build_document.register(MotionFit)
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
-    """Returns what logs of motions tell of a robot; see ``build_document``."""
-    finding = (
-        *_errors(fit),
+    """Create the document of a fit of motions; see ``build_document``."""
+    findings = (
+        *_describe_errors(fit),
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
-        *([text("kp-over-mass", **_with_half(ratio))] if (ratio := fit.kp_over_mass) else []),
+        *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-motions"), finding, [_joints(fit)])
+    return describe_fit(fit, text("fit-of-motions"), findings, [_joint_error_plot(fit)])
 
 
-def _errors(fit: MotionFit) -> Iterator[doc.Words]:
-    """Yields what is off in what was not fitted, beside the robot's own repeatability."""
+def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
+    """Yield the error of samples that were not fitted, and the robot's repeatability."""
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",
@@ -106,12 +124,12 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
         yield text("repeatability-unknown")
 
 
-def _joints(fit: MotionFit) -> doc.BarPlot:
-    """Returns what is off at each joint, and its encoder's noise."""
+def _joint_error_plot(fit: MotionFit) -> doc.BarPlot:
+    """Create a bar plot of each joint's position error and encoder noise."""
     bars = [
-        doc.Bar(doc.Name(name), math.degrees(off), math.degrees(fit.encoder_noise[name]))
-        for name, off in fit.by_joint.items()
-        if math.isfinite(off)
+        doc.Bar(doc.Name(name), math.degrees(error), math.degrees(fit.encoder_noise[name]))
+        for name, error in fit.by_joint.items()
+        if math.isfinite(error)
     ]
     axis = doc.Axis(text("root-mean-square"), "deg", ".3f")
     return doc.BarPlot(text("off-at-joints"), axis, bars, (axis.name, text("encoder-noise"), None))
@@ -119,48 +137,54 @@ def _joints(fit: MotionFit) -> doc.BarPlot:
 
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
-    """Returns what stands at rest tell of a robot; see ``build_document``."""
-    finding = (
+    """Create the document of a fit of stands; see ``build_document``."""
+    findings = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
-        _total(fit.total_mass),
-        _com(fit.com),
-        *_kp_factor(fit),
+        _describe_total_mass(fit.total_mass),
+        _describe_com(fit.com),
+        *_describe_kp_factor(fit),
         *(
             text(
                 "worst-residual",
-                joint=doc.Name(one.joint),
-                stand=doc.Name(one.stand),
-                off=f"{math.degrees(one.off):+.3f}",
-                times=f"{abs(one.deviations):.1f}",
+                joint=doc.Name(residual.joint),
+                stand=doc.Name(residual.stand),
+                off=f"{math.degrees(residual.off):+.3f}",
+                times=f"{abs(residual.deviations):.1f}",
             )
-            for one in fit.joint_residuals[:1]
+            for residual in fit.joint_residuals[:1]
         ),
-        *([text("kp-over-mass", **_with_half(ratio))] if (ratio := fit.kp_over_mass) else []),
+        *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-stands"), finding, [_residuals(fit)])
+    return describe_fit(fit, text("fit-of-stands"), findings, [_stand_residual_plot(fit)])
 
 
-def _with_half(one: Estimate) -> dict[str, str]:
-    return {"mean": f"{one.mean:.3f}", "half": f"{one.high - one.mean:.3f}"}
+def _format_estimate(estimate: Estimate) -> dict[str, str]:
+    """Return an estimate and its half interval with three decimals."""
+    return {"mean": f"{estimate.mean:.3f}", "half": f"{estimate.high - estimate.mean:.3f}"}
 
 
-def _total(mass: Estimate) -> doc.Words:
-    values = {**_with_half(mass), "stated": f"{mass.stated:.3f}"}
-    known = mass.determined is Determined.DATA
-    return text("total-mass-determined" if known else "total-mass-undetermined", **values)
+def _describe_total_mass(mass: Estimate) -> doc.Words:
+    """Return the text of the total mass."""
+    values = {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
+    is_determined = mass.determined is Determined.DATA
+    return text("total-mass-determined" if is_determined else "total-mass-undetermined", **values)
 
 
-def _com(com: Sequence[Estimate]) -> doc.Words:
-    values = {one.component: f"{1e3 * one.mean:.1f}" for one in com}
-    halves = {f"d{one.component}": f"{1e3 * (one.high - one.mean):.1f}" for one in com}
-    stated = ", ".join(f"{1e3 * one.stated:.1f}" for one in com)
+def _describe_com(com: Sequence[Estimate]) -> doc.Words:
+    """Return the text of the total CoM, in mm."""
+    values = {estimate.component: f"{1e3 * estimate.mean:.1f}" for estimate in com}
+    halves = {
+        f"d{estimate.component}": f"{1e3 * (estimate.high - estimate.mean):.1f}" for estimate in com
+    }
+    stated = ", ".join(f"{1e3 * estimate.stated:.1f}" for estimate in com)
     return text("whole-com", **values, **halves, stated=stated)
 
 
-def _kp_factor(fit: StandFit) -> Iterator[doc.Words]:
+def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
+    """Yield the texts of the mean factor on kp, and of the measurement that would determine it."""
     if (factor := fit.kp_factor) is not None:
-        values = _with_half(factor)
-        if any(one.kind == "added" for one in fit.estimates):
+        values = _format_estimate(factor)
+        if any(estimate.kind == "added" for estimate in fit.estimates):
             yield text("kp-factor-by-a-known-mass", **values)
         elif fit.weight is None:
             yield text("kp-factor", **values)
@@ -169,9 +193,9 @@ def _kp_factor(fit: StandFit) -> Iterator[doc.Words]:
             yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
 
 
-def _residuals(fit: StandFit) -> doc.BarPlot:
-    """Returns how well each stand is explained, the worst before."""
-    worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
+def _stand_residual_plot(fit: StandFit) -> doc.BarPlot:
+    """Create a bar plot of the RMS residual of each stand, largest first."""
+    worst = sorted(fit.residuals.items(), key=lambda item: -item[1])
     return doc.BarPlot(
         text("residuals-of-stands"),
         doc.Axis(text("residual-rms"), "sigma", ".2f"),
@@ -182,37 +206,41 @@ def _residuals(fit: StandFit) -> doc.BarPlot:
 
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
-    """Returns which stands to take, and the interval that they leave of each parameter."""
-    finding = sum(one.determined is Determined.DATA for one in plan.expected)
-    expected = _table(text("what-stands-will-tell"), plan.expected, detail=True, planned=True)
+    """Create the document of a plan, with the interval that it predicts for each parameter."""
+    num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
+    expected = _estimate_table(
+        text("what-stands-will-tell"), plan.expected, detail=True, planned=True
+    )
     return doc.Document(
         text("plan-of-stands"),
         doc.Name(plan.name),
-        (_stands(plan), expected),
+        (_stand_table(plan), expected),
         findings=(
             text(
                 "planned-stands",
                 stands=str(len(plan.stands)),
                 candidates=str(plan.candidates),
-                determined=str(finding),
+                determined=str(num_determined),
                 parameters=str(len(plan.expected)),
             ),
-            *_where_added(plan),
+            *_describe_known_mass(plan),
             text("how-to-take-stands"),
         ),
     )
 
 
-def _where_added(plan: StandPlan) -> Iterator[doc.Words]:
+def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
+    """Yield the text of the known mass, if the plan has one."""
     if (place := plan.place) is not None:
-        loaded = [one for one in plan.stands if one.added]
+        loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)
-        mass = f"{max((one.added for one in loaded), default=0.0):.4g}"
+        mass = f"{max((stand.added for stand in loaded), default=0.0):.4g}"
         on = str(len(loaded))
         yield text("put-it-there", mass=mass, link=doc.Name(place.link), x=x, y=y, z=z, stands=on)
 
 
-def _stands(plan: StandPlan) -> doc.Table:
+def _stand_table(plan: StandPlan) -> doc.Table:
+    """Create the table of planned stands."""
     joints = list(plan.stands[0].command)
     columns = (
         doc.Column(text("planned-stand"), left=True),
@@ -225,30 +253,30 @@ def _stands(plan: StandPlan) -> doc.Table:
     factor, _ = READ_IN["rad"]
     rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
-            doc.Name(one.name),
-            doc.Name(" ".join(one.swing)),
-            doc.number_cell(one.heading, ".0f", scale=factor),
-            doc.number_cell(one.added, ".4g"),
-            doc.number_cell(one.utilisation, ".0f", scale=100.0),
-            *(doc.number_cell(one.command[joint], ".2f", scale=factor) for joint in joints),
+            doc.Name(stand.name),
+            doc.Name(" ".join(stand.swing)),
+            doc.number_cell(stand.heading, ".0f", scale=factor),
+            doc.number_cell(stand.added, ".4g"),
+            doc.number_cell(stand.utilisation, ".0f", scale=100.0),
+            *(doc.number_cell(stand.command[joint], ".2f", scale=factor) for joint in joints),
         )
-        for one in plan.stands
+        for stand in plan.stands
     )
     return doc.Table(text("stands-to-take"), columns, rows)
 
 
 @build_document.register(Recording)
-def recording_document(one: Recording, _: Robot | None = None) -> doc.Document:
-    """Returns which stands were taken; see ``build_document``."""
-    counts = {"taken": len(one.taken), "had": len(one.had), "left": len(one.left)}
+def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
+    """Create the document of a recording; see ``build_document``."""
+    counts = {"taken": len(recording.taken), "had": len(recording.had), "left": len(recording.left)}
     values = {name: str(count) for name, count in counts.items()}
-    said = "stands-taken" if one.left else "all-stands-taken"
+    message = "stands-taken" if recording.left else "all-stands-taken"
     return doc.Document(
         text("recording-of-stands"),
-        doc.Name(one.name),
+        doc.Name(recording.name),
         (),
-        passed=one.complete,
-        verdict=text("recording-complete") if one.complete else text("recording-incomplete"),
-        failures=tuple(doc.tell(finding) for finding in one.findings),
-        findings=(text(said, file=doc.Name(one.file), **values),),
+        passed=recording.complete,
+        verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
+        failures=tuple(doc.tell(finding) for finding in recording.findings),
+        findings=(text(message, file=doc.Name(recording.file), **values),),
     )

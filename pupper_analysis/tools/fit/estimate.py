@@ -1,4 +1,8 @@
-"""Weighted least squares with what is known before: the most probable parameters, and how sure."""
+"""Maximum a posteriori estimate of parameters: weighted least squares with a normal prior.
+
+Minimises chi2(x) + z^T P z, with z = (x - stated) / width and P the prior precision, by damped
+Gauss-Newton steps. The result is a normal distribution about the minimum.
+"""
 
 from __future__ import annotations
 
@@ -15,47 +19,53 @@ from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTabl
 
 Array = NDArray[np.float64]
 
-_MOST_STEPS = 60
-"""Gauss-Newton takes 4 to 10 from a model's own numbers; those that lead nowhere need no more."""
+_MAX_STEPS = 60
+"""Upper bound of the iterations. From a model's own values 4 to 10 steps are taken. Chosen, not
+tuned."""
 
-_SETTLED = 1e-4
-"""Of the cost, whose unit is one standard deviation squared: a step that promises no more is one of
-a hundredth of a standard deviation, which no interval shows."""
+_MIN_PREDICTED_DECREASE = 1e-4
+"""Predicted decrease of the cost below which the iteration has converged, and by which an actual
+decrease may miss the acceptance test. A decrease d corresponds to a step of sqrt(d) standard
+deviations: 1e-4 is a hundredth. Chosen, not tuned."""
 
-_STALLED = 0.01
-"""Of a rough cost: where a step promises more and none gives it, derivatives are wrong."""
+_STALL_RTOL = 0.01
+"""Predicted decrease, relative to the cost, above which a failed or vanishing step is an error: the
+derivatives are wrong. Chosen, not tuned."""
 
 
-_LEAST_KEPT = 0.1
-"""Of what a step promised: with less it is not taken, and a shorter one tried."""
+_MIN_DECREASE_RATIO = 0.1
+"""Smallest ratio of actual to predicted decrease with which a step is accepted. Otherwise the
+damping is raised. Chosen, not tuned."""
 
-_BENDS = 2
-"""How often a step that is not damped is led back to less cost: where mass moves far, inertia goes
-with the square, and what nobody weighed follows kp along a valley that bends."""
+_MAX_CORRECTIONS = 2
+"""Upper bound of the corrections to an undamped step that decreases the cost too little: the cost
+has curved valleys, since inertia is quadratic in large CoM displacements and an unweighed mass
+follows kp. Chosen, not tuned."""
 
-_OPEN = 1.0
-"""Of the cost: a standard deviation, that is not looked for any more and widens intervals."""
+_MAX_UNREALISED_DECREASE = 1.0
+"""Predicted decrease that may remain when the steps no longer decrease the cost. It widens the
+covariance. 1 is one standard deviation. Chosen, not tuned."""
 
-_LEAST_DAMPING = 1e-3
-"""Levenberg's, in parts of the diagonal: less is none to speak of."""
+_MIN_DAMPING = 1e-3
+"""Smallest nonzero damping, relative to the diagonal of the information. Chosen, not tuned."""
 
-_MOST_DAMPING = 1e2
-"""A step of a hundredth."""
+_MAX_DAMPING = 1e2
+"""Largest damping, relative to the diagonal of the information: the step is about a hundredth of
+the undamped step. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedResiduals:
-    """Measurements about a vector of parameters: whitened residuals r + A dx, as sums over them.
+    """Whitened residuals r + A dx of measurements, linearised about a parameter vector, as sums.
 
-    Whitened: each residual divided by its standard deviation, so that r has variance 1 at the true
-    parameters.
+    Whitened residuals have unit covariance at the true parameters.
 
     Attributes:
-        information: (n, n) sum of A^T A.
-        gradient: (n,) sum of A^T r.
+        information: Sum of A^T A, shape (n, n).
+        gradient: Sum of A^T r, shape (n,).
         chi2: Sum of r^2.
-        rows: How many residuals.
-        log_noise: Logarithm of the determinant of the covariance that they were whitened by.
+        rows: Number of residuals.
+        log_noise: Logarithm of the determinant of the noise covariance used for whitening.
     """
 
     information: Array
@@ -68,7 +78,7 @@ class LinearisedResiduals:
     def from_residuals(
         residual: Array, jacobian: Array, log_noise: float = 0.0
     ) -> LinearisedResiduals:
-        """Returns the sums of whitened residuals (m,) and their derivative (m, n)."""
+        """Return the sums of whitened residuals, shape (m,), and their Jacobian, shape (m, n)."""
         return LinearisedResiduals(
             jacobian.T @ jacobian,
             jacobian.T @ residual,
@@ -79,7 +89,7 @@ class LinearisedResiduals:
 
     @staticmethod
     def empty(n: int) -> LinearisedResiduals:
-        """Returns the sums of no residuals, of n parameters."""
+        """Return the sums of zero residuals for n parameters."""
         return LinearisedResiduals(np.zeros((n, n)), np.zeros(n), 0.0, 0)
 
     def __add__(self, other: LinearisedResiduals) -> LinearisedResiduals:
@@ -92,36 +102,37 @@ class LinearisedResiduals:
         )
 
     def compute_log_evidence(self, table: ParameterTable, z: Array) -> float:
-        """Returns the logarithm of how likely the measurements are, whatever the parameters.
+        """Compute the log marginal likelihood of the measurements, up to a constant.
 
-        Of residuals that are linear in the parameters; up to a constant.
+        The parameters are integrated out under their prior, with residuals that are linear in the
+        parameters.
 
         Args:
-            table: The parameters.
-            z: (n,) how far they are from what was said, in their widths.
+            table: Parameters.
+            z: Deviation from the stated values, in units of the prior widths, shape (n,).
         """
         width = table.width
-        whole = width[:, None] * self.information * width + table.precision
-        downhill = width * self.gradient + table.precision @ z
-        factor = cho_factor(whole)
-        left = self.chi2 + z @ table.precision @ z - downhill @ cho_solve(factor, downhill)
-        return float(-left / 2 - self.log_noise / 2 - np.log(np.diag(factor[0])).sum())
+        posterior_information = width[:, None] * self.information * width + table.precision
+        descent = width * self.gradient + table.precision @ z
+        factor = cho_factor(posterior_information)
+        chi2 = self.chi2 + z @ table.precision @ z - descent @ cho_solve(factor, descent)
+        return float(-chi2 / 2 - self.log_noise / 2 - np.log(np.diag(factor[0])).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What is known of parameters after measurements: a normal distribution about the best.
+    """Normal distribution of the parameters after measurements.
 
     Attributes:
-        parameters: What was estimated.
-        mean: (n,) the most probable values, in the parameters' units.
-        covariance: (n, n) of these.
-        information: (n, n) what the measurements alone tell, where the prior's widths are the
-            units: a direction with 1 is determined as well by the prior.
-        precision: (n, n) what was known before, likewise.
-        chi2: Sum of squares of the whitened residuals left.
-        moved: (n,) how far the parameters moved, in what were their widths.
-        rows: How many residuals there are.
+        parameters: Estimated parameters.
+        mean: Most probable values, shape (n,), in the parameters' units.
+        covariance: Covariance, shape (n, n), in the parameters' units.
+        information: Information of the measurements alone, shape (n, n), in units of the prior
+            widths: a direction with eigenvalue 1 is as well determined by its prior width.
+        precision: Inverse of the prior covariance, shape (n, n), in units of the prior widths.
+        chi2: Sum of squares of the whitened residuals.
+        moved: Deviation from the stated values, in units of the prior widths, shape (n,).
+        rows: Number of residuals.
     """
 
     parameters: tuple[Parameter, ...]
@@ -135,45 +146,49 @@ class Posterior:
 
     @staticmethod
     def from_prior(table: ParameterTable) -> Posterior:
-        """Returns what is known without measurements."""
-        none, width = np.zeros((len(table), len(table))), table.width
+        """Return the distribution without measurements."""
+        information, width = np.zeros((len(table), len(table))), table.width
         covariance = width[:, None] * np.linalg.inv(table.precision) * width
-        known = none, table.precision, 0.0, np.zeros(len(table)), 0
-        return Posterior(table.parameters, table.stated, covariance, *known)
+        remaining = information, table.precision, 0.0, np.zeros(len(table)), 0
+        return Posterior(table.parameters, table.stated, covariance, *remaining)
 
     @property
     def kinds(self) -> NDArray[np.str_]:
-        """(n,) of each parameter."""
-        return np.array([one.kind for one in self.parameters], dtype=str)
+        """Kind of each parameter, shape (n,)."""
+        return np.array([parameter.kind for parameter in self.parameters], dtype=str)
 
     @property
     def std(self) -> Array:
-        """(n,) standard deviations."""
+        """Standard deviations, shape (n,), in the parameters' units."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def variance_ratios(self) -> Array:
-        """(n,) variance that is left, in parts of the prior's: 1 is no more than was known."""
-        widths = np.array([one.width for one in self.parameters])
+        """Posterior variance over prior variance of each parameter, shape (n,)."""
+        widths = np.array([parameter.width for parameter in self.parameters])
         return np.asarray(np.diag(self.covariance) / widths**2)
 
     @property
     def interval(self) -> Array:
-        """(n, 2) in which a parameter is with 95 %."""
+        """Lower and upper ends of the 95 % intervals, shape (n, 2), in the parameters' units."""
         half = HALF_WIDTH_95 * self.std
         return np.stack([self.mean - half, self.mean + half], axis=1)
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Residuals less the parameters that they told: what ``chi2`` is on average."""
+        """Expectation of ``chi2``: residuals minus the effective number of determined parameters.
+
+        With prior precision P, information J and n parameters this number is n - trace((P + J)^-1
+        P).
+        """
         n = len(self.mean)
-        whole = np.linalg.inv(self.precision + self.information)
-        finding = n - np.trace(whole @ self.precision)
-        return float(self.rows - finding)
+        covariance = np.linalg.inv(self.precision + self.information)
+        num_determined = n - np.trace(covariance @ self.precision)
+        return float(self.rows - num_determined)
 
 
 HALF_WIDTH_95 = 1.959963984540054
-"""Standard deviations on either side of a normal distribution's mean that hold 95 %."""
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 def estimate_parameters(
@@ -181,127 +196,138 @@ def estimate_parameters(
     linearise: Callable[[Array, Array], LinearisedResiduals],
     start: Array | None = None,
     *,
-    least: Array | None = None,
-    enough: float = _SETTLED,
+    lower_bounds: Array | None = None,
+    min_decrease: float = _MIN_PREDICTED_DECREASE,
 ) -> Posterior:
-    """Returns the parameters that measurements and priors make most probable.
+    """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    Minimises chi2(x) + z^T P z, z = (x - stated) / width, P being the prior's precision, by
-    Levenberg's damped Gauss-Newton steps. What noise does to residuals may depend on parameters
-    (that of an encoder on a torque, by kp). It is taken as it is at the last parameters, and no
-    derivative is taken of it: residuals would be made small by parameters that make noise large.
-    What means nothing below zero stays above.
+    Step: minimum of the linearised cost within the lower bounds, with damping added to the
+    diagonal. An undamped step may be corrected twice with the derivatives of its start. Accepted:
+    an actual decrease of at least 10 % of the predicted decrease. Rejected: the damping is raised
+    tenfold.
 
-    Where joints stick and slip a simulation's cost has steps, and there may be none that gains:
-    what was promised is added to what is not known.
+    Stop criteria: the predicted decrease of the undamped step is below ``min_decrease``
+    (converged); no step is accepted, an accepted step decreases the cost by at most
+    ``min_decrease``, or 60 steps are taken. In these cases the result is returned if the predicted
+    decrease is below 1, or below 1 % of the cost; the covariance is then widened by the outer
+    product of the unrealised step. This occurs if joints stick and slip, since the cost of such a
+    simulation has jumps.
+
+    The noise of residuals may depend on the parameters (encoder noise acts on torques by kp). It is
+    evaluated at the last parameters, and not differentiated: otherwise the minimisation would
+    prefer parameters with large noise.
 
     Args:
-        table: The parameters.
-        linearise: Called with parameters, and those at which noise is taken: returns the
-            measurements' residuals about the first.
-        start: (n,) to begin with; the stated values by default.
-        least: (n,) below which parameters mean nothing; 0 of kinds that are positive, by default.
-        enough: A step that promises no more is not taken.
+        table: Parameters.
+        linearise: Function of two vectors, shape (n,): the parameters at which residuals are
+            linearised, and those at which the noise is evaluated.
+        start: Initial guess, shape (n,); the stated values by default.
+        lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
+        min_decrease: Predicted decrease below which the iteration has converged.
 
     Raises:
-        FitError: If it does not converge.
+        FitError: If the iteration does not converge.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
-    if least is None:
-        least = np.array([0.0 if KINDS[one.kind].positive else -np.inf for one in table])
+    if lower_bounds is None:
+        lower_bounds = np.array(
+            [0.0 if KINDS[parameter.kind].positive else -np.inf for parameter in table]
+        )
     damping = 0.0
-    for steps in range(1, _MOST_STEPS + 1):
-        here = _Quadratic(table, linearise(x, x), x, least)
-        if not here.has_minimum:
+    for steps in range(1, _MAX_STEPS + 1):
+        cost = _QuadraticCost(table, linearise(x, x), x, lower_bounds)
+        if not cost.has_minimum:
             break
-        step = here.step(0.0)
-        promised = here.promise(step)
-        if promised < enough:
-            return here.posterior()
-        moved, damping = _move(here, linearise, damping)
-        # A rough cost, or one whose noise follows: what is promised and not found widens intervals.
-        if moved is None or moved[1] <= enough or steps == _MOST_STEPS:
-            if promised < max(_OPEN, _STALLED * here.cost):
-                return here.posterior(step)
-            if moved is None:
+        step = cost.compute_step(0.0)
+        predicted = cost.predict_decrease(step)
+        if predicted < min_decrease:
+            return cost.make_posterior()
+        accepted, damping = _find_decrease(cost, linearise, damping)
+        # The cost has jumps, or its noise changes: the unrealised step widens the intervals.
+        if accepted is None or accepted[1] <= min_decrease or steps == _MAX_STEPS:
+            if predicted < max(_MAX_UNREALISED_DECREASE, _STALL_RTOL * cost.cost):
+                return cost.make_posterior(step)
+            if accepted is None:
                 break
-        x = moved[0]
+        x = accepted[0]
     raise FitError(diagnose("fit-does-not-converge", steps=steps))
 
 
-class _Quadratic:
-    """What is to be minimised, about a vector of parameters.
+class _QuadraticCost:
+    """Quadratic model of the cost about a parameter vector.
 
     Args:
-        table: The parameters.
-        linearised: The measurements.
-        x: (n,) values.
-        least: (n,) of them.
+        table: Parameters.
+        linearised: Linearised measurements.
+        x: Parameter values, shape (n,).
+        lower_bounds: Lower bounds of the values, shape (n,).
 
     Attributes:
-        table: The parameters.
-        linearised: The measurements.
-        x: (n,) values.
-        least: (n,) of them.
-        cost: What is minimised.
-        information: (n, n) of the measurements, in the priors' widths.
-        whole: (n, n) with what was known before.
-        downhill: (n,) half the negative gradient.
+        table: Parameters.
+        linearised: Linearised measurements.
+        x: Parameter values, shape (n,).
+        lower_bounds: Lower bounds of the values, shape (n,).
+        cost: chi2 + z^T P z at ``x``.
+        information: Information of the measurements, shape (n, n), in units of the prior widths.
+        posterior_information: Information of measurements and prior, shape (n, n), same units.
+        descent: Half the negative gradient of the cost, shape (n,), in units of the prior widths.
     """
 
     def __init__(
-        self, table: ParameterTable, linearised: LinearisedResiduals, x: Array, least: Array
+        self, table: ParameterTable, linearised: LinearisedResiduals, x: Array, lower_bounds: Array
     ) -> None:
-        self.table, self.linearised, self.x, self.least = table, linearised, x, least
+        self.table, self.linearised, self.x, self.lower_bounds = table, linearised, x, lower_bounds
         width, self._z = table.width, (x - table.stated) / table.width
         self.cost = linearised.chi2 + float(self._z @ table.precision @ self._z)
         self.information: Array = width[:, None] * linearised.information * width
-        self.whole = self.information + table.precision
-        self.downhill: Array = -(width * linearised.gradient + table.precision @ self._z)
+        self.posterior_information = self.information + table.precision
+        self.descent: Array = -(width * linearised.gradient + table.precision @ self._z)
 
     @property
     def has_minimum(self) -> bool:
-        """Whether it can be minimised: where derivatives overflow it is no longer definite."""
-        if not (np.isfinite(self.whole).all() and np.isfinite(self.downhill).all()):
+        """Whether all values are finite and the posterior information is positive definite."""
+        if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:
-            cho_factor(self.whole)
+            cho_factor(self.posterior_information)
         except np.linalg.LinAlgError:
             return False
         return True
 
-    def step(self, damping: float) -> Array:
-        """Returns Levenberg's step (n,) in the priors' widths; what would be below zero ends there.
+    def compute_step(self, damping: float) -> Array:
+        """Return the damped step, shape (n,), in units of the prior widths.
 
-        The others' steps are those that are best then.
+        Entries that would violate their lower bounds end there; the other entries are then solved
+        again.
         """
-        least = (self.least - self.x) / self.table.width
+        lower_bounds = (self.lower_bounds - self.x) / self.table.width
         step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
-        whole = self.whole + damping * np.diag(np.diag(self.whole))
+        damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))
         while free.any():
-            own = self.downhill[free] - whole[np.ix_(free, ~free)] @ step[~free]
-            step[free] = cho_solve(cho_factor(whole[np.ix_(free, free)]), own)
-            below = free & (step < least)
-            if not below.any():
+            right_side = self.descent[free] - damped[np.ix_(free, ~free)] @ step[~free]
+            step[free] = cho_solve(cho_factor(damped[np.ix_(free, free)]), right_side)
+            violated = free & (step < lower_bounds)
+            if not violated.any():
                 break
-            step[below], free = least[below], free & ~below
+            step[violated], free = lower_bounds[violated], free & ~violated
         return step
 
-    def promise(self, step: Array) -> float:
-        """Returns by how much a step makes the cost less, if derivatives are right."""
-        return float(step @ (2 * self.downhill - self.whole @ step))
+    def predict_decrease(self, step: Array) -> float:
+        """Return the decrease of the quadratic cost for a step in units of the prior widths."""
+        return float(step @ (2 * self.descent - self.posterior_information @ step))
 
-    def posterior(self, open_step: Array | None = None) -> Posterior:
-        """Returns what is known, if these are the best parameters.
+    def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
+        """Return the distribution about these parameters.
 
         Args:
-            open_step: (n,) one that was promised and not found.
+            unrealised_step: Step, shape (n,), in units of the prior widths, whose predicted
+                decrease no accepted step realised. Its outer product is added to the covariance.
         """
         width = self.table.width
-        covariance = np.linalg.inv(self.whole)
+        covariance = np.linalg.inv(self.posterior_information)
         covariance = (covariance + covariance.T) / 2
-        if open_step is not None:
-            covariance = covariance + np.outer(open_step, open_step)
+        if unrealised_step is not None:
+            covariance = covariance + np.outer(unrealised_step, unrealised_step)
         return Posterior(
             parameters=self.table.parameters,
             mean=self.x,
@@ -314,23 +340,23 @@ class _Quadratic:
         )
 
 
-def _move(
-    here: _Quadratic, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
+def _find_decrease(
+    cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Returns parameters of less cost and what they gain, if there are any; and the damping."""
-    table, x = here.table, here.x
-    while damping <= _MOST_DAMPING:
-        step = here.step(damping)
-        promised, tried = here.promise(step), x + table.width * step
-        for bends_left in range(0 if damping else _BENDS, -1, -1):
-            there = _Quadratic(table, linearise(tried, x), tried, here.least)
-            gain = here.cost - there.cost
-            if gain >= _LEAST_KEPT * promised - _SETTLED:
-                less = damping / 10 if damping > _LEAST_DAMPING else 0.0
-                return (tried, gain), less
-            if not bends_left or not there.has_minimum:
+    """Return parameters with a lower cost and the decrease, or None; and the next damping."""
+    table, x = cost.table, cost.x
+    while damping <= _MAX_DAMPING:
+        step = cost.compute_step(damping)
+        predicted, candidate = cost.predict_decrease(step), x + table.width * step
+        for corrections_left in range(0 if damping else _MAX_CORRECTIONS, -1, -1):
+            new_cost = _QuadraticCost(table, linearise(candidate, x), candidate, cost.lower_bounds)
+            gain = cost.cost - new_cost.cost
+            if gain >= _MIN_DECREASE_RATIO * predicted - _MIN_PREDICTED_DECREASE:
+                next_damping = damping / 10 if damping > _MIN_DAMPING else 0.0
+                return (candidate, gain), next_damping
+            if not corrections_left or not new_cost.has_minimum:
                 break
-            # What the same derivatives make of what is left there is how the way bends.
-            tried = tried + table.width * there.step(0.0)
-        damping = max(10 * damping, _LEAST_DAMPING)
+            # Second-order correction: the old derivatives with the new residuals.
+            candidate = candidate + table.width * new_cost.compute_step(0.0)
+        damping = max(10 * damping, _MIN_DAMPING)
     return None, damping

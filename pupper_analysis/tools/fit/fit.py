@@ -1,4 +1,4 @@
-"""Fit of a robot's numbers to measurements, whatever was measured."""
+"""Entry point of a fit: selects the method by the kind of measurements."""
 
 from __future__ import annotations
 
@@ -30,25 +30,30 @@ def fit(
     encoder: float | None = None,
     hold_out: float | Sequence[Log] | None = None,
 ) -> Fit:
-    """Fits a robot's numbers to what was measured of it: stands at rest, or logs of motions.
+    """Estimate a robot's parameters from measurements: stands at rest, or logs of motions.
 
-    See ``fit_stands`` and ``fit_motion`` of ``pupper_analysis.tools.fit``.
+    Stands are passed to ``fit_stands``, logs to ``fit_motion``, both of
+    ``pupper_analysis.tools.fit``.
 
     Args:
         robot: The robot.
-        measurements: Stands, by ``read_stands``; or a log or logs, by ``read_log``.
-        priors: What is known before: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (it is right).
-        kp: Stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
-        kd: Of logs: their damping (N m s/rad); likewise.
-        weight: Of stands: mass of the whole robot by a scale (kg).
-        encoder: Of stands: standard deviation of a position (rad); from its step by default.
-        hold_out: Of logs: the share of each, at its end, that is predicted instead of fitted (0.2
-            by default); or logs that are.
+        measurements: Stands of ``read_stands``, or one or several logs of ``read_log``.
+        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
+        kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
+        kd: Stated servo damping [N m s/rad], a scalar or shape (nu,); the model's by default. For
+            logs only.
+        weight: Mass of the whole robot on a scale [kg]. For stands only.
+        encoder: Standard deviation of a joint position [rad]; derived from the encoder step by
+            default. For stands only.
+        hold_out: Fraction at the end of each log that is predicted instead of fitted, 0.2 by
+            default; or logs that are predicted. For logs only.
 
     Raises:
-        ConfigurationError: If an option is none of these measurements.
-        FitError: If it does not converge.
-        MeasurementError: If the measurements are none of this robot's, or tell nothing.
+        ConfigurationError: If an argument does not apply to these measurements, or is out of its
+            range.
+        FitError: If the iteration does not converge.
+        MeasurementError: If the measurements do not belong to this robot, or cannot be used.
+        UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
     """
     stands = isinstance(measurements, MeasuredStands)
     unused = {"kd": kd, "hold_out": hold_out} if stands else {"weight": weight, "encoder": encoder}
@@ -58,6 +63,6 @@ def fit(
             raise ConfigurationError(name, diagnose("option-of-others", measured=measured))
     if isinstance(measurements, MeasuredStands):
         return fit_stands(robot, measurements, priors=priors, weight=weight, kp=kp, encoder=encoder)
-    share = HOLD_OUT_FRACTION if hold_out is None else hold_out
+    fraction = HOLD_OUT_FRACTION if hold_out is None else hold_out
     logs = [measurements] if isinstance(measurements, Log) else measurements
-    return fit_motion(robot, logs, priors=priors, hold_out=share, kp=kp, kd=kd)
+    return fit_motion(robot, logs, priors=priors, hold_out=fraction, kp=kp, kd=kd)

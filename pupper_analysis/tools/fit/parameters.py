@@ -1,4 +1,9 @@
-"""What is estimated: numbers of a robot and its surroundings, with what is known of them before."""
+"""Parameters of a fit: kinds, priors, and their order in a vector.
+
+A parameter is a scalar of the robot (for example a link's mass) or of its surroundings (for example
+the slope of the ground). Its prior is a normal distribution about the stated value, the value of
+the robot's files. `ParameterTable` maps parameters to entries of a vector.
+"""
 
 from __future__ import annotations
 
@@ -24,18 +29,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ParameterKind:
-    """A kind of number that measurements may tell.
+    """Kind of parameter, with its default prior.
+
+    The default standard deviation is the larger of ``share`` times the stated value and ``width``.
 
     Attributes:
-        name: Of the kind.
-        unit: Of its values, in SI.
-        share: Standard deviation of what is known before, in parts of the stated value.
-        width: The same in the kind's unit; the larger of the two counts.
-        positive: Whether a value below zero means nothing.
-        factor: Whether it is off by a factor, rather than by an amount: twice is as probable as
-            half.
-        common: Correlation of what is known of two subjects: part of the variance that all have
-            in common.
+        name: Name of the kind.
+        unit: SI unit of the values.
+        share: Default standard deviation, as a fraction of the stated value.
+        width: Default standard deviation, in the kind's unit.
+        positive: Whether negative values are impossible.
+        factor: Whether errors are multiplicative: twice the stated value is as probable as half.
+        common: Prior correlation between two parameters of this kind.
     """
 
     name: str
@@ -50,68 +55,73 @@ class ParameterKind:
 KINDS: Mapping[str, ParameterKind] = {
     kind.name: kind
     for kind in (
-        # Published masses are off by half (stretch's base weighs 7 times what its file said).
+        # Published masses are wrong by up to half; Stretch's base has 7 times its published mass.
         ParameterKind("mass", "kg", share=0.5, positive=True, factor=True),
-        # A battery that is mounted elsewhere, a payload plate: centimetres.
+        # Centimetres: a battery mounted elsewhere, a payload plate. Chosen, not tuned.
         ParameterKind("com", "m", width=0.03),
-        # Encoders are zeroed by hand, or against a mechanical stop.
+        # Encoders are zeroed by hand or against a mechanical stop. Chosen, not tuned.
         ParameterKind("offset", "rad", width=math.radians(2.0)),
-        # Gains of servos are asked for in units of their driver, current and not torque: if one is
-        # wrong by a factor, all are. Were they not bound, twelve would be known on average.
+        # Servo gains are set in the driver's units of current, not torque: a wrong conversion
+        # changes all gains by one factor. Without correlation the mean of twelve gains would be
+        # known too well.
         ParameterKind("kp", "N m/rad", share=0.3, positive=True, factor=True, common=0.5),
-        # Gearboxes of small servos: Pupper's upstream model with play has 12 times the other's.
+        # Gearboxes of small servos: Pupper's upstream model with backlash has 12 times the friction
+        # of the model without.
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
         ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
         ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
         ParameterKind("delay", "s", width=0.01, positive=True),
-        # Of torques: drives of large motors take a millisecond, loops over a bus, filters of
-        # velocities and small servos 2 to 10.
+        # Time constant of a lag: about 1 ms for drives of large motors, 2 to 10 ms for bus loops,
+        # velocity filters and small servos.
         ParameterKind("lag", "s", width=0.005, positive=True),
-        # What a spirit level leaves, or the one of a telephone.
+        # Accuracy of a spirit level or a phone's level.
         ParameterKind("slope", "rad", width=math.radians(0.2)),
-        # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
-        # is as far away as twice as soft a one.
+        # Factor on the penetration that the MJCF's contact softness gives. 0 is a rigid floor, as
+        # far from 1 as a floor twice as soft.
         ParameterKind("softness", "1", width=0.5),
-        # Factor on a leg's last link, from its joint to the foot: legs of another variant are some
-        # per cent longer, and hide in the zeros of encoders and in uneven ground.
+        # Factor on the distance from the last joint of a leg to its foot. Legs of another variant
+        # are some per cent longer; encoder offsets and uneven ground have similar effects.
         ParameterKind("length", "1", width=0.02),
-        # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
-        # the force on it.
+        # Contact moment that is the same in all stands, divided by the normal force: the friction
+        # of a foot that turned or rolled on the ground.
         ParameterKind("moment", "m", width=3e-4),
-        # Servos that give nothing for an error below it: 0.1 deg in hobby servos' data sheets.
-        # Below zero it is dry friction that holds all joints against their load: on Go1 4 % of
-        # weight times height is 1.5 deg of its servos.
+        # Servo error below which a servo gives no torque: 0.1 deg in data sheets of hobby servos.
+        # Negative values describe dry friction that holds all joints against their load: on Go1 4 %
+        # of weight times height is 1.5 deg of servo error.
         ParameterKind("deadband", "rad", width=math.radians(1.0)),
-        # Dry friction of joints that yielded to their load, where a known mass is on, beyond what
-        # all stands keep alike: it swings longer. Of what is stated, anywhere in its band.
+        # Dry friction of loaded joints in stands with a known mass, beyond the friction that is
+        # common to all stands, as a fraction of the stated friction. Uniform in [-1, 1], hence 1 /
+        # sqrt(3).
         ParameterKind("settling", "1", width=3**-0.5),
-        # What stands on the feet and no scale has shown, in parts of the weight: a pack that was
-        # put on later; less, if a cable carries. A pack of a tenth is within that, and nothing but
-        # a known mass speaks against it. Sideways it would be a slope, which is estimated.
+        # Load on the feet that the scale did not show, as a fraction of the weight: a pack attached
+        # later (positive) or a cable that carries (negative). Only a known mass contradicts it. A
+        # sideways force would act like a slope, which is estimated as well.
         ParameterKind("load", "1", width=0.08),
-        # A known mass that was put on, by a kitchen scale; and where, by a ruler.
+        # Factor on a known mass, measured on a kitchen scale.
         ParameterKind("added", "1", width=0.005, positive=True),
+        # Position of a known mass, measured with a ruler.
         ParameterKind("place", "m", width=3e-3),
     )
 }
-"""The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
+"""Parameter kinds by name, with their default priors. A `Prior` replaces the default."""
 
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
-"""Kinds that are no number of the robot's files."""
+"""Kinds outside of the robot's files that are listed last in results. (``offset``, ``delay`` and
+``lag`` are outside of the files as well, but are listed with the robot.)"""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that is estimated.
+    """Scalar that is estimated.
 
     Attributes:
-        kind: One of ``KINDS``.
-        subject: The link or joint; ``floor``, ``imu``, ``servos`` or ``scale`` of the surroundings.
-        component: ``x``, ``y`` or ``z``, or ``roll`` or ``pitch``; empty of a scalar.
-        stated: The model's value, about which the prior is (in the kind's unit).
-        width: The prior's standard deviation (likewise).
+        kind: Key of ``KINDS``.
+        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
+        component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
+        stated: Value of the model, in the kind's unit: the mean of the prior.
+        width: Standard deviation of the prior, in the kind's unit.
     """
 
     kind: str
@@ -122,25 +132,25 @@ class Parameter:
 
     @property
     def name(self) -> str:
-        """As it is written in tables: ``com.x base``."""
+        """Name in tables, for example ``com.x base``."""
         kind = f"{self.kind}.{self.component}" if self.component else self.kind
         return f"{kind} {self.subject}"
 
     @property
     def unit(self) -> str:
-        """Of ``stated`` and ``width``."""
+        """SI unit of ``stated`` and ``width``."""
         return KINDS[self.kind].unit
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of some parameters before: ``mass=50%``, ``com:base=5mm``, ``kp=0``.
+    """Prior of all parameters of a kind that match a pattern, for example ``com:base=5mm``.
 
     Attributes:
-        kind: One of ``KINDS``.
-        subject: A link or joint, or a pattern of several (``*knee*``); all by default.
-        share: Standard deviation in parts of the stated value; NaN if it is a width.
-        width: Standard deviation in the kind's unit; NaN if it is a share.
+        kind: Key of ``KINDS``.
+        subject: Name of a link, joint or foot, or a pattern (``*knee*``); all by default.
+        share: Standard deviation as a fraction of the stated value; NaN if ``width`` is set.
+        width: Standard deviation in the kind's unit; NaN if ``share`` is set.
     """
 
     kind: str
@@ -149,36 +159,39 @@ class Prior:
     width: float = math.nan
 
     def compute_std(self, stated: float) -> float:
-        """Returns the standard deviation for a stated value."""
+        """Return the standard deviation for a stated value, in the kind's unit."""
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
 
-_PRIOR = re.compile(
+_PRIOR_PATTERN = re.compile(
     r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[-+.\d]+(?:[eE][-+]?\d+)?)(?P<unit>.*)"
 )
 
 
-_NARROWEST = 1e-9
-"""Of any unit: what is known better is known, and the square of a width is a number yet."""
+_MIN_PRIOR_WIDTH = 1e-9
+"""Smallest number that a prior's text may contain besides 0, in the unit of the text; its
+reciprocal is the largest. Chosen, not tuned, so that squared widths stay within double
+precision."""
 
 
 def parse_prior(text: str) -> Prior:
-    """Reads ``KIND[:SUBJECT]=WIDTH``, as ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
+    """Parse ``KIND[:SUBJECT]=WIDTH``, for example ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
 
     Raises:
-        ConfigurationError: If it says nothing.
+        ConfigurationError: If the text does not have this form, the kind or the unit is unknown, or
+            the value is out of range.
     """
     check_type("text", text, str)
-    found = _PRIOR.fullmatch(text.strip())
-    kind = found and KINDS.get(found["kind"])
-    if not found or kind is None:
+    match = _PRIOR_PATTERN.fullmatch(text.strip())
+    kind = match and KINDS.get(match["kind"])
+    if not match or kind is None:
         raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
-    unit, subject = found["unit"].strip(), found["subject"] or "*"
+    unit, subject = match["unit"].strip(), match["subject"] or "*"
     try:
-        value = float(found["value"])
+        value = float(match["value"])
     except ValueError:
         value = math.nan
-    if value != 0 and not _NARROWEST < value < 1 / _NARROWEST:
+    if value != 0 and not _MIN_PRIOR_WIDTH < value < 1 / _MIN_PRIOR_WIDTH:
         raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
     if unit == "%":
         return Prior(kind.name, subject, share=value / 100)
@@ -192,74 +205,79 @@ def parse_prior(text: str) -> Prior:
 
 
 def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
-    """Returns what is known before, read where it is text; see ``parse_prior``.
+    """Return priors, with texts parsed by ``parse_prior``.
 
     Raises:
-        ConfigurationError: If a text says nothing.
+        ConfigurationError: If a text is not a prior.
     """
-    return [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    return [parse_prior(prior) if isinstance(prior, str) else prior for prior in priors]
 
 
 def apply_priors(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:
-    """Returns parameters with the width that the last prior which means them gives, or their kind.
+    """Return the parameters with their prior widths.
 
-    What has no width (``kp=0``, a mass of nothing) is known, and no parameter.
+    The width is that of the last matching prior, or the default of the kind. Candidates of width 0
+    (``kp=0``, a mass of 0) are known exactly and are left out.
 
     Args:
-        stated: Kind, subject, component and stated value of each.
-        priors: What is said of them.
+        stated: Kind, subject, component and stated value of each candidate.
+        priors: Priors that replace the defaults.
 
     Raises:
-        ConfigurationError: If a prior means none of them.
+        ConfigurationError: If a prior matches no candidate.
     """
-    wanted, given, used = list(stated), tuple(priors), set()
-    found = []
-    for kind, subject, component, value in wanted:
-        own = KINDS[kind]
-        width = max(own.share * abs(value), own.width)
-        for prior in given:
+    candidates, prior_list, used = list(stated), tuple(priors), set()
+    parameters = []
+    for kind, subject, component, value in candidates:
+        default = KINDS[kind]
+        width = max(default.share * abs(value), default.width)
+        for prior in prior_list:
             if prior.kind == kind and fnmatchcase(subject, prior.subject):
                 width = prior.compute_std(value)
                 used.add(prior)
         if width > 0:
-            found.append(Parameter(kind, subject, component, float(value), float(width)))
-    for prior in given:
+            parameters.append(Parameter(kind, subject, component, float(value), float(width)))
+    for prior in prior_list:
         if prior not in used:
-            known = tuple(dict.fromkeys(one[1] for one in wanted if one[0] == prior.kind))
+            subjects = tuple(
+                dict.fromkeys(
+                    candidate[1] for candidate in candidates if candidate[0] == prior.kind
+                )
+            )
             finding = diagnose(
-                "prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=known
+                "prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=subjects
             )
             raise ConfigurationError("prior", finding)
-    return tuple(found)
+    return tuple(parameters)
 
 
 class ParameterTable:
-    """Parameters by kind and subject, and where each stands in a vector.
+    """Parameters in the order of a vector, with an index by kind and subject.
 
     Args:
-        parameters: In the vector's order.
+        parameters: Parameters in the order of the vector.
 
     Attributes:
-        parameters: Likewise.
-        stated: (n,) their stated values.
-        width: (n,) standard deviations before.
-        precision: (n, n) inverse of their correlation before.
+        parameters: Parameters in the order of the vector.
+        stated: Stated values, shape (n,), in the parameters' units.
+        width: Standard deviations of the priors, shape (n,), in the parameters' units.
+        precision: Inverse of the prior correlation matrix, shape (n, n), in units of the widths.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self.parameters = tuple(parameters)
-        self.stated = np.array([one.stated for one in self.parameters])
-        self.width = np.array([one.width for one in self.parameters])
-        kinds = np.array([one.kind for one in self.parameters])
-        common = np.array([KINDS[one.kind].common for one in self.parameters])
+        self.stated = np.array([parameter.stated for parameter in self.parameters])
+        self.width = np.array([parameter.width for parameter in self.parameters])
+        kinds = np.array([parameter.kind for parameter in self.parameters])
+        common = np.array([KINDS[parameter.kind].common for parameter in self.parameters])
         correlation = np.where(kinds[:, None] == kinds, common, 0.0)
         np.fill_diagonal(correlation, 1.0)
         self.precision = np.linalg.inv(correlation) if len(kinds) else correlation
-        self._at = {
-            (one.kind, one.subject, one.component): place
-            for place, one in enumerate(self.parameters)
+        self._indices = {
+            (parameter.kind, parameter.subject, parameter.component): index
+            for index, parameter in enumerate(self.parameters)
         }
 
     def __len__(self) -> int:
@@ -269,67 +287,86 @@ class ParameterTable:
         return iter(self.parameters)
 
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
-        """Returns where a parameter is in the vector; None if it is known."""
-        return self._at.get((kind, subject, component))
+        """Return the index of a parameter in the vector; None if it is not estimated."""
+        return self._indices.get((kind, subject, component))
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
-        """Returns the same with other widths of a kind: less or more is known of it before."""
-        found = copy(self)
-        found.parameters = tuple(
-            replace(one, width=factor * one.width) if one.kind == kind else one for one in self
+        """Return a copy in which the prior widths of a kind are multiplied by a factor."""
+        scaled = copy(self)
+        scaled.parameters = tuple(
+            replace(parameter, width=factor * parameter.width)
+            if parameter.kind == kind
+            else parameter
+            for parameter in self
         )
-        found.width = np.array([one.width for one in found])
-        return found
+        scaled.width = np.array([parameter.width for parameter in scaled])
+        return scaled
 
     def get_value(
-        self, vector: Array, kind: str, subject: str, component: str, otherwise: float
+        self, vector: Array, kind: str, subject: str, component: str, default: float
     ) -> float:
-        """Returns a parameter's value in a vector, or another if it is known."""
-        place = self._at.get((kind, subject, component))
-        return otherwise if place is None else float(vector[place])
+        """Return a parameter's value from a vector, or ``default`` if it is not estimated."""
+        index = self._indices.get((kind, subject, component))
+        return default if index is None else float(vector[index])
 
     def get_inertial(self, vector: Array, link: str, stated: pin.Inertia) -> tuple[float, Array]:
-        """Returns the mass (kg) and the com (3,) (m) of a link's body, as a vector has them."""
+        """Return mass [kg] and CoM, shape (3,) [m], of a link's body.
+
+        Values that are not estimated are taken from ``stated``, as is the frame of the CoM.
+        """
         mass = self.get_value(vector, "mass", link, "", stated.mass)
         return mass, self.get_com(vector, link, stated.lever)
 
     def get_com(self, vector: Array, link: str, stated: Array) -> Array:
-        """Returns the com (3,) of a link's body, whose stated one is given (m)."""
+        """Return the CoM of a link's body, shape (3,) [m].
+
+        ``stated``, shape (3,) [m], has the components that are not estimated.
+        """
         axes = zip(AXES, stated.tolist(), strict=True)
-        return np.array([self.get_value(vector, "com", link, axis, own) for axis, own in axes])
+        return np.array(
+            [self.get_value(vector, "com", link, axis, default) for axis, default in axes]
+        )
 
     def get_values(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
-        """Returns the values (k,) of a kind for some subjects, whose stated ones are given."""
-        each = zip(subjects, stated.tolist(), strict=True)
-        return np.array([self.get_value(vector, kind, one, "", own) for one, own in each])
+        """Return the values of a kind for k subjects, shape (k,).
+
+        ``stated``, shape (k,), has the values of subjects that are not estimated.
+        """
+        pairs = zip(subjects, stated.tolist(), strict=True)
+        return np.array(
+            [self.get_value(vector, kind, subject, "", default) for subject, default in pairs]
+        )
 
 
-# The links that bodies are named by: of all that a joint moves, the one whose frame is its own.
+# Names of moving bodies.
 
 AXES = ("x", "y", "z")
-"""Components of a com, in the link's frame."""
+"""Components of a CoM, in the link's frame."""
 
 
 def find_moved_link(model: pin.Model, number: int) -> str:
-    """Returns the URDF's link that a joint of Pinocchio's moves.
+    """Return the URDF link that a Pinocchio joint moves.
+
+    Several links are fixed together if fixed joints connect them: the first one whose frame
+    coincides with the joint frame is returned, or else the first one.
 
     Args:
-        model: The model.
-        number: The joint's.
+        model: Pinocchio model.
+        number: Index of the joint.
     """
     frames = [
         frame
         for frame in model.frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint == number
     ]
-    own = next((frame for frame in frames if frame.placement.isIdentity(1e-12)), frames[0])
-    return str(own.name)
+    link_frame = next((frame for frame in frames if frame.placement.isIdentity(1e-12)), frames[0])
+    return str(link_frame.name)
 
 
 def list_bodies(robot: Robot) -> tuple[tuple[str, int], ...]:
-    """Returns the moving bodies of a robot: the link each is named by, and its joint's number.
+    """Return link name and Pinocchio joint index of each moving body that has mass.
 
-    The links that are fixed to it are part of it. What has no mass is left out.
+    A body consists of all links that are fixed together, and is named by ``find_moved_link``.
     """
     model = robot.structure.model
     return tuple(

@@ -1,4 +1,4 @@
-"""What a fit tells: numbers with intervals, and what cannot be distinguished."""
+"""Results of a fit: estimates with intervals, and how much of each comes from the measurements."""
 
 from __future__ import annotations
 
@@ -20,43 +20,48 @@ Array = NDArray[np.float64]
 
 
 class Determined(StrEnum):
-    """How much of an estimate is from measurements."""
+    """Classification of an estimate by the ratio of posterior to prior variance."""
 
     DATA = "data"
-    """The interval is at most a third of what was known before."""
+    """Ratio below 0.1: the interval is at most a third as wide as the prior's."""
     PARTLY = "partly"
-    """It is narrower than that, but the prior counts."""
+    """Ratio of 0.1 to 0.9: measurements and prior both count."""
     PRIOR = "prior"
-    """The prior alone holds it: measurements tell nothing."""
+    """Ratio of at least 0.9: the measurements hardly narrow the prior."""
 
 
-_BY_DATA, _BY_PRIOR = 0.1, 0.9
-"""Of the prior's variance that is left: a third, and 95 %, of its width."""
+_MAX_DATA_RATIO = 0.1
+"""Ratio of posterior to prior variance below which an estimate is determined by data: the interval
+is narrower than sqrt(0.1), about a third, of the prior's. Chosen, not tuned."""
+
+_MIN_PRIOR_RATIO = 0.9
+"""Ratio of posterior to prior variance from which an estimate is held by its prior: the interval is
+at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned."""
 
 
-def classify_determination(share: float) -> Determined:
-    """Returns how much is from measurements, by the share of the prior's variance that is left."""
-    if share < _BY_DATA:
+def classify_determination(variance_ratio: float) -> Determined:
+    """Classify an estimate by its ratio of posterior to prior variance."""
+    if variance_ratio < _MAX_DATA_RATIO:
         return Determined.DATA
-    return Determined.PARTLY if share < _BY_PRIOR else Determined.PRIOR
+    return Determined.PARTLY if variance_ratio < _MIN_PRIOR_RATIO else Determined.PRIOR
 
 
 @dataclass(frozen=True)
 class Estimate(Result):
-    """What is known of a parameter after measurements.
+    """Estimate of a parameter after measurements.
 
     Attributes:
-        name: Of the parameter.
-        kind: Of number.
-        subject: The link, joint or foot; ``floor`` or ``imu``.
-        component: ``x``, ``y``, ``z``, ``roll``, ``pitch``, or empty.
-        unit: Of the following numbers.
-        stated: The model's value.
-        mean: The most probable value.
+        name: Parameter name.
+        kind: Parameter kind.
+        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
+        component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
+        unit: Unit of the following values.
+        stated: Value of the model.
+        mean: Most probable value.
         std: Standard deviation.
-        low: Lower end of the interval that holds it with 95 %.
-        high: Upper end.
-        determined: How much of it is from measurements: ``data``, ``partly``, ``prior``.
+        low: Lower end of the 95 % interval.
+        high: Upper end of the 95 % interval.
+        determined: Origin of the estimate: ``data``, ``partly`` or ``prior``.
     """
 
     name: str
@@ -74,17 +79,17 @@ class Estimate(Result):
 
 @dataclass(frozen=True, eq=False)
 class Fit(Result):
-    """A robot's numbers as measurements tell them.
+    """Parameters of a robot, estimated from measurements.
 
     Attributes:
-        name: The robot's name.
-        source: Where the measurements are from.
-        estimates: Of all parameters, those of the surroundings last.
-        failures: What the model does not explain.
-        diagnostics: What else there is to say.
-        kp_over_mass: By which factor all kp over the masses are others than stated: what positions
-            determine, whatever is known of either; None if kp is known.
-        posterior: What is known of all parameters together.
+        name: Robot name.
+        source: Files of the measurements.
+        estimates: Estimates of all parameters, those of the surroundings last.
+        failures: Measurements or estimates that contradict the model.
+        diagnostics: Notes.
+        kp_over_mass: Mean factor on the stated kp over the factor on the total mass, the ratio that
+            positions determine; None if kp is not estimated.
+        posterior: Joint distribution of all parameters.
     """
 
     name: str
@@ -98,97 +103,113 @@ class Fit(Result):
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains the measurements."""
+        """Whether the model explains the measurements: no failures."""
         return not self.failures
 
     @property
     def noise_inflation(self) -> float:
-        """How many times what is left is what noise leaves; 1 at least."""
+        """sqrt(chi2 / degrees of freedom), at least 1: ratio of residuals to assumed noise."""
         return max(
             1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.degrees_of_freedom, 1.0))
         )
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
-    """Yields what is known of each parameter, those of the surroundings last."""
+    """Yield the estimate of each parameter, those of the surroundings last."""
     order = sorted(
         range(len(posterior.parameters)),
-        key=lambda place: posterior.parameters[place].kind in SURROUNDINGS_KINDS,
+        key=lambda index: posterior.parameters[index].kind in SURROUNDINGS_KINDS,
     )
-    for place in order:
-        one = posterior.parameters[place]
+    for index in order:
+        parameter = posterior.parameters[index]
         yield describe_parameter(
-            one,
-            float(posterior.mean[place]),
-            float(posterior.std[place]),
-            classify_determination(float(posterior.variance_ratios[place])),
+            parameter,
+            float(posterior.mean[index]),
+            float(posterior.std[index]),
+            classify_determination(float(posterior.variance_ratios[index])),
         )
 
 
-def describe_parameter(one: Parameter, mean: float, std: float, determined: Determined) -> Estimate:
-    """Returns what is known of a parameter."""
-    stated = {name: getattr(one, name) for name in PARAMETER_FIELDS}
+def describe_parameter(
+    parameter: Parameter, mean: float, std: float, determined: Determined
+) -> Estimate:
+    """Return the estimate of a parameter."""
+    stated = {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
     low, high = mean - HALF_WIDTH_95 * std, mean + HALF_WIDTH_95 * std
     return Estimate(**stated, mean=mean, std=std, low=low, high=high, determined=determined)
 
 
 PARAMETER_FIELDS = ("name", "kind", "subject", "component", "unit", "stated")
+"""Fields that an `Estimate` takes from its `Parameter`."""
 
 
-def derive_estimate(posterior: Posterior, one: Parameter, mean: float, line: Array) -> Estimate:
-    """Returns what is known of a number that changes by ``line`` (n,) with the parameters."""
-    wide = line * np.array([own.width for own in posterior.parameters])
-    std = math.sqrt(float(line @ posterior.covariance @ line))
-    before = math.sqrt(float(wide @ np.linalg.inv(posterior.precision) @ wide))
-    share = (std / before) ** 2 if before else 1.0
-    return describe_parameter(replace(one, width=before), mean, std, classify_determination(share))
+def derive_estimate(
+    posterior: Posterior, parameter: Parameter, mean: float, gradient: Array
+) -> Estimate:
+    """Return the estimate of a quantity that depends on the parameters.
+
+    Its variance is g^T C g, with the covariance C of the parameters.
+
+    Args:
+        posterior: Distribution of the parameters.
+        parameter: Name, unit and stated value of the quantity; its width is ignored.
+        mean: Most probable value.
+        gradient: Derivative g by the parameters, shape (n,).
+    """
+    scaled_gradient = gradient * np.array([estimated.width for estimated in posterior.parameters])
+    std = math.sqrt(float(gradient @ posterior.covariance @ gradient))
+    prior_std = math.sqrt(
+        float(scaled_gradient @ np.linalg.inv(posterior.precision) @ scaled_gradient)
+    )
+    variance_ratio = (std / prior_std) ** 2 if prior_std else 1.0
+    return describe_parameter(
+        replace(parameter, width=prior_std), mean, std, classify_determination(variance_ratio)
+    )
 
 
 def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Estimate | None:
-    """Returns by which factor servos are stiffer over all that they carry; None if kp is known.
+    """Return the mean factor on kp over the factor on the carried mass; None if no kp is estimated.
 
-    The geometric mean of kp's factors, over the factor of the masses' sum, with their load.
+    The numerator is the geometric mean of estimated over stated kp. The denominator is the sum of
+    estimated over stated masses, times 1 plus the estimated load that no scale has shown.
 
     Args:
-        posterior: What is known of the parameters.
-        kp_only: Whether it is of kp, and not over masses.
+        posterior: Distribution of the parameters.
+        kp_only: Whether to leave out the denominator.
     """
     mean = posterior.mean
-    stated = np.array([one.stated for one in posterior.parameters])
+    stated = np.array([parameter.stated for parameter in posterior.parameters])
     servos, masses, loads = (posterior.kinds == kind for kind in ("kp", "mass", "load"))
     if not servos.any():
         return None
     factor = float(np.exp(np.log(mean[servos] / stated[servos]).mean()))
-    line = np.zeros(len(mean))
-    line[servos] = 1 / (servos.sum() * mean[servos])
+    gradient = np.zeros(len(mean))
+    gradient[servos] = 1 / (servos.sum() * mean[servos])
     if masses.any() and not kp_only:
         factor *= float(stated[masses].sum() / mean[masses].sum())
-        line[masses] = -1 / mean[masses].sum()
-    if loads.any() and not kp_only:  # what no scale has shown is carried, too
+        gradient[masses] = -1 / mean[masses].sum()
+    if loads.any() and not kp_only:  # the feet carry this load as well
         factor /= float(1 + mean[loads].sum())
-        line[loads] = -1 / (1 + mean[loads].sum())
-    whole = Parameter("kp", "servos", "", 1.0, 0.0)
-    return replace(derive_estimate(posterior, whole, factor, factor * line), unit="1")
-
-
-# What logs of motions tell, as numbers with intervals.
+        gradient[loads] = -1 / (1 + mean[loads].sum())
+    quantity = Parameter("kp", "servos", "", 1.0, 0.0)
+    return replace(derive_estimate(posterior, quantity, factor, factor * gradient), unit="1")
 
 
 @dataclass(frozen=True, eq=False)
 class MotionFit(Fit):
-    """A robot's numbers as logs of its motions tell them.
+    """Parameters of a robot, estimated from logs of its motions.
 
     Attributes:
-        seconds: How long the motions are.
-        held_out: Root mean square of what is off in motions that were not fitted (rad); NaN if
-            there are none.
-        held_out_before: The same with the file's own numbers (rad).
-        fitted: The same in motions that were fitted (rad).
-        fitted_before: With the file's own numbers (rad).
-        repeatability: How far the robot is from itself over runs of the same commands (rad); NaN
-            if no two are the same.
-        by_joint: {joint: what is off in motions that were not fitted, or in those that were (rad)}.
-        encoder_noise: {joint: noise of its encoder (rad)}.
+        seconds: Total duration of the logs.
+        held_out: RMS position error in samples that were not fitted; NaN if there are none.
+        held_out_before: RMS position error in the same samples, with the parameters of the files.
+        fitted: RMS position error in samples that were fitted.
+        fitted_before: RMS position error in the same samples, with the parameters of the files.
+        repeatability: RMS difference between runs of the same commands, divided by sqrt(2); NaN if
+            no two runs have the same commands.
+        by_joint: RMS position error of each joint, in samples that were not fitted if there are
+            any, otherwise in samples that were fitted.
+        encoder_noise: Standard deviation of each joint's encoder noise.
     """
 
     seconds: float = field(metadata={"unit": "s"})
@@ -202,5 +223,5 @@ class MotionFit(Fit):
 
     @property
     def noise_inflation(self) -> float:
-        """How many times what is off in other motions is what it was fitted to; 1 at least."""
+        """RMS error of held-out samples over RMS error of fitted samples, at least 1."""
         return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

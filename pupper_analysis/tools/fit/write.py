@@ -1,4 +1,4 @@
-"""What a fit gives: corrected models, offsets of encoders, and all of it as data."""
+"""Write a fit to a folder: corrected models, encoder offsets, samples of the posterior and JSON."""
 
 from __future__ import annotations
 
@@ -37,24 +37,25 @@ from pupper_analysis.tools.sync.numbers import (
 
 Array = NDArray[np.float64]
 
-_NOTHING = 1e-3
-"""Of a standard deviation: an estimate that is so near to what the file says leaves it."""
+_UNCHANGED_STDS = 1e-3
+"""Largest change, in standard deviations, that keeps the stated value. Chosen, not tuned."""
 
-_DIGITS = 2
-"""Written beyond the first of a standard deviation: what is rounded away nobody knows."""
+_EXTRA_DIGITS = 2
+"""Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:
+rounding changes a value by at most 0.5 % of its standard deviation."""
 
-_FACTORS = ("mass", "kp", "friction", "damping", "armature")
-"""Kinds of which studies and policies have a factor."""
+_FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
+"""Kinds for which `study` has a factor."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitFiles:
-    """What was written of a fit.
+    """Values that were written for a fit.
 
     Attributes:
-        models: The corrected URDF and MJCF.
-        vector: (n,) the parameters as they are written, of as many digits as are known.
-        diagnostics: What is in no model.
+        models: Corrected URDF and MJCF.
+        vector: Parameter values as written, shape (n,), rounded by their standard deviations.
+        diagnostics: Estimates that no file contains.
     """
 
     models: WrittenNumbers
@@ -62,150 +63,162 @@ class FitFiles:
     diagnostics: tuple[Diagnostic, ...]
 
 
-def _rounded(vector: Array, posterior: Posterior) -> Array:
-    """Returns parameters of as many digits as are known; what has not moved is as it is stated."""
+def _round_parameters(vector: Array, posterior: Posterior) -> Array:
+    """Return the parameters rounded by their standard deviations; unchanged ones as stated."""
     return np.array(
         [
-            one.stated
-            if abs(value - one.stated) <= _NOTHING * std
-            else round(value, _DIGITS - math.floor(math.log10(std)))
-            for one, value, std in zip(
+            parameter.stated
+            if abs(value - parameter.stated) <= _UNCHANGED_STDS * std
+            else round(value, _EXTRA_DIGITS - math.floor(math.log10(std)))
+            for parameter, value, std in zip(
                 posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
             )
         ]
     )
 
 
-def _numbers(
+def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
 ) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
-    """Returns the numbers of the files that change, and what else was estimated."""
+    """Return the values that change in the files, and notes on estimates that no file can state."""
     numbers: dict[Key, float | Array] = {}
-    left: list[Diagnostic] = []
-    servos, added = (
+    notes: list[Diagnostic] = []
+    servos, added_servos = (
         list_position_servos(robot),
-        {one.joint for one in robot.description.made_servos},
+        {parameter.joint for parameter in robot.description.made_servos},
     )
     one_file = robot.description.converted == "mjcf"
-    for one, value, std in zip(
+    for parameter, value, std in zip(
         posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
     ):
-        stated = one.stated
-        if one.kind in SERVO_KINDS:
-            stated = servos.get(one.subject, (math.nan, math.nan))[SERVO_KINDS.index(one.kind)]
-        if abs(value - stated) <= _NOTHING * std:
+        stated = parameter.stated
+        if parameter.kind in SERVO_KINDS:
+            stated = servos.get(parameter.subject, (math.nan, math.nan))[
+                SERVO_KINDS.index(parameter.kind)
+            ]
+        if abs(value - stated) <= _UNCHANGED_STDS * std:
             continue
-        if (one.kind in SERVO_KINDS and (math.isnan(stated) or one.subject in added)) or (
-            one_file and one.kind in (*SERVO_KINDS, "armature")
-        ):
+        if (
+            parameter.kind in SERVO_KINDS
+            and (math.isnan(stated) or parameter.subject in added_servos)
+        ) or (one_file and parameter.kind in (*SERVO_KINDS, "armature")):
             why = diagnose("mjcf-alone-states-it" if one_file else "servo-of-no-file")
-            left.append(diagnose("not-in-the-files", parameter=one.name, why=why))
-        elif one.kind in BODY_KINDS and one.component:
-            _put_component(numbers, robot, one, value)
-        elif one.kind in (*BODY_KINDS, *JOINT_KINDS, *SERVO_KINDS):
-            numbers[one.kind, one.subject] = value
-    return numbers, left
+            notes.append(diagnose("not-in-the-files", parameter=parameter.name, why=why))
+        elif parameter.kind in BODY_KINDS and parameter.component:
+            _set_com_component(numbers, robot, parameter, value)
+        elif parameter.kind in (*BODY_KINDS, *JOINT_KINDS, *SERVO_KINDS):
+            numbers[parameter.kind, parameter.subject] = value
+    return numbers, notes
 
 
-def _put_component(
-    numbers: dict[Key, float | Array], robot: Robot, one: Parameter, value: float
+def _set_com_component(
+    numbers: dict[Key, float | Array], robot: Robot, parameter: Parameter, value: float
 ) -> None:
-    """Puts one entry of a com among the numbers; the others are the file's."""
+    """Set one component of a CoM among the values; the other components are those of the file."""
     model = robot.pin_model
-    at = model.frames[model.getFrameId(one.subject, pin.FrameType.BODY)].parentJoint
-    com = np.array(numbers.get((one.kind, one.subject), model.inertias[at].lever))
-    com[COMPONENTS.index(one.component)] = value
-    numbers[one.kind, one.subject] = com
+    joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
+    com = np.array(numbers.get((parameter.kind, parameter.subject), model.inertias[joint].lever))
+    com[COMPONENTS.index(parameter.component)] = value
+    numbers[parameter.kind, parameter.subject] = com
 
 
-def _name(one: Parameter, value: float) -> str:
-    """Returns what studies call a factor on a number of the corrected model; "" of none."""
-    if one.kind == "com":
-        return f"com_{one.component}:{escape(one.subject)}"
-    kind = "frictionloss" if one.kind == "friction" else one.kind
-    return f"{kind}:{escape(one.subject)}" if one.kind in _FACTORS and value else ""
+def _format_factor_name(parameter: Parameter, value: float) -> str:
+    """Return the name of a factor in `study`; empty if `study` has none, or the value is 0."""
+    if parameter.kind == "com":
+        return f"com_{parameter.component}:{escape(parameter.subject)}"
+    kind = "frictionloss" if parameter.kind == "friction" else parameter.kind
+    return (
+        f"{kind}:{escape(parameter.subject)}" if parameter.kind in _FACTOR_KINDS and value else ""
+    )
 
 
 NUM_SAMPLES = 512
-"""Robots that are drawn: their mean is off by a twentieth of a standard deviation."""
+"""Default number of samples. The standard error of their mean is 1/sqrt(512), 4 % of a standard
+deviation."""
 
 
 def draw_samples(
     posterior: Posterior, vector: Array, count: int = NUM_SAMPLES, seed: int = 0
 ) -> tuple[tuple[str, ...], Array]:
-    """Draws robots that the measurements leave possible, their numbers together.
+    """Draw robots from the posterior, all parameters of a robot jointly.
 
-    Measurements tell sums and ratios: of v3, weighed, the whole mass to 0.2 %, and how it is shared
-    among links hardly. Numbers that are drawn each by itself are robots that were excluded. Robots
-    with a link of no mass, or a servo of no stiffness, are drawn again. (Drawn by logarithms, none
-    would be below zero, but a sum of masses is no sum of logarithms: v3's whole mass was 2.957 ±
-    0.094 kg for 2.787 ± 0.006.) Gravity is linear in masses m and first moments m c: these are
-    drawn, and a com is off by m0 / m of what it is at the mass m0 that is written. What else means
-    nothing below zero is cut off there.
+    Measurements determine sums and ratios: with a weight the total mass of v3 is known to 0.2 %,
+    its distribution among the links hardly. Independent samples would be robots that the
+    measurements exclude.
+
+    Robots with a mass or kp below 10 % of the written value are drawn again. (Logarithms of the
+    masses would be always positive, but a sum of log-normal masses is biased: the total mass of v3
+    was 2.957 ± 0.094 kg instead of 2.787 ± 0.006 kg.) Gravity is linear in masses m and first
+    moments m c, so these are drawn: the deviation of a CoM is scaled by m0 / m, with the written
+    mass m0. Other factors are clipped at 0.
 
     Args:
-        posterior: What is known of the parameters.
-        vector: (n,) the parameters as they are written.
-        count: How many robots.
-        seed: Of the generator.
+        posterior: Distribution of the parameters.
+        vector: Parameter values as written, shape (n,).
+        count: Number of robots. Fewer are returned if 100 rounds of this number do not suffice.
+        seed: Seed of the generator.
 
     Returns:
-        (k,) what studies call the numbers, and (count, k) factors on the corrected model's, or what
-        is added to them (m).
+        Names in `study`, k entries; and values, shape (count, k): factors on the values of the
+        corrected model, or displacements of a CoM [m].
     """
     rng, parameters = np.random.default_rng(seed), posterior.parameters
     table = ParameterTable(parameters)
-    widths = np.array([one.width for one in parameters])
+    widths = np.array([parameter.width for parameter in parameters])
     scaled = np.linalg.cholesky(posterior.covariance / np.outer(widths, widths))
-    scales = np.array([KINDS[one.kind].factor for one in parameters], dtype=bool)
-    drawn = np.zeros((0, len(vector)))
-    for _ in range(_MOST_DRAWS):
-        off = rng.standard_normal((count, len(vector))) @ (widths[:, None] * scaled).T
-        fits = (vector + off > _LEAST * vector)[:, scales].all(axis=1)
-        drawn = np.concatenate([drawn, off[fits]])[:count]
-        if len(drawn) == count:
+    scales = np.array([KINDS[parameter.kind].factor for parameter in parameters], dtype=bool)
+    deviations = np.zeros((0, len(vector)))
+    for _ in range(_MAX_DRAW_ROUNDS):
+        deviation = rng.standard_normal((count, len(vector))) @ (widths[:, None] * scaled).T
+        accepted = (vector + deviation > _MIN_FACTOR * vector)[:, scales].all(axis=1)
+        deviations = np.concatenate([deviations, deviation[accepted]])[:count]
+        if len(deviations) == count:
             break
     names, columns = [], []
-    for at, one in enumerate(parameters):
-        if name := _name(one, float(vector[at])):
+    for index, parameter in enumerate(parameters):
+        if name := _format_factor_name(parameter, float(vector[index])):
             names.append(name)
-            column = drawn[:, at]
-            if one.kind != "com":
-                column = np.maximum(0.0, 1 + column / vector[at])
-            elif (mass := table.find_index("mass", one.subject)) is not None:
-                column = column / (1 + drawn[:, mass] / vector[mass])
+            column = deviations[:, index]
+            if parameter.kind != "com":
+                column = np.maximum(0.0, 1 + column / vector[index])
+            elif (mass := table.find_index("mass", parameter.subject)) is not None:
+                column = column / (1 + deviations[:, mass] / vector[mass])
             columns.append(column)
     return tuple(names), np.array(columns).T
 
 
-_MOST_DRAWS = 100
-"""Times as many: where not one in a hundred has all masses above zero, fewer are written."""
+_MAX_DRAW_ROUNDS = 100
+"""Upper bound of the rounds in which ``count`` robots are drawn. Fewer samples are returned if this
+is not enough. Chosen, not tuned."""
 
-_LEAST = 0.1
-"""Of a mass or a stiffness: a link that weighs a tenth of it is another link."""
+_MIN_FACTOR = 0.1
+"""Smallest mass or kp that is written or drawn: as a fraction of the stated value when writing, of
+the written value when drawing. Chosen, not tuned."""
 
 
-_ABOUT_SAMPLES = """\
+_SAMPLES_HEADER = """\
 # Samples of a fitted robot. One a row: factors on the corrected models' numbers, com_x, com_y, \
 com_z: to be added (m).
 """
 
 
-def _csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
+def _format_csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
+    """Return a CSV file, with comment lines before the header."""
     return (about + csv_text([header, *rows])).encode()
 
 
-def _json(
+def _format_json(
     posterior: Posterior,
     vector: Array,
     models: WrittenNumbers,
     messages: tuple[Diagnostic, ...],
     fit: object,
 ) -> bytes:
+    """Return the content of ``fit.json``."""
     rows = [
-        {name: getattr(one, name) for name in PARAMETER_FIELDS}
+        {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
         | {"mean": mean, "std": std, "low": low, "high": high, "written": value}
-        for one, mean, std, (low, high), value in zip(
+        for parameter, mean, std, (low, high), value in zip(
             posterior.parameters,
             posterior.mean.tolist(),
             posterior.std.tolist(),
@@ -227,9 +240,6 @@ def _json(
     return to_marked_json(document).encode()
 
 
-# Writes what a fit found: models, offsets, and samples for those who train policies.
-
-
 def write_fit(
     robot: Robot,
     posterior: Posterior,
@@ -239,62 +249,65 @@ def write_fit(
     files: tuple[Path | None, Path | None] | None = None,
     force: bool = False,
 ) -> FitFiles:
-    """Writes a fit to a folder: all of its files, or none.
+    """Write a fit to a folder: all files or none.
 
-    The corrected URDF and MJCF, with the meshes and included files that they need, as they stand to
-    each other; no byte of the models is another but those of numbers that changed. ``fit.json``
-    has all parameters with their covariance, ``offsets.csv`` what encoders show beyond the angle
-    (take it from a position, add it to a command), ``samples.csv`` robots that the measurements
-    leave possible, by the names that studies have.
+    The corrected URDF and MJCF are written with the meshes and included files that they need, in
+    the same relative folders. Only the bytes of changed values differ from the originals.
+    ``fit.json`` contains all parameters with their covariance. ``offsets.csv`` contains the encoder
+    offsets: measured position minus true position. ``samples.csv`` contains samples of the
+    posterior, with the factor names of `study`.
 
     Args:
-        robot: The robot, as its files have it.
-        posterior: What is known of its parameters.
-        folder: Where to; made if need be.
-        fit: The result that is written to ``fit.json``, too.
-        files: The URDF and the MJCF, if they are not those that the robot was loaded from.
-        force: Replace files that no fit has written, or that were edited since; but never those
-            that the robot was loaded from.
+        robot: Robot, with the values of its files.
+        posterior: Distribution of its parameters.
+        folder: Output folder, created if necessary.
+        fit: Result that is included in ``fit.json``.
+        files: URDF and MJCF, if the robot was not loaded from its files.
+        force: Whether to replace files that no fit has written, or that were edited since. Files
+            from which the robot was loaded are never replaced.
 
     Returns:
-        What was written.
+        Values that were written.
 
     Raises:
-        ModelError: If not all numbers can be written.
-        OutputError: If a file cannot be or must not be replaced, or is one that the robot was
-            loaded from.
+        ModelError: If a value cannot be written to its file.
+        OutputError: If a file cannot be written, must not be replaced, or is one from which the
+            robot was loaded.
     """
     folder, parameters = Path(folder), posterior.parameters
-    least = [_LEAST * one.stated if KINDS[one.kind].factor else -np.inf for one in parameters]
-    vector = _rounded(np.maximum(posterior.mean, least), posterior)
-    numbers, left = _numbers(robot, posterior, vector)
+    lower_bounds = [
+        _MIN_FACTOR * parameter.stated if KINDS[parameter.kind].factor else -np.inf
+        for parameter in parameters
+    ]
+    vector = _round_parameters(np.maximum(posterior.mean, lower_bounds), posterior)
+    numbers, notes = _collect_numbers(robot, posterior, vector)
     models = write_numbers(robot, numbers, files=files)
-    finding = tuple(left)
-    contents = {"fit.json": _json(posterior, vector, models, finding, fit)}
+    diagnostics = tuple(notes)
+    contents = {"fit.json": _format_json(posterior, vector, models, diagnostics, fit)}
     offsets = [
-        (one.subject, f"{value:.9g}", f"{math.degrees(value):.7g}")
-        for one, value in zip(parameters, vector.tolist(), strict=True)
-        if one.kind == "offset"
+        (parameter.subject, f"{value:.9g}", f"{math.degrees(value):.7g}")
+        for parameter, value in zip(parameters, vector.tolist(), strict=True)
+        if parameter.kind == "offset"
     ]
     if offsets:
-        contents["offsets.csv"] = _csv(("joint", "offset_rad", "offset_deg"), offsets)
+        contents["offsets.csv"] = _format_csv(("joint", "offset_rad", "offset_deg"), offsets)
     names, samples = draw_samples(posterior, vector)
     if names:
         rows = [[f"{value:.12g}" for value in row] for row in samples.tolist()]
-        contents["samples.csv"] = _csv(names, rows, _ABOUT_SAMPLES)
-    writings = models.make_writings(folder, _made_before(folder), force=force)
+        contents["samples.csv"] = _format_csv(names, rows, _SAMPLES_HEADER)
+    writings = models.make_writings(folder, _read_own_hashes(folder), force=force)
     writings += [
         Writing(folder / name, content, FIT_FOLDER.files[name], force=force)
         for name, content in contents.items()
     ]
     write_all(writings)
-    return FitFiles(models, vector, finding)
+    return FitFiles(models, vector, diagnostics)
 
 
-def _made_before(folder: Path) -> dict[str, str]:
-    """Returns {place: hash} of the models that a fit has written to that folder."""
+def _read_own_hashes(folder: Path) -> dict[str, str]:
+    """Return {relative path: hash} of the models that a fit has written to a folder."""
     try:
-        found = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, own=True))
-        return {str(place): str(known) for place, known in found["files"].items()}
+        document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, own=True))
+        return {str(place): str(digest) for place, digest in document["files"].items()}
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return {}

@@ -80,7 +80,7 @@ WIDE = ParameterTable(
 
 def test_curved_valley_is_followed_to_the_minimum() -> None:
     found = estimate_parameters(
-        WIDE, lambda x, _: LinearisedResiduals.from_residuals(*bent(x)), enough=1e-8
+        WIDE, lambda x, _: LinearisedResiduals.from_residuals(*bent(x)), min_decrease=1e-8
     )
     assert found.mean == pytest.approx([1, 1], abs=1e-5)
 

@@ -29,8 +29,8 @@ from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.fit.record.bridge import open_bridge
 from pupper_analysis.tools.fit.record.recorder import (
     MAX_JOINT_SPEED,
-    _margin,
-    _Session,
+    _compute_com_margin,
+    _RecordingSession,
     record_stands,
 )
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
@@ -106,7 +106,7 @@ def test_balance_margin_before_a_recording_is_that_of_the_tilted_stand(
     expected = com_margin(there.center_of_mass(), places)
     level = Configuration(robot, robot.posed(stand.qpos[7:]))
     assert np.ptp(level.foot_places(robot.contact_points)[:, 2]) > 0.02  # as the base sees them
-    assert _margin(robot, stand.qpos[7:], ()) == pytest.approx(expected, abs=1e-9)
+    assert _compute_com_margin(robot, stand.qpos[7:], ()) == pytest.approx(expected, abs=1e-9)
 
 
 class Reversed:
@@ -138,12 +138,12 @@ class Reversed:
 def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> None:
     """It moves by 0.7 of its way, more than the 0.6 that show a working servo, but backwards."""
     person = SimpleNamespace(stops=lambda: False)
-    session = _Session(robot, Reversed(robot), person)  # type: ignore[arg-type]
+    session = _RecordingSession(robot, Reversed(robot), person)  # type: ignore[arg-type]
     session._command = np.zeros(robot.nu)
     target = np.full(robot.nu, 0.27)
     named = dict(zip(robot.joint_names, target.tolist(), strict=True))
-    session._ramp(PlannedStand("s0", (), named, None), target, 3)
-    assert session._lived.tolist() == [0] + [3] * (robot.nu - 1)
+    session._ramp_commands(PlannedStand("s0", (), named, None), target, 3)
+    assert session._last_live_rows.tolist() == [0] + [3] * (robot.nu - 1)
 
 
 class Faulty(SimulatedRobot):
@@ -427,7 +427,7 @@ def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ros, names = Stub(), robot.joint_names
-    monkeypatch.setattr("pupper_analysis.tools.fit.record.ros._DISCOVERY", 0.1)
+    monkeypatch.setattr("pupper_analysis.tools.fit.record.ros._DISCOVERY_TIMEOUT", 0.1)
     for name, module in (
         ("rclpy", ros),
         ("rclpy.qos", ros.qos),

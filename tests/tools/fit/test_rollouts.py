@@ -21,7 +21,7 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     MovingBodies,
     Run,
     Simulator,
-    _smoothed,
+    _apply_lag,
     split_runs,
 )
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, find_moved_link
@@ -163,8 +163,8 @@ def test_smoothed_commands_equal_a_first_order_lag() -> None:
             )
             means.append(parts.mean(axis=0))
             followed = asked + (followed - asked) * np.exp(-1 / lag)
-        np.testing.assert_allclose(_smoothed(command, lag), means, atol=1e-6)
-    np.testing.assert_array_equal(_smoothed(command, 0.0), command)
+        np.testing.assert_allclose(_apply_lag(command, lag), means, atol=1e-6)
+    np.testing.assert_array_equal(_apply_lag(command, 0.0), command)
 
 
 def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:

@@ -47,7 +47,7 @@ from pupper_analysis.tools.fit.result import Fit
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.fit import (
     LogCoordinates,
-    _Problem,
+    _StandProblem,
     check_residuals,
     check_scale,
     check_surroundings,
@@ -181,13 +181,13 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
         4e-3,
         -0.03,
     )
-    own = system._own[0]
+    own = system._unknowns[0]
 
     def rows(x: Array, moved: Array) -> list[Array]:
         """Residuals, their derivatives by x and by own unknowns, after a step of these."""
-        system._own[0] = own
-        system._move(0, moved)
-        found = system._look(0, system._numbers(x))
+        system._unknowns[0] = own
+        system._apply_step(0, moved)
+        found = system._evaluate_stand(0, system._make_values(x))
         return [found.residual, found.by_x, found.by_own]
 
     still = np.zeros(3 + own[1].size)
@@ -218,11 +218,11 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
         -2e-5,
     )
     x[table.find_index("place", link, "y")] = 4e-3
-    own = system._own[0]
+    own = system._unknowns[0]
 
     def rows(at: Array) -> list[Array]:
-        system._own[0] = own
-        found = system._look(0, system._numbers(at))
+        system._unknowns[0] = own
+        found = system._evaluate_stand(0, system._make_values(at))
         return [found.residual, found.by_x]
 
     by_x = rows(x)[1]
@@ -230,8 +230,8 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
     places = [at for at, one in enumerate(table) if one.kind in kinds]
     check_slopes(lambda step: rows(x + step)[0], by_x, places)
     # By Pinocchio's own gravity, of a robot that has the mass, in the ground's axes.
-    numbers = system._numbers(x).for_reading(system._readings[0], table)
-    pose = system._look(0, system._numbers(x)).config
+    numbers = system._make_values(x).for_reading(system._readings[0], table)
+    pose = system._evaluate_stand(0, system._make_values(x)).config
     place = np.array([0.01, 0.024, -0.06])
     heavier = with_payload(robot, 0.4, (link, *place)).structure.model.copy()
     c, s = math.cos(0.5), math.sin(0.5)
@@ -247,7 +247,7 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
     )[0]
     forces = system._regressor.evaluate(pose, numbers)[0]
     np.testing.assert_allclose(forces, whole, atol=1e-9)
-    bare = system._regressor.evaluate(pose, system._numbers(x))[0]
+    bare = system._regressor.evaluate(pose, system._make_values(x))[0]
     assert abs((forces - bare)[6 + joint]) > 1e-3
 
 
@@ -283,9 +283,9 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     # Nothing rubs here: half of what v3's file states is left. A tenth, as in Spot's, would not be
     # believed.
     assert fit.noise["friction"] == pytest.approx(0.5, rel=0.05)
-    own = _Problem.from_stands(robot, stands, [], None, None, None)
-    assert replace(own, friction=own.friction / 10).rubs == pytest.approx(20.0, rel=0.05)
-    assert own.rubs == 1
+    own = _StandProblem.from_stands(robot, stands, [], None, None, None)
+    assert replace(own, friction=own.friction / 10).friction_ratio == pytest.approx(20.0, rel=0.05)
+    assert own.friction_ratio == 1
     assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
     found = {one.name: one for one in fit.estimates}
@@ -421,9 +421,9 @@ def test_friction_share_of_the_load_equals_mujoco(robot: Robot, stands: Measured
     lead[0, : len(given)] = stands.position[0, : len(given)] + band * given
     system, table = equations(robot, replace(stands, command=lead))
     x = table.stated.copy()
-    without = system._look(0, system._numbers(x)).residual[joints]
+    without = system._evaluate_stand(0, system._make_values(x)).residual[joints]
     x[table.find_index("deadband", "servos")] = -band
-    more = system._look(0, system._numbers(x)).residual[joints] - without
+    more = system._evaluate_stand(0, system._make_values(x)).residual[joints] - without
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])[
         : len(given)
     ]
@@ -577,7 +577,7 @@ def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
     robot: Robot, stands: MeasuredStands
 ) -> None:
     """Of a file whose friction is not believed, that which is expected is twenty times as large."""
-    known = _Problem.from_stands(robot, stands, [], None, None, None)
+    known = _StandProblem.from_stands(robot, stands, [], None, None, None)
     for own, friction in ((known, 1.0), (replace(known, friction=known.friction / 10), 20.0)):
         asked, usual = [], own.noise
 
@@ -586,7 +586,7 @@ def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
             raise FitError(diagnose("fit-does-not-converge", steps=1))
 
         found = StandNoise(usual.encoder, 40 * usual.moment, usual.flatness / 3, 2 * friction)
-        assert not list(own._contradicted(own.equations()[0], found, 0.0, by))
+        assert not list(own._find_contradicted_reading(own.make_equations()[0], found, 0.0, by))
         (one,) = asked
         assert one.friction == pytest.approx(friction, rel=0.05)
         assert (one.moment, one.flatness) == (usual.moment, usual.flatness / 3)
@@ -706,7 +706,7 @@ def test_log_coordinates_are_symmetric_in_factors_and_positive() -> None:
     twice, half = (logarithms.from_parameters(np.array([x, 0.1]))[0] - 2.0 for x in (4.0, 1.0))
     assert twice == pytest.approx(-half)
     assert logarithms.to_parameters(np.array([-20.0, 0.1]))[0] > 0
-    assert logarithms.least.tolist() == [-np.inf, 0.0]
+    assert logarithms.lower_bounds.tolist() == [-np.inf, 0.0]
 
 
 def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
@@ -730,7 +730,7 @@ def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
     def by_logarithms(y: Array, _: Array) -> LinearisedResiduals:
         return logarithms.transform_linearised(linearise(logarithms.to_parameters(y)), y)
 
-    found = estimate_parameters(table, by_logarithms, least=logarithms.least)
+    found = estimate_parameters(table, by_logarithms, lower_bounds=logarithms.lower_bounds)
     posterior = logarithms.transform_posterior(found)
     assert posterior.mean == pytest.approx([1.0, *factors], abs=1e-3)
     # What is not known of it, of each in proportion.

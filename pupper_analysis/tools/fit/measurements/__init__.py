@@ -1,1 +1,1 @@
-"""Measurements as they are read: stands at rest, and logs of motions."""
+"""Read measurements: stands at rest, and logs of motions."""

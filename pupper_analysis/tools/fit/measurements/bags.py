@@ -1,4 +1,4 @@
-"""Logs in MCAP files and ROS bags: positions and commands that were published, on one clock."""
+"""Logs from MCAP files and ROS bags: joint positions and commands, resampled to one clock."""
 
 from __future__ import annotations
 
@@ -14,29 +14,37 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Mi
 
 Array = NDArray[np.float64]
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-_GAP = 1.5  # median intervals: beyond, samples are missing, and nothing is put between
-_BACK = 1.0  # s: stamps go back by less with two publishers; by more, where a clock was set
-_STATE, _ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-_ROLES = {"state": _STATE, "command": _ARRAY}
+_MAX_GAP_RATIO = 1.5
+"""Upper bound of a gap in median sampling intervals. Larger gaps are not interpolated. Chosen, not
+tuned."""
+
+_MAX_STEP_BACK = 1.0
+"""Upper bound of a backward step of time stamps [s]. Two publishers cause smaller steps; larger
+ones mean that the clock was set. Chosen, not tuned."""
+
+_STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+_ROLE_TYPES = {"state": _STATE_TYPE, "command": _ARRAY_TYPE}
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Bytes of a file of a bag: larger ones have cameras' topics, which can be left out."""
+"""Upper bound of the size of one file of a bag. Larger bags usually contain camera topics, which
+can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
-"""Bytes of messages that are read."""
+"""Upper bound of the total size of the messages that are read. Chosen, not tuned."""
 
 
 def is_bag(path: Path) -> bool:
-    """Says whether a path is one of a bag: an MCAP, a ROS 1 or a ROS 2 bag."""
+    """Return True if a path is an MCAP file, a ROS 1 bag or a ROS 2 bag."""
     return path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_bag(
     path: Path, topics: Mapping[str, str], joints: Sequence[str]
 ) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Reads what joints did, and were asked for, from a bag; ``read_log`` says how.
+    """Read joint positions and commands from a bag; see ``read_log``.
 
     Returns:
-        Moments (n,) from the first on (s), and {kind: {joint: (n,)}} (rad, m); NaN of none.
+        Times from the first sample on, shape (n,) [s], and {kind: {joint: values, shape (n,) [rad,
+        m]}}; NaN if missing.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -45,92 +53,103 @@ def read_bag(
         raise MissingPackageError("rosbags", "bags") from error
     try:  # bags of Humble and before hold no definitions
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            types = {one.topic: one.msgtype for one in reader.connections}
-            return _on_one_clock(_series(reader, _choose(types, topics), joints))
+            types = {connection.topic: connection.msgtype for connection in reader.connections}
+            return _resample_to_common_clock(
+                _read_series(reader, _choose_topics(types, topics), joints)
+            )
     except ConfigurationError:
         raise
     except MeasurementError as error:
         raise MeasurementError(str(path), error.cause) from error
-    except Exception as error:  # of damaged files readers raise whatever they come upon
-        finding = f"{type(error).__name__}: {error}".replace(str(path), path.name).splitlines()[0]
-        raise MeasurementError(str(path), diagnose("no-bag", problem=finding)) from error
+    except Exception as error:  # readers of damaged files raise any exception
+        reason = f"{type(error).__name__}: {error}".replace(str(path), path.name).splitlines()[0]
+        raise MeasurementError(str(path), diagnose("no-bag", problem=reason)) from error
 
 
-def _choose(types: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, str]:
-    """Returns {role: topic}: the only one of its kind, or the one that is wanted."""
-    found: dict[str, str] = {}
-    shown = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
-    if wrong := [role for role in wanted if role not in _ROLES]:
+def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
+    """Return {role: topic}: the requested topic, or the only one of its type."""
+    topics: dict[str, str] = {}
+    listing = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
+    if wrong := [role for role in requested if role not in _ROLE_TYPES]:
         raise ConfigurationError("topic", diagnose("topic-without-role", role=wrong[0]))
-    for role, kind in _ROLES.items():
-        able = [one for one in types if types[one] == kind]
-        if role in wanted:
-            # A state of joints may be one that is asked for.
-            if types.get(wanted[role]) not in (kind, _STATE):
-                named = wanted[role]
-                finding = diagnose("topic-of-another-kind", topic=named, role=role, topics=shown)
+    for role, kind in _ROLE_TYPES.items():
+        matching = [topic for topic in types if types[topic] == kind]
+        if role in requested:
+            # Commands may be published as JointState as well.
+            if types.get(requested[role]) not in (kind, _STATE_TYPE):
+                named = requested[role]
+                finding = diagnose("topic-of-another-kind", topic=named, role=role, topics=listing)
                 raise ConfigurationError("topic", finding)
-            able = [wanted[role]]
+            matching = [requested[role]]
         elif role == "state":
-            able = [one for one in able if one != wanted.get("command")]
-        if len(able) > 1:
-            raise MeasurementError("", diagnose("topics-of-one-kind", role=role, topics=able))
-        found |= dict.fromkeys([role], able[0]) if able else {}
-    if "state" not in found:
-        raise MeasurementError("", diagnose("bag-without-states", topics=shown))
-    return found
+            matching = [topic for topic in matching if topic != requested.get("command")]
+        if len(matching) > 1:
+            raise MeasurementError("", diagnose("topics-of-one-kind", role=role, topics=matching))
+        topics |= dict.fromkeys([role], matching[0]) if matching else {}
+    if "state" not in topics:
+        raise MeasurementError("", diagnose("bag-without-states", topics=listing))
+    return topics
 
 
-def _series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
-    """Returns {(kind, joint): (n, 3) when recorded, when by its header (s), and the number}."""
-    found: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
+def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
+    """Return {(kind, joint): rows of recording time [s], header time [s], value}, shape (n, 3)."""
+    series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     kinds = {chosen[role]: kind for role, kind in (("command", "command"), ("state", "position"))
              if role in chosen}  # fmt: skip
-    connections, size = [one for one in reader.connections if one.topic in kinds], 0
-    for one, recorded, raw in reader.messages(connections=connections):
+    connections, size = (
+        [connection for connection in reader.connections if connection.topic in kinds],
+        0,
+    )
+    for connection, recorded, raw in reader.messages(connections=connections):
         size += len(raw)
         if size > MAX_MESSAGE_BYTES:
             raise MeasurementError("", diagnose("bag-too-large", most=MAX_MESSAGE_BYTES / 1e6))
-        message = reader.deserialize(raw, one.msgtype)
+        message = reader.deserialize(raw, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec is ROS 1's
-        nano = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
-        moment = (stamp.sec + 1e-9 * nano if stamp else 0.0) or np.nan
+        nanoseconds = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
+        moment = (stamp.sec + 1e-9 * nanoseconds if stamp else 0.0) or np.nan
         names = getattr(message, "name", joints)
-        values = message.position if one.msgtype == _STATE else message.data
+        values = message.position if connection.msgtype == _STATE_TYPE else message.data
         if not len(names):
-            finding = diagnose("joints-not-named", topic=one.topic, type=one.msgtype)
-            raise MeasurementError("", finding)
+            error = diagnose("joints-not-named", topic=connection.topic, type=connection.msgtype)
+            raise MeasurementError("", error)
         if len(values) not in (0, len(names)):
-            raise MeasurementError("", diagnose("message-of-other-joints", topic=one.topic))
+            raise MeasurementError("", diagnose("message-of-other-joints", topic=connection.topic))
         for joint, value in zip(names, values, strict=False):
             row = (1e-9 * recorded, moment, float(value))
-            found.setdefault((kinds[one.topic], joint), []).append(row)
-    return {key: np.array(rows) for key, rows in found.items()}
+            series.setdefault((kinds[connection.topic], joint), []).append(row)
+    return {key: np.array(rows) for key, rows in series.items()}
 
 
-def _on_one_clock(series: dict[Any, Array]) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Returns moments of the joint whose position is there most often, and all at those."""
-    at = 1 if all(np.isfinite(rows[:, 1]).all() for rows in series.values()) else 0
-    finding: dict[Any, tuple[Array, Array]] = {}
+def _resample_to_common_clock(
+    series: dict[Any, Array],
+) -> tuple[Array, dict[str, dict[str, Array]]]:
+    """Return sample times of the most frequently measured joint, and all values at these times."""
+    time_column = 1 if all(np.isfinite(rows[:, 1]).all() for rows in series.values()) else 0
+    samples: dict[Any, tuple[Array, Array]] = {}
     for (kind, joint), rows in series.items():
-        back = -float(np.diff(rows[:, at]).min(initial=0.0))
-        if back > _BACK:
-            went = diagnose("stamps-go-back", kind=kind, joint=joint, back=Quantity(back, "s"))
-            raise MeasurementError("", went)
-        moments, first = np.unique(rows[:, at], return_index=True)
-        finding[kind, joint] = moments, rows[first, 2]
-    clocks = [moments for (kind, _), (moments, _) in finding.items() if kind == "position"]
+        step_back = -float(np.diff(rows[:, time_column]).min(initial=0.0))
+        if step_back > _MAX_STEP_BACK:
+            error = diagnose(
+                "stamps-go-back", kind=kind, joint=joint, back=Quantity(step_back, "s")
+            )
+            raise MeasurementError("", error)
+        moments, first = np.unique(rows[:, time_column], return_index=True)
+        samples[kind, joint] = moments, rows[first, 2]
+    clocks = [moments for (kind, _), (moments, _) in samples.items() if kind == "position"]
     if not clocks:
         raise MeasurementError("", diagnose("column-missing", column="position.<joint>"))
     clock = max(clocks, key=len)
-    found: dict[str, dict[str, Array]] = {"position": {}, "command": {}}
-    for (kind, joint), (moments, values) in finding.items():
-        after = np.searchsorted(moments, clock, side="right")
+    resampled: dict[str, dict[str, Array]] = {"position": {}, "command": {}}
+    for (kind, joint), (moments, values) in samples.items():
+        next_index = np.searchsorted(moments, clock, side="right")
         if kind == "command":  # holds until the next
-            found[kind][joint] = np.where(after > 0, values[after - 1], np.nan)
+            resampled[kind][joint] = np.where(next_index > 0, values[next_index - 1], np.nan)
             continue
-        steps = np.diff(moments, prepend=-np.inf, append=np.inf)[after]
-        near = steps <= _GAP * np.median(np.diff(moments)) if len(moments) > 1 else False
-        near |= np.isin(clock, moments)
-        found[kind][joint] = np.where(near, np.interp(clock, moments, values), np.nan)
-    return clock - clock[0], found
+        gaps = np.diff(moments, prepend=-np.inf, append=np.inf)[next_index]
+        is_close = (
+            gaps <= _MAX_GAP_RATIO * np.median(np.diff(moments)) if len(moments) > 1 else False
+        )
+        is_close |= np.isin(clock, moments)
+        resampled[kind][joint] = np.where(is_close, np.interp(clock, moments, values), np.nan)
+    return clock - clock[0], resampled

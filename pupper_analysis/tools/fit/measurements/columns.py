@@ -1,4 +1,4 @@
-"""Files of measurements: columns of numbers with names and units, from CSV."""
+"""CSV files of measurements: columns of numbers with names and units."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from pupper_analysis.models.places import quote_short
 
 Array = NDArray[np.float64]
 
-_MISSING = ("", "nan", "na", "null", "none")
-"""Cells that say that nothing was measured."""
+_MISSING_CELLS = ("", "nan", "na", "null", "none")
+"""Contents of cells without a measurement."""
 
 MAX_CSV_BYTES = 100_000_000
-"""Bytes of a CSV file: half an hour of twelve joints at 1 kHz."""
+"""Upper bound of the size of a CSV file: half an hour of twelve joints at 1 kHz."""
 
-_SEPARATORS = (",", ";", "\t")
-"""The first line has most of the one that a file has."""
+_CELL_SEPARATORS = (",", ";", "\t")
+"""Possible separators; the most frequent one in the first line is used."""
 
-_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
+_DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 
-_NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+_HEADER_PATTERN = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column that may be in a file of measurements.
+    """Column that a file of measurements may contain.
 
     Attributes:
-        pattern: Its name, as ``time`` or ``position.*``.
-        quantity: What its numbers are: a key of the units; empty for words.
+        pattern: Column name, for example ``time``, or a pattern (``position.*``).
+        quantity: Physical quantity, a key of the units; empty for texts.
     """
 
     pattern: str
@@ -53,13 +53,13 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """What stands in a file of measurements.
+    """Content of a file of measurements.
 
     Attributes:
-        source: The file's path.
-        numbers: {name: (n,) in SI units}; missing cells are NaN.
-        words: {name: n texts}, of columns that hold words.
-        lines: (n,) the file's line of each row.
+        source: Path of the file.
+        numbers: {name: values in SI units, shape (n,)}; NaN for missing cells.
+        words: {name: n texts} of columns that contain texts.
+        lines: Line number of each row, shape (n,).
     """
 
     source: str
@@ -68,7 +68,7 @@ class Columns:
     lines: tuple[int, ...]
 
     def get_columns(self, prefix: str) -> dict[str, Array]:
-        """Returns the columns of one prefix: {``FL_knee``: (n,)} for ``position``."""
+        """Return the columns with a prefix: {``FL_knee``: values, shape (n,)} for ``position``."""
         start = prefix + "."
         return {
             name[len(start) :]: values
@@ -78,32 +78,33 @@ class Columns:
 
 
 def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
-    """Reads a file of measurements.
+    """Read a CSV file of measurements.
 
-    A CSV file has its columns' names in its first line, with units in brackets where they are not
-    SI: ``position.FL_knee [deg]``. It may have semicolons or tabs for commas; with semicolons,
-    numbers may have decimal commas. A cell that is empty or says ``nan`` is missing.
+    The first line has the names of the columns, with units in brackets if they are not SI units:
+    ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons, numbers
+    may have decimal commas. Empty cells and ``nan`` are missing values.
 
     Args:
-        path: The file.
-        known: The columns that it may have.
+        path: CSV file.
+        known: Columns that the file may contain.
 
     Raises:
-        MeasurementError: If it cannot be read: a column that is not known, twice there or in no
-            known unit, a cell that is no number.
+        MeasurementError: If the file cannot be read: for example a column is unknown, repeated or
+            has an unknown unit, or a cell is not a number.
     """
     check_type("path", path, str | Path)
     file = Path(path)
     try:
-        return _from_csv(str(path), decode_input(file, read_input(file, MAX_CSV_BYTES)), known)
+        return _parse_csv(str(path), decode_input(file, read_input(file, MAX_CSV_BYTES)), known)
     except InputError as error:
         source = str(path) if error.line is None else f"{path}:{error.line}"
         raise MeasurementError(source, error.cause) from error
 
 
-def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
+def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
+    """Parse the text of a CSV file."""
     first = text.lstrip("\r\n").partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
+    separator = max(_CELL_SEPARATORS, key=first.count)
     try:
         lines = io.StringIO(text, newline="")
         rows = list(csv.reader(lines, strict=True, delimiter=separator))
@@ -113,7 +114,7 @@ def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
     if len(filled) < 2:
         raise MeasurementError(source, diagnose("no-rows"))
     header, body = [cell.strip() for cell in filled[0][1]], filled[1:]
-    columns = list(_columns(source, header, known))
+    columns = list(_match_columns(source, header, known))
     for line, row in body:
         if len(row) != len(header):
             finding = diagnose("row-length", line=line, cells=len(row), columns=len(header))
@@ -121,55 +122,60 @@ def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
     numbers, words = {}, {}
     for place, (name, column, factor) in enumerate(columns):
         cells = [row[place].strip() for _, row in body]
-        if column.quantity and separator == ";":  # whose decimals have a comma, as a rule
-            cells = [_COMMA.sub(r"\1.", cell) for cell in cells]
+        if (
+            column.quantity and separator == ";"
+        ):  # files with semicolons usually have decimal commas
+            cells = [_DECIMAL_COMMA.sub(r"\1.", cell) for cell in cells]
         if column.quantity:
-            numbers[name] = factor * _numbers(source, header[place], cells, body)
+            numbers[name] = factor * _parse_numbers(source, header[place], cells, body)
         else:
             words[name] = tuple(map(cell_text, cells))
     return Columns(source, numbers, words, tuple(line for line, _ in body))
 
 
-def _numbers(
+def _parse_numbers(
     source: str, name: str, cells: Sequence[str], body: Sequence[tuple[int, list[str]]]
 ) -> Array:
-    try:  # quickly, where all are numbers
-        found = np.array(cells, dtype=float)
+    """Parse the cells of a column."""
+    try:  # fast path: all cells are numbers
+        values = np.array(cells, dtype=float)
     except ValueError:
-        found = np.empty(len(cells))
+        values = np.empty(len(cells))
         for row, cell in enumerate(cells):
             try:
-                found[row] = math.nan if cell.lower() in _MISSING else float(cell)
+                values[row] = math.nan if cell.lower() in _MISSING_CELLS else float(cell)
             except ValueError:
-                finding = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell[:60])
-                raise MeasurementError(source, finding) from None
-    if np.isinf(found).any():
-        row = int(np.flatnonzero(np.isinf(found))[0])
-        finding = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row][:60])
-        raise MeasurementError(source, finding)
-    return found
+                error = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell[:60])
+                raise MeasurementError(source, error) from None
+    if np.isinf(values).any():
+        row = int(np.flatnonzero(np.isinf(values))[0])
+        error = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row][:60])
+        raise MeasurementError(source, error)
+    return values
 
 
-def _columns(
+def _match_columns(
     source: str, header: Iterable[str], known: Sequence[Column]
 ) -> Iterator[tuple[str, Column, float]]:
-    """Yields name, kind and size of the unit of each column."""
-    seen = set()
+    """Yield name, column definition and unit in SI units for each column."""
+    names = set()
     for text in header:
-        match = _NAME.fullmatch(text)
+        match = _HEADER_PATTERN.fullmatch(text)
         name = match["name"].strip() if match else text
-        column = next((one for one in known if fnmatchcase(name, one.pattern)), None)
+        column = next(
+            (candidate for candidate in known if fnmatchcase(name, candidate.pattern)), None
+        )
         if match is None or column is None:
-            patterns = tuple(one.pattern for one in known)
+            patterns = tuple(candidate.pattern for candidate in known)
             raise MeasurementError(
                 source, diagnose("measurement-unknown", column=quote_short(text), known=patterns)
             )
-        if name in seen:
+        if name in names:
             raise MeasurementError(source, diagnose("column-twice", column=name))
-        seen.add(name)
+        names.add(name)
         units = UNIT_FACTORS.get(column.quantity, {})
         unit = (match["unit"] or "").strip()
         if unit and unit not in units:
-            finding = diagnose("column-unit", column=name, unit=unit, known=tuple(units))
-            raise MeasurementError(source, finding)
+            error = diagnose("column-unit", column=name, unit=unit, known=tuple(units))
+            raise MeasurementError(source, error)
         yield name, column, units[unit] if unit else 1.0

@@ -1,4 +1,4 @@
-"""Logs: what a robot's joints were commanded, and what they did."""
+"""Logs of motions: joint commands and measured positions over time."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 
 Array = NDArray[np.float64]
 
-_JUMP = 0.5
-"""s between two samples, at least, if the clock was set."""
+_MIN_JUMP = 0.5
+"""Lower bound of a clock jump: time [s] between two samples. Chosen, not tuned."""
 
 MIN_SAMPLES = 100
-"""Half a second at 200 Hz: less tells nothing of a motion."""
+"""Smallest number of samples of a log: half a second at 200 Hz. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What a robot's joints were commanded, and what they did.
+    """Joint commands and measured positions over time.
 
     Attributes:
-        source: The file.
-        time: (n,) of the samples, rising (s).
-        joints: Whose columns follow.
-        command: (n, joints) positions that servos were asked for, each from its sample to the next
-            (rad, m); NaN where there is none.
-        position: (n, joints) that encoders tell (rad, m); NaN where a sample is missing.
+        source: File.
+        time: Sample times, strictly increasing, shape (n,) [s].
+        joints: Joints of the columns.
+        command: Commanded positions, each from its sample to the next, shape (n, joints) [rad, m];
+            NaN if missing.
+        position: Measured positions, shape (n, joints) [rad, m]; NaN if missing.
     """
 
     source: str
@@ -53,60 +53,63 @@ class Log:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last (s)."""
+        """Time from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def interval(self) -> float:
-        """Median of the times between samples (s)."""
+        """Median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def jumps(self) -> list[int]:
-        """After which samples the clock was set, or the log was stopped: another run begins."""
-        least = max(_JUMP, 10 * self.interval)
-        return [int(at) for at in np.flatnonzero(np.diff(self.time) > least)]
+        """Indices of samples before a new run: the clock was set, or the log interrupted."""
+        min_jump = max(_MIN_JUMP, 10 * self.interval)
+        return [int(index) for index in np.flatnonzero(np.diff(self.time) > min_jump)]
 
     def select_rows(self, rows: slice) -> Log:
-        """Returns some of its samples."""
+        """Return a log of some of the samples."""
         return replace(
             self, time=self.time[rows], command=self.command[rows], position=self.position[rows]
         )
 
     def order_joints(self, robot: Robot) -> Log:
-        """Returns the same with a robot's joints in its order; of those it lacks all is NaN.
+        """Return the log with all joints in actuator order; NaN for joints without columns.
 
         Raises:
-            UnknownNameError: If the robot has not one of the joints.
+            UnknownNameError: If the robot lacks a joint of the log.
         """
         for name in self.joints:
             if name not in robot.joint_names:
                 raise UnknownNameError(self.source, "joint", name, robot.joint_names)
 
-        def put(values: Array) -> Array:
+        def place_columns(values: Array) -> Array:
             placed = np.full((len(self.time), robot.nu), np.nan)
             placed[:, [robot.joint_names.index(name) for name in self.joints]] = values
             return placed
 
         return replace(
-            self, joints=robot.joint_names, command=put(self.command), position=put(self.position)
+            self,
+            joints=robot.joint_names,
+            command=place_columns(self.command),
+            position=place_columns(self.position),
         )
 
 
 def make_log(
     source: str, time: Array, kinds: Mapping[str, Mapping[str, Array]], lines: Sequence[int]
 ) -> Log:
-    """Makes a log of columns.
+    """Create a log from columns.
 
     Args:
-        source: Where they are from.
-        time: (n,) s; empty if there is none.
-        kinds: {``position`` or ``command``: {joint: (n,)}}.
-        lines: (n,) of the file.
+        source: Source of the columns, for error messages.
+        time: Sample times, shape (n,) [s]; empty if there are none.
+        kinds: {``position`` or ``command``: {joint: values, shape (n,) [rad, m]}}.
+        lines: Line number of each sample in the file, shape (n,).
 
     Raises:
-        MeasurementError: If it is no log: columns are missing, a joint has no commands, time does
-            not rise, samples are too few.
+        MeasurementError: If columns are missing, a joint has no commands, time does not increase,
+            or samples are too few.
     """
     position = kinds["position"]
     if not len(time) or not position:
@@ -118,8 +121,8 @@ def make_log(
         if joint not in position:
             finding = diagnose("column-without-position", column=f"command.{joint}", joint=joint)
             raise MeasurementError(source, finding)
-    blank = np.full(len(time), np.nan)
-    command = np.column_stack([kinds["command"].get(joint, blank) for joint in joints])
+    missing_values = np.full(len(time), np.nan)
+    command = np.column_stack([kinds["command"].get(joint, missing_values) for joint in joints])
     for joint, column in zip(joints, command.T, strict=True):
         if not np.isfinite(column).any():
             raise MeasurementError(source, diagnose("joint-without-command", joint=joint))
@@ -127,27 +130,27 @@ def make_log(
 
 
 def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
-    """Checks that time is stated in all rows, and rises.
+    """Check that each sample has a time, and that times increase.
 
     Raises:
         MeasurementError: If not.
     """
     if len(time) < MIN_SAMPLES:
-        finding = diagnose("log-too-short", samples=len(time), least=MIN_SAMPLES)
-        raise MeasurementError(source, finding)
+        error = diagnose("log-too-short", samples=len(time), least=MIN_SAMPLES)
+        raise MeasurementError(source, error)
     if np.isnan(time).any():
         line = lines[int(np.flatnonzero(np.isnan(time))[0])]
         raise MeasurementError(source, diagnose("time-missing", line=line))
     steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.flatnonzero(steps <= 0)[0])
-        finding = diagnose(
+        error = diagnose(
             "time-not-rising",
             line=lines[row + 1],
             back=Quantity(-steps[row], "s") if steps[row] else None,
             count=int((steps <= 0).sum()),
         )
-        raise MeasurementError(source, finding)
+        raise MeasurementError(source, error)
 
 
 # Files of logs: CSV, npz, MCAP and ROS bags.
@@ -159,38 +162,39 @@ LOG_COLUMNS = (
     Column("velocity.*", "velocity"),
     Column("torque.*", "torque"),
 )
-"""What may stand in a log."""
+"""Columns that a log may contain."""
 
 
 @check_arguments
 def read_log(
     path: str | Path, *, topics: Mapping[str, str] | None = None, joints: Sequence[str] = ()
 ) -> Log:
-    """Reads a log from a CSV file, an ``.mcap`` or a ROS bag.
+    """Read a log from a CSV file, an ``.mcap`` file or a ROS bag.
 
-    Columns are ``time``, ``position.<joint>``, ``command.<joint>``; ``velocity.<joint>`` and
-    ``torque.<joint>`` may be there, and nothing is made of them. Units are SI unless they are said
-    in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A cell that is empty is missing.
+    Columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
+    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets: ``time
+    [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
 
-    Of a bag, states are ``sensor_msgs/JointState``, commands ``std_msgs/Float64MultiArray`` (or a
-    second ``JointState`` that is named).
-    Moments are those of the messages' headers, or if one topic has none, those at which all were
-    recorded. They are those of the joint whose position is there most often: numbers of others are
-    put between theirs, but not where one of these is missing, and a command holds until the next.
+    In a bag, states are ``sensor_msgs/JointState`` messages; commands are
+    ``std_msgs/Float64MultiArray`` messages, or a second ``JointState`` topic that is named. Times
+    are those of the headers, or of recording if any message lacks a header time. The log has the
+    sample times of the joint with the most samples: positions of other joints are interpolated
+    unless samples are missing, and a command holds until the next.
 
     Args:
-        path: The file; of a ROS 2 bag also its folder.
-        topics: Of a bag: {``"state"`` or ``"command"``: the topic}, where there are several.
-        joints: Of a bag: names of joints in messages that have none, in their order.
+        path: File, or folder of a ROS 2 bag.
+        topics: Of a bag with several topics: {``"state"`` or ``"command"``: topic}.
+        joints: Of a bag: joints of messages without names, in order.
 
     Returns:
-        The log. What is odd in it, ``inspect_log`` says, for a robot.
+        The log. ``inspect_log`` checks it for a robot.
 
     Raises:
-        ConfigurationError: If topics or joints are given of what is no bag.
-        MeasurementError: If it cannot be read or is no log: columns are missing or not known, a
-            joint has no commands, a cell is no number, time does not rise, samples are too few.
-        MissingPackageError: If it is a bag, and rosbags is not installed.
+        ConfigurationError: If topics or joints are passed for a file that is not a bag.
+        MeasurementError: If the file is not a log: for example columns are missing or unknown, a
+            joint has no commands, a cell is not a number, time does not increase, or samples are
+            too few.
+        MissingPackageError: If the file is a bag, and rosbags is not installed.
     """
     if is_bag(Path(path)):
         _check_files(Path(path))
@@ -205,10 +209,10 @@ def read_log(
 
 
 def _check_files(bag: Path) -> None:
-    """Refuses a bag with what is no regular file, as its reader would wait for that.
+    """Check that a bag has regular files only, since readers would wait for others.
 
     Raises:
-        MeasurementError: If there is one, or it is too large.
+        MeasurementError: If a file is not regular, or too large.
     """
     try:
         for file in bag.iterdir() if bag.is_dir() else (bag,):

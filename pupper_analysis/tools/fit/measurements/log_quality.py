@@ -1,4 +1,4 @@
-"""What is odd in a log, before anything is fitted to it: units, columns, clock, joints."""
+"""Checks of a log before a fit: units, exchanged columns, clock and resting joints."""
 
 from __future__ import annotations
 
@@ -15,98 +15,112 @@ from pupper_analysis.tools.fit.measurements.log import Log
 
 Array = NDArray[np.float64]
 
-_GAP = 1.5
-"""Median intervals between two samples: beyond, at least one is missing between them."""
+_MAX_GAP_RATIO = 1.5
+"""Upper bound of the time between two samples, in median intervals. Above, samples are missing.
+Chosen, not tuned."""
 
-_STILL = 2e-3
-"""rad, m: a joint whose whole range is less has not moved; the play of a gearbox is more."""
+_MIN_JOINT_RANGE = 2e-3
+"""Range [rad, m] below which a joint has not moved. The backlash of a gearbox is larger. Chosen,
+not tuned."""
 
-_TWICE = 2.0
-"""A joint beyond twice its range's farther end was not there: its unit is another."""
+_MAX_REACH_RATIO = 2.0
+"""Upper bound of the median absolute position over the larger absolute joint limit. Above, the unit
+is wrong. Chosen, not tuned."""
 
-_DEGREES = 180 / np.pi
+_DEGREES_PER_RADIAN = 180 / np.pi
+"""Degrees per radian."""
 
-_SAME_UNIT = (0.2, 5.0)
-"""Between these, a ratio of two columns is one of unit 1: 57.3 and 1/57.3 are far outside."""
+_SAME_UNIT_RATIOS = (0.2, 5.0)
+"""Bounds of the ratio of two columns with the same unit. 57.3 and 1/57.3 are far outside. Chosen,
+not tuned."""
 
-_BACKWARDS = -0.1
-"""Of the correlation between a joint's steps and its servo's error: a servo gives energy to what
-rubs and swings, so that is positive (0.1 to 0.9 in simulated and public logs); with the columns
-swapped it is as negative."""
+_MAX_SWAPPED_CORRELATION = -0.1
+"""Correlation between a joint's steps and its servo error below which its columns are swapped. A
+servo supplies the energy that friction dissipates, so that the correlation is positive: 0.1 to
+0.9 in simulated and public logs, and as negative with swapped columns."""
 
-_ZERO = 0.1
-"""rad, m: by that an encoder's zero may be off, which gives or takes over a motion that ends
-elsewhere than it began: three standard deviations of what is known of it."""
+_OFFSET_ALLOWANCE = 0.1
+"""Encoder offset [rad, m] that is allowed in the energy balance of a motion with different start
+and end positions: three standard deviations of its prior."""
 
-_OPPOSED = -0.7
-"""Of the correlation between commands and positions: a quarter of a turn late makes 0, and no servo
-that follows its command is later."""
+_MAX_OPPOSED_CORRELATION = -0.7
+"""Correlation of commands and positions below which the sign is wrong. A delay of a quarter period
+gives 0, and servos are not slower. Chosen, not tuned."""
 
-_OWN, _OTHERS = 0.5, 0.9
-"""Correlation of a position with its own joint's command, below which it may be another's, and with
-that other's. A servo that lags by a third of a period still has 0.5; of joints that are commanded
-alike both are high."""
+_MIN_OWN_CORRELATION = 0.5
+"""Correlation of a position with its own command below which its column may be that of another
+joint. Chosen, not tuned."""
+
+_MIN_OTHER_CORRELATION = 0.9
+"""Correlation of a position with another joint's command above which the column belongs to that
+joint. Joints with similar commands have high correlations with both. Chosen, not tuned."""
 
 _MAX_INTERVAL_DEVIATION = 0.3
 """Standard deviation of the sampling intervals, as a share of their median, above which a log has
 uneven intervals. Measured: 0.01 to 0.1 with a scheduler that is late."""
 
-_SLOWEST = 0.1
-"""s between samples: servos answer in less, and of a walk of 2 Hz five samples a step are left."""
+_MAX_INTERVAL = 0.1
+"""Upper bound of the sampling interval [s]. Servos respond faster; a step at 2 Hz would have five
+samples. Chosen, not tuned."""
 
 
 @check_arguments
 def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
-    """Returns what is odd in a log of a robot, before anything is fitted to it.
+    """Check a log for a robot, and return warnings and notes.
 
     Args:
-        robot: The robot.
-        log: The log.
+        robot: Robot.
+        log: Log.
 
     Raises:
-        MeasurementError: If no fit can make sense of it: degrees for radians, command and position
-            swapped, no joint that moves.
-        UnknownNameError: If the robot has not one of the joints.
+        MeasurementError: If no fit can use the log: for example degrees instead of radians, swapped
+            command and position columns, or no moving joint.
+        UnknownNameError: If the robot lacks a joint of the log.
     """
-    found = tuple(_remarks(robot, log.order_joints(robot), log.joints))
-    for one in found:
-        if one.severity is Severity.ERROR:
-            raise MeasurementError(log.source, one)
-    return found
+    remarks = tuple(_list_remarks(robot, log.order_joints(robot), log.joints))
+    for remark in remarks:
+        if remark.severity is Severity.ERROR:
+            raise MeasurementError(log.source, remark)
+    return remarks
 
 
-def _remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Says what is odd in a log whose joints are in a robot's order; what is worst first."""
-    named = [robot.joint_names.index(name) for name in joints]
-    position, command = log.position[:, named], log.command[:, named]
-    if log.interval > _SLOWEST:
+def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
+    """Yield remarks on a log with joints in actuator order."""
+    indices = [robot.joint_names.index(name) for name in joints]
+    position, command = log.position[:, indices], log.command[:, indices]
+    if log.interval > _MAX_INTERVAL:
         yield diagnose("log-too-slow", interval=Quantity(log.interval, "s"))
-    yield from find_degrees(robot, named, log.position, log.command)
-    ratio = _ratio(command, position)
-    if ratio is not None and not _SAME_UNIT[0] < ratio < _SAME_UNIT[1]:
+    yield from find_degrees(robot, indices, log.position, log.command)
+    ratio = _compute_column_ratio(command, position)
+    if ratio is not None and not _SAME_UNIT_RATIOS[0] < ratio < _SAME_UNIT_RATIOS[1]:
         yield diagnose("columns-of-two-units", ratio=ratio, header=f"position.{joints[0]} [deg]")
-    there = [column[np.isfinite(column)] for column in position.T]
-    span = np.array([np.ptp(column) if column.size else 0.0 for column in there])
-    moves = span > np.maximum(_STILL, 3 * np.array([find_column_step(one) for one in there]))
-    if not moves.any():
-        yield diagnose("log-without-motion", most=Quantity(span.max(initial=0.0), "rad"))
-    moving = [index for index, one in zip(named, moves, strict=True) if one]
-    yield from _of_other_commands(robot, log, moving)
-    yield from _swapped(robot, log, moving)
-    if (still := [name for name, one in zip(joints, moves, strict=True) if not one]) and moving:
-        yield diagnose("joints-do-not-move", joints=still)
-    if silent := [name for name in robot.joint_names if name not in joints]:
-        yield diagnose("joints-not-in-log", joints=silent)
-    yield from _clock(log)
+    finite_columns = [column[np.isfinite(column)] for column in position.T]
+    ranges = np.array([np.ptp(column) if column.size else 0.0 for column in finite_columns])
+    has_moved = ranges > np.maximum(
+        _MIN_JOINT_RANGE, 3 * np.array([find_column_step(column) for column in finite_columns])
+    )
+    if not has_moved.any():
+        yield diagnose("log-without-motion", most=Quantity(ranges.max(initial=0.0), "rad"))
+    moving = [index for index, moved in zip(indices, has_moved, strict=True) if moved]
+    yield from _find_exchanged_joints(robot, log, moving)
+    yield from _find_swapped_columns(robot, log, moving)
+    if (
+        resting := [name for name, moved in zip(joints, has_moved, strict=True) if not moved]
+    ) and moving:
+        yield diagnose("joints-do-not-move", joints=resting)
+    if missing := [name for name in robot.joint_names if name not in joints]:
+        yield diagnose("joints-not-in-log", joints=missing)
+    yield from _check_clock(log)
 
 
-def _clock(log: Log) -> Iterator[Diagnostic]:
+def _check_clock(log: Log) -> Iterator[Diagnostic]:
+    """Yield remarks on the sample times."""
     steps, jumps = np.diff(log.time), log.jumps
     interval, longest = Quantity(log.interval, "s"), Quantity(steps.max(), "s")
     if jumps:
         after = Quantity(log.time[jumps[0]], "s")
         yield diagnose("clock-jumps", count=len(jumps), after=after, longest=longest)
-    gaps = steps > _GAP * log.interval
+    gaps = steps > _MAX_GAP_RATIO * log.interval
     if (count := int(gaps.sum()) - len(jumps)) > 0:
         yield diagnose("log-samples-missing", count=count, interval=interval, longest=longest)
     deviation = float(steps[~gaps].std() / log.interval)
@@ -114,47 +128,56 @@ def _clock(log: Log) -> Iterator[Diagnostic]:
         yield diagnose("log-intervals-uneven", deviation=Quantity(deviation, "1"))
 
 
-def _of_other_commands(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Finds joints whose position follows another's command, or their own the other way."""
-    asked, done = log.command[:, moving], log.position[:, moving]
-    rows = (np.isfinite(asked) & np.isfinite(done)).all(axis=1)
+def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
+    """Yield joints whose position follows another's command, or its own with opposite sign."""
+    command, position = log.command[:, moving], log.position[:, moving]
+    rows = (np.isfinite(command) & np.isfinite(position)).all(axis=1)
     if rows.sum() < 10:
         return
-    asked, done = (one[rows] - one[rows].mean(axis=0) for one in (asked, done))
-    size = np.outer(np.linalg.norm(asked, axis=0), np.linalg.norm(done, axis=0))
-    alike = np.divide(asked.T @ done, size, out=np.zeros_like(size), where=size > 0)
+    command, position = (series[rows] - series[rows].mean(axis=0) for series in (command, position))
+    norms = np.outer(np.linalg.norm(command, axis=0), np.linalg.norm(position, axis=0))
+    correlations = np.divide(command.T @ position, norms, out=np.zeros_like(norms), where=norms > 0)
     names = [robot.joint_names[index] for index in moving]
-    whose = {
-        names[at]: names[int(np.argmax(column))]
-        for at, column in enumerate(alike.T)
-        if column[at] < _OWN and column.max() > _OTHERS
+    source_joints = {
+        names[index]: names[int(np.argmax(column))]
+        for index, column in enumerate(correlations.T)
+        if column[index] < _MIN_OWN_CORRELATION and column.max() > _MIN_OTHER_CORRELATION
     }
-    if whose:
-        yield diagnose("positions-of-other-joints", joints=list(whose), whose=list(whose.values()))
-    if turned := [name for name, own in zip(names, np.diag(alike), strict=True) if own < _OPPOSED]:
-        yield diagnose("command-sign-differs", joints=turned)
+    if source_joints:
+        yield diagnose(
+            "positions-of-other-joints",
+            joints=list(source_joints),
+            whose=list(source_joints.values()),
+        )
+    if opposed := [
+        name
+        for name, correlation in zip(names, np.diag(correlations), strict=True)
+        if correlation < _MAX_OPPOSED_CORRELATION
+    ]:
+        yield diagnose("command-sign-differs", joints=opposed)
 
 
-def _swapped(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Finds joints whose command follows their position.
+def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
+    """Yield joints whose command follows their position.
 
-    A servo's spring gives its joint what friction takes: over a motion the integral of
-    (command - position) d position is positive. With the columns swapped it is negative, and so is
-    that of (command - position) d command, which is larger by 1/2 [(command - position)^2]: where a
-    motion ends with its load on the servo, or the load fell, one is negative without the other.
+    A servo supplies the energy that friction dissipates: over a motion the integral of (command -
+    position) d position is positive. With swapped columns it is negative, and so is the integral of
+    (command - position) d command, which is larger by [(command - position)^2] / 2 between start
+    and end. Only one of them is negative if a motion ends with a loaded servo, or the load
+    decreased.
     """
     backwards = []
     for index in moving:
-        asked, done = log.command[:, index], log.position[:, index]
-        both = np.isfinite(asked) & np.isfinite(done)
-        if both.sum() < 10:
+        command, position = log.command[:, index], log.position[:, index]
+        is_finite = np.isfinite(command) & np.isfinite(position)
+        if is_finite.sum() < 10:
             continue
-        steps = np.diff([asked[both], done[both]])
-        error = (asked - done)[both]
+        steps = np.diff([command[is_finite], position[is_finite]])
+        error = (command - position)[is_finite]
         error = (error[1:] + error[:-1]) / 2
-        size = np.linalg.norm(error - error.mean()) * np.linalg.norm(steps, axis=1)
-        given = steps @ error + _ZERO * np.abs(steps.sum(axis=1))
-        if (given < _BACKWARDS * size).all():
+        norms = np.linalg.norm(error - error.mean()) * np.linalg.norm(steps, axis=1)
+        work = steps @ error + _OFFSET_ALLOWANCE * np.abs(steps.sum(axis=1))
+        if (work < _MAX_SWAPPED_CORRELATION * norms).all():
             backwards.append(robot.joint_names[index])
     if len(backwards) > len(moving) / 2:
         yield diagnose("command-and-position-swapped", joints=backwards)
@@ -165,65 +188,78 @@ def _swapped(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
 def find_degrees(
     robot: Robot, joints: Iterable[int], position: Array, command: Array
 ) -> Iterator[Diagnostic]:
-    """Finds columns that are not in the unit that they are said to be in.
+    """Yield columns whose values are not in the stated unit.
 
     Args:
-        robot: The robot.
-        joints: Those to look at.
-        position: (n, nu) of them (rad, m); NaN are passed over.
-        command: (n, nu) likewise.
+        robot: Robot.
+        joints: Indices of the joints that are checked.
+        position: Measured positions, shape (n, nu) [rad, m]; NaN is ignored.
+        command: Commands, shape (n, nu) [rad, m]; NaN is ignored.
     """
-    farthest = np.maximum(np.abs(robot.lower_limits), np.abs(robot.upper_limits))
-    farthest = np.where(np.isfinite(farthest) & (farthest > 0), farthest, 2 * np.pi)
+    max_positions = np.maximum(np.abs(robot.lower_limits), np.abs(robot.upper_limits))
+    max_positions = np.where(
+        np.isfinite(max_positions) & (max_positions > 0), max_positions, 2 * np.pi
+    )
     for index in joints:
         for kind, values in (("position", position), ("command", command)):
-            there = values[np.isfinite(values[:, index]), index]
-            # Its median: servos may be asked for what is far beyond a limit, for a moment.
-            reach = np.median(np.abs(there)) if there.size else 0.0
-            if reach > _TWICE * farthest[index]:
+            finite_values = values[np.isfinite(values[:, index]), index]
+            # The median ignores momentary commands far beyond a limit.
+            reach = np.median(np.abs(finite_values)) if finite_values.size else 0.0
+            if reach > _MAX_REACH_RATIO * max_positions[index]:
                 column = f"{kind}.{robot.joint_names[index]}"
                 yield diagnose(
                     "column-in-degrees",
                     column=column,
                     header=f"{column} [deg]",
                     value=Quantity(reach, "rad"),
-                    limit=Quantity(farthest[index], "rad"),
-                    degrees=bool(reach / _DEGREES <= _TWICE * farthest[index]),
+                    limit=Quantity(max_positions[index], "rad"),
+                    degrees=bool(
+                        reach / _DEGREES_PER_RADIAN <= _MAX_REACH_RATIO * max_positions[index]
+                    ),
                 )
 
 
-def _ratio(one: Array, other: Array) -> float | None:
-    """Returns how much more a column varies than another, in the median of columns."""
-    both = np.isfinite(one) & np.isfinite(other)
-    pairs = [(one[rows, at], other[rows, at]) for at, rows in enumerate(both.T) if rows.any()]
-    ratios = [a.std() / b.std() for a, b in pairs if b.std() > _STILL and a.std() > 0]
+def _compute_column_ratio(first: Array, second: Array) -> float | None:
+    """Return the median ratio of the columns' standard deviations; None if no column varies."""
+    is_finite = np.isfinite(first) & np.isfinite(second)
+    pairs = [
+        (first[rows, column], second[rows, column])
+        for column, rows in enumerate(is_finite.T)
+        if rows.any()
+    ]
+    ratios = [x.std() / y.std() for x, y in pairs if y.std() > _MIN_JOINT_RANGE and x.std() > 0]
     return float(np.median(ratios)) if ratios else None
 
 
 def find_column_step(column: Array) -> float:
-    """Returns the step whose whole multiples a joint's positions (n,) are apart; 0 of none."""
+    """Return the largest step of which all differences of positions, shape (n,), are multiples.
+
+    0 if there is none.
+    """
     steps = np.diff(np.sort(column))
-    steps = np.sort(steps[steps > _FINEST])[:_COUNTED]
-    if len(steps) < _LEAST_STEPS:
+    steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_STEPS]
+    if len(steps) < _MIN_STEPS:
         return 0.0
-    parts = np.arange(1, 1 + min(_MOST_PARTS, int(steps.min() / _FINEST)))
-    ratios = steps / (steps.min() / parts[:, None])
-    whole = np.abs(ratios - np.round(ratios)).max(axis=1) < _WHOLE
-    return float(steps.min() / parts[whole.argmax()]) if whole.any() else 0.0
+    divisors = np.arange(1, 1 + min(_MAX_PARTS, int(steps.min() / _MIN_ENCODER_STEP)))
+    ratios = steps / (steps.min() / divisors[:, None])
+    is_multiple = np.abs(ratios - np.round(ratios)).max(axis=1) < _MULTIPLE_TOLERANCE
+    return float(steps.min() / divisors[is_multiple.argmax()]) if is_multiple.any() else 0.0
 
 
-_FINEST = 1e-5
-"""rad: a file's rounding is finer, and an encoder of 18 bits is not."""
+_MIN_ENCODER_STEP = 1e-5
+"""Lower bound of an encoder step [rad]: above the rounding of files, below the step of 18 bits."""
 
-_LEAST_STEPS = 7
-"""That many whole multiples are no chance, of all the parts that are tried: 1e-7 each."""
+_MIN_STEPS = 7
+"""Smallest number of differences: seven chance multiples have a probability of 1e-7 for each
+divisor."""
 
-_MOST_PARTS = 400
-"""Of the least difference of two stands: those of ten, 0.1 rad apart, are 300 steps of 14 bits."""
+_MAX_PARTS = 400
+"""Upper bound of the smallest difference in encoder steps: ten stands in 0.1 rad are about 300
+steps of 14 bits apart."""
 
-_WHOLE = 0.05
-"""Of a step: rounding in the file."""
+_MULTIPLE_TOLERANCE = 0.05
+"""Tolerance of a multiple, in steps, for the rounding in the file. Chosen, not tuned."""
 
-_COUNTED = 50
-"""The smallest ones, in which rounding in a file adds up least: were they any numbers, so many
-whole ones are 1e-50 probable."""
+_MAX_STEPS = 50
+"""Number of the smallest differences that are tested, since rounding errors are relatively smallest
+there. Fifty chance multiples have a probability of 1e-50."""

@@ -1,4 +1,4 @@
-"""Stands at rest as they were measured: commands, positions, and what else was read."""
+"""Measurements of stands at rest: commands, positions, feet in the air and known masses."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ STAND_COLUMNS = (
     Column("added_y.*", "length"),
     Column("added_z.*", "length"),
 )
-"""What may stand in a file of stands."""
+"""Columns that a file of stands may contain."""
 
-_AT_REST = 5e-3
-"""rad: readings of one stand that are further apart are of a robot that moves, or was moved. An
-encoder of 12 bits has steps of 1.5e-3."""
+_MAX_REPEAT_RANGE = 5e-3
+"""Upper bound of the range [rad] of repeated readings of a stand. Above, the robot moved. The step
+of a 12-bit encoder is 1.5e-3 rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStands:
-    """Stands at rest, one a row. NaN is not measured.
+    """Measured stands at rest, one per row; NaN if not measured.
 
     Attributes:
-        source: Where they are from: a file, or what stands for it.
-        names: (m,) of the stands.
-        joints: (n,) whose columns follow.
-        command: (m, n) commanded joint positions, as the servos have them (rad).
-        position: (m, n) measured joint positions, as the encoders have them (rad).
-        swing: (m,) the feet that are in the air.
-        heading: (m,) how the robot was turned about the vertical (rad); zeros by default.
-        added: {link: (m, 4) known mass that was put on it (kg), and where in its frame (m)}; 0 of
-            none.
+        source: File, or a description of the source.
+        names: Stand names, shape (m,).
+        joints: Joints of the columns, shape (n,).
+        command: Commanded joint positions in servo coordinates, shape (m, n) [rad].
+        position: Measured joint positions, shape (m, n) [rad].
+        swing: Feet in the air, shape (m,).
+        heading: Rotation of the robot about the vertical, shape (m,) [rad]; zeros by default.
+        added: {link: known mass [kg] and its position in the link frame [m], shape (m, 4)}; zeros
+            without a mass.
     """
 
     source: str
@@ -70,11 +70,11 @@ class MeasuredStands:
         return len(self.names)
 
     def order_joints(self, robot: Robot) -> MeasuredStands:
-        """Returns the same with a robot's joints in its order.
+        """Return the stands with joints in actuator order.
 
         Raises:
-            UnknownNameError: If the robot has not one of the joints or feet.
-            MeasurementError: If a joint's position was not measured.
+            UnknownNameError: If the robot lacks a joint, foot or link of the stands.
+            MeasurementError: If a joint of the robot was not measured.
         """
         for name in self.joints:
             if name not in robot.joint_names:
@@ -97,82 +97,98 @@ class MeasuredStands:
         )
 
     def check_readings(self, robot: Robot) -> MeasuredStands:
-        """Returns the same with a robot's joints in its order, if it can stand so.
+        """Return the stands with joints in actuator order, checked for the robot.
 
         Raises:
-            UnknownNameError: If the robot has not one of the joints or feet.
-            MeasurementError: If a joint's position was not measured, or cannot be, or too few feet
-                carry.
+            UnknownNameError: If the robot lacks a joint, foot or link of the stands.
+            MeasurementError: If a position is missing, impossible or in degrees, or too few contact
+                points carry.
         """
-        found = self.order_joints(robot)
-        for finding in find_degrees(robot, range(robot.nu), found.position, found.command):
+        ordered = self.order_joints(robot)
+        for finding in find_degrees(robot, range(robot.nu), ordered.position, ordered.command):
             raise MeasurementError(self.source, finding)
-        found.check_limits(robot, found.position, _BEYOND)
-        for row, name in enumerate(found.names):
-            unread = np.flatnonzero(~np.isfinite(found.position[row]))
-            if unread.size:
-                joints = [robot.joint_names[joint] for joint in unread]
+        ordered.check_limits(robot, ordered.position, _LIMIT_MARGIN)
+        for row, name in enumerate(ordered.names):
+            missing = np.flatnonzero(~np.isfinite(ordered.position[row]))
+            if missing.size:
+                joints = [robot.joint_names[joint] for joint in missing]
                 finding = diagnose("stand-position-missing", stand=name, joints=joints)
                 raise MeasurementError(self.source, finding)
-            points = [p for f, own in robot.feet.items() if f not in found.swing[row] for p in own]
-            if len(points) < _LEAST_POINTS:
-                finding = diagnose("stand-on-too-few-feet", stand=name, feet=list(found.swing[row]))
+            points = [
+                point
+                for foot, foot_points in robot.feet.items()
+                if foot not in ordered.swing[row]
+                for point in foot_points
+            ]
+            if len(points) < _MIN_CONTACT_POINTS:
+                finding = diagnose(
+                    "stand-on-too-few-feet", stand=name, feet=list(ordered.swing[row])
+                )
                 raise MeasurementError(self.source, finding)
-        return found
+        return ordered
 
     def check_limits(self, robot: Robot, angles: Array, margin: float = 0.0) -> None:
-        """Checks that no joint is read, or led, to where it cannot be.
+        """Check that joint positions or commands are within the joint limits.
 
         Args:
-            robot: The robot.
-            angles: (m, nu) of the stands (rad); NaN is not looked at.
-            margin: Beyond a limit that is no mistake.
+            robot: Robot.
+            angles: Joint positions, shape (m, nu) [rad]; NaN is ignored.
+            margin: Tolerance beyond the limits [rad].
 
         Raises:
-            MeasurementError: If one is.
+            MeasurementError: If a position exceeds a limit.
         """
         beyond = np.fmax(angles - robot.upper_limits, robot.lower_limits - angles)
         for row, joint in np.argwhere(beyond > margin).tolist():
-            name, who = self.names[row], robot.joint_names[joint]
-            ends = robot.lower_limits[joint], robot.upper_limits[joint]
-            found = (angles[row, joint], *ends)
-            at, low, high = (Quantity(float(one), "rad") for one in found)
+            name, joint_name = self.names[row], robot.joint_names[joint]
+            limits = robot.lower_limits[joint], robot.upper_limits[joint]
+            angle_and_limits = (angles[row, joint], *limits)
+            angle, lower, upper = (Quantity(float(value), "rad") for value in angle_and_limits)
             finding = diagnose(
-                "stand-beyond-limits", stand=name, joint=who, position=at, low=low, high=high
+                "stand-beyond-limits",
+                stand=name,
+                joint=joint_name,
+                position=angle,
+                low=lower,
+                high=upper,
             )
             raise MeasurementError(self.source, finding)
 
     def average_repeats(self) -> MeasuredStands:
-        """Returns the same with readings of one stand, which are rows of one name, averaged.
+        """Return the stands with repeated readings (rows with the same name and loads) averaged.
 
         Raises:
-            MeasurementError: If they are not those of a robot at rest.
+            MeasurementError: If repeated readings differ, so that the robot moved.
         """
         loads = np.column_stack([self.heading, *self.added.values()]).tolist()
         keys = list(zip(self.names, self.swing, map(tuple, loads), strict=True))
-        groups = [np.flatnonzero([one == key for one in keys]) for key in dict.fromkeys(keys)]
+        groups = [
+            np.flatnonzero([other_key == key for other_key in keys]) for key in dict.fromkeys(keys)
+        ]
         if len(groups) == len(keys):
             return self
         for rows in groups:
-            apart = np.ptp(self.position[rows], axis=0)
-            if apart.max() > _AT_REST:
-                joint = int(apart.argmax())
+            ranges = np.ptp(self.position[rows], axis=0)
+            if ranges.max() > _MAX_REPEAT_RANGE:
+                joint = int(ranges.argmax())
                 finding = diagnose(
                     "stand-not-at-rest",
                     stand=self.names[rows[0]],
                     joint=self.joints[joint],
-                    apart=Quantity(float(apart[joint]), "rad"),
+                    apart=Quantity(float(ranges[joint]), "rad"),
                 )
                 raise MeasurementError(self.source, finding)
 
-        def mean(values: Array) -> Array:
-            return np.array([_mean(values[rows]) for rows in groups])
+        def average_groups(values: Array) -> Array:
+            return np.array([_average_finite(values[rows]) for rows in groups])
 
-        first = self.select_rows([int(rows[0]) for rows in groups])
-        return replace(first, command=mean(self.command), position=mean(self.position))
+        first_rows = self.select_rows([int(rows[0]) for rows in groups])
+        return replace(
+            first_rows, command=average_groups(self.command), position=average_groups(self.position)
+        )
 
     def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
-        """Returns the same of some of the stands, by their rows."""
+        """Return some of the stands."""
         chosen = list(rows)
         return replace(
             self,
@@ -181,18 +197,20 @@ class MeasuredStands:
             position=self.position[chosen],
             swing=tuple(self.swing[row] for row in chosen),
             heading=self.heading[chosen],
-            added={link: own[chosen] for link, own in self.added.items()},
+            added={link: load[chosen] for link, load in self.added.items()},
         )
 
 
-_BEYOND = 0.3
-"""rad, m: 17 deg beyond a stop, no encoder's zero is off by so much unnoticed."""
+_LIMIT_MARGIN = 0.3
+"""Tolerance [rad, m] beyond a joint limit: 17 deg is more than an unnoticed encoder offset. Chosen,
+not tuned."""
 
-_LEAST_POINTS = 3
-"""A base on fewer points may turn about the line through them: how it is tilted is not known."""
+_MIN_CONTACT_POINTS = 3
+"""Smallest number of contact points that carry. Fewer do not determine the tilt of the base."""
 
 
-def _mean(values: Array) -> Array:
+def _average_finite(values: Array) -> Array:
+    """Return the mean of the finite values in each column; NaN if there are none."""
     counted = np.isfinite(values)
     total = np.where(counted, values, 0.0).sum(axis=0)
     count = counted.sum(axis=0)
@@ -201,36 +219,38 @@ def _mean(values: Array) -> Array:
 
 
 def read_stands(path: str | Path) -> MeasuredStands:
-    """Reads stands at rest from a CSV file, one a row.
+    """Read stands at rest from a CSV file, one per row.
 
-    Columns are ``command.<joint>`` and ``position.<joint>``; there may be ``stand`` (its name: rows
-    of one name are readings of one stand), ``roll`` and ``pitch`` of the base, ``swing`` (the feet
-    in the air, with blanks between them), ``heading`` (how the robot was turned on the spot), and
-    ``added.<link>`` with ``added_x.<link>``, ``added_y.``, ``added_z.`` (a known mass that was put
-    on it, and where in the link's frame). Units are SI unless they are said in brackets:
-    ``position.FL_knee [deg]``, ``added.base [g]``. A cell that is empty is missing.
+    Required columns are ``command.<joint>`` and ``position.<joint>``. Optional columns are
+    ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in the air,
+    separated by blanks), ``heading`` (rotation of the robot about the vertical), and
+    ``added.<link>`` with ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>`` (known mass
+    and its position in the link frame). Units are SI units, or stated in brackets:
+    ``position.FL_knee [deg]``, ``added.base [g]``. Empty cells are missing values.
 
     Args:
-        path: The file.
+        path: CSV file.
 
     Raises:
-        MeasurementError: If it cannot be read, or is no list of stands.
+        MeasurementError: If the file cannot be read, or is not a list of stands.
     """
     table = read_columns(path, STAND_COLUMNS)
     position, command = table.get_columns("position"), table.get_columns("command")
     if not position or not command:
         missing = "position.<joint>" if not position else "command.<joint>"
         raise MeasurementError(table.source, diagnose("column-missing", column=missing))
-    joints, blank = tuple(position), np.full(len(table.lines), np.nan)
+    joints, missing_values = tuple(position), np.full(len(table.lines), np.nan)
     for joint in command:
         if joint not in position:
             finding = diagnose("column-without-position", column=f"command.{joint}", joint=joint)
             raise MeasurementError(table.source, finding)
     columns = {
-        kind: np.column_stack([table.get_columns(kind).get(joint, blank) for joint in joints])
+        kind: np.column_stack(
+            [table.get_columns(kind).get(joint, missing_values) for joint in joints]
+        )
         for kind in ("command", "position")
     }
-    rows = [str(row + 1) for row in range(len(blank))]
+    rows = [str(row + 1) for row in range(len(missing_values))]
     return MeasuredStands(
         source=table.source,
         names=tuple(table.words.get("stand", rows)),
@@ -238,27 +258,27 @@ def read_stands(path: str | Path) -> MeasuredStands:
         command=columns["command"],
         position=columns["position"],
         swing=tuple(tuple(words.split()) for words in table.words.get("swing", [""] * len(rows))),
-        heading=np.nan_to_num(table.numbers.get("heading", blank)),
-        added=dict(_added(table)),
+        heading=np.nan_to_num(table.numbers.get("heading", missing_values)),
+        added=dict(_read_loads(table)),
     )
 
 
 def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
-    """Returns stands as a CSV file has them, which ``read_stands`` reads."""
-    loads = [f"added{one}.{link}" for link in stands.added for one in ("", "_x", "_y", "_z")]
+    """Return stands as CSV text for ``read_stands``."""
+    loads = [f"added{suffix}.{link}" for link in stands.added for suffix in ("", "_x", "_y", "_z")]
     kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
     rows: list[list[str]] = [["stand", "swing", "heading", *loads, *kinds]] if header else []
     for row, name in enumerate(stands.names):
-        on = [f"{one:.6g}" for own in stands.added.values() for one in own[row]]
+        load_cells = [f"{value:.6g}" for load in stands.added.values() for value in load[row]]
         numbers = [*stands.command[row], *stands.position[row]]
-        cells = [f"{one:.6f}" if math.isfinite(one) else "" for one in numbers]
+        cells = [f"{number:.6f}" if math.isfinite(number) else "" for number in numbers]
         heading = f"{stands.heading[row]:.8g}"
-        rows.append([name, " ".join(stands.swing[row]), heading, *on, *cells])
+        rows.append([name, " ".join(stands.swing[row]), heading, *load_cells, *cells])
     return csv_text(rows)
 
 
-def _added(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yields the links that known masses were put on: mass and place (m, 4)."""
+def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
+    """Yield the links with known masses: masses [kg] and positions [m], shape (m, 4)."""
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
         for link in table.get_columns(kind):
@@ -268,17 +288,17 @@ def _added(table: Columns) -> Iterator[tuple[str, Array]]:
     for link, masses in table.get_columns("added").items():
         blank = np.full(len(masses), np.nan)
         places = np.column_stack([table.get_columns(kind).get(link, blank) for kind in axes])
-        on = np.nan_to_num(masses) != 0
-        for row in np.flatnonzero(on & ((masses < 0) | ~np.isfinite(places).all(axis=1))):
+        has_mass = np.nan_to_num(masses) != 0
+        for row in np.flatnonzero(has_mass & ((masses < 0) | ~np.isfinite(places).all(axis=1))):
             finding = diagnose("added-mass-of-nowhere", line=table.lines[row], link=link)
             raise MeasurementError(table.source, finding)
-        yield link, np.where(on[:, None], np.column_stack([masses, places]), 0.0)
+        yield link, np.where(has_mass[:, None], np.column_stack([masses, places]), 0.0)
 
 
 def estimate_encoder_step(stands: MeasuredStands) -> float:
-    """Returns the encoders' step (rad): all positions of a joint are whole multiples of it apart.
+    """Return the encoder step [rad], of which all positions of a joint are multiples apart.
 
-    0 if there is none, or it is finer than what a file holds.
+    The median of the joints' steps; 0 if at most half of the joints have one.
     """
-    found = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
-    return float(np.median(found)) if 2 * len(found) > len(stands.joints) else 0.0
+    steps = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
+    return float(np.median(steps)) if 2 * len(steps) > len(stands.joints) else 0.0

@@ -1,1 +1,1 @@
-"""Fit of motions: what the robot's servos would have done is simulated."""
+"""Fit of motions: simulation of logs and estimation of parameters."""

@@ -1,4 +1,9 @@
-"""Motions as measurements: what a log tells of the robot that made it."""
+"""Fit of logs: estimate parameters from motions of a robot whose base is held.
+
+Inputs are commands and measured positions of the joints over time. The motion is simulated in
+MuJoCo; the parameters minimise the difference between predicted and measured positions, weighted by
+the autocorrelated residual noise.
+"""
 
 from __future__ import annotations
 
@@ -33,16 +38,17 @@ from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, est
 Array = NDArray[np.float64]
 
 HOLD_OUT_FRACTION = 0.2
-"""Of each log, at its end: what is predicted, and not fitted."""
+"""Default fraction at the end of each log that is predicted, not fitted. Chosen, not tuned."""
 
 
-_MISFIT = 2.0
-"""What is left, in parts of an encoder's noise, from which a model does not explain a motion: of
-half of the joints."""
+_MAX_NOISE_RATIO = 2.0
+"""Upper bound of the median over the joints of RMS error over encoder noise. Above, the model does
+not explain the motion. Chosen, not tuned."""
 
-_MISFIT_OF_ONE = 10.0
-"""The same of a single joint: a clock that shakes by a tenth of an interval leaves 3, a joint that
-touches something, or whose column is another's, hundreds."""
+_MAX_JOINT_NOISE_RATIO = 10.0
+"""Upper bound of a single joint's RMS error over encoder noise. Measured: clock jitter of a tenth
+of the sampling interval gives 3; a joint that touches something, or has another joint's column,
+gives hundreds."""
 
 
 @check_arguments
@@ -55,67 +61,75 @@ def fit_motion(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> MotionFit:
-    """Estimates a robot's numbers from what its joints did.
+    """Estimate a robot's parameters from logs of its motions.
 
-    The robot hangs, or is fixed. Its motion under the commands is simulated (MuJoCo); the
-    parameters are those that make what encoders would have told most like what they told, by
-    Gauss-Newton steps with priors about the file's numbers. What is left is taken for noise with a
-    memory, and intervals follow from it.
+    The base is fixed, or the robot hangs. The motion under the commands is simulated (MuJoCo), and
+    the parameters minimise the difference from the measured positions by Gauss-Newton steps, with
+    priors about the stated values. The residuals are modelled as autocorrelated noise, from which
+    the intervals follow.
 
     Args:
-        robot: The robot; a free base is held where its MJCF has it.
-        logs: Of its motions.
-        priors: What is known before; as for ``fit_stands``.
-        hold_out: The share of each log, at its end, that is predicted instead of fitted; or logs
-            that are.
-        kp: Stated stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
-        kd: Stated damping (N m s/rad); likewise.
+        robot: Robot. A free base is fixed at its pose in the MJCF.
+        logs: Logs of its motions.
+        priors: Prior standard deviations; as for ``fit_stands``.
+        hold_out: Fraction at the end of each log that is predicted instead of fitted; or logs that
+            are predicted.
+        kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
+        kd: Stated servo damping [N m s/rad], a scalar or shape (nu,); the model's by default.
 
     Raises:
         ConfigurationError: If an argument is out of its range.
-        FitError: If it does not converge.
-        MeasurementError: If a log is none of this robot's, or nothing can be made of it; if no file
-            states gains of its servos, and none are given; if a log that is to be predicted repeats
-            one that is fitted.
-        ModelError: If the model has motors that are no servos, and no gains are given.
-        UnknownNameError: If a log has joints that the robot has not.
+        FitError: If the iteration does not converge.
+        MeasurementError: If a log cannot be used or does not belong to this robot; if servo gains
+            are neither stated in a file nor passed; or if a log to be predicted repeats a fitted
+            motion.
+        ModelError: If the model has motors that are no servos, and no gains are passed.
+        UnknownNameError: If a log contains a joint that the robot lacks.
     """
-    known = parse_priors(priors)
+    prior_list = parse_priors(priors)
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
     if isinstance(hold_out, int | float):
         if not 0 <= hold_out < 1:
             finding = diagnose("not-between", given=hold_out, low=0, high=1)
             raise ConfigurationError("hold_out", finding)
-        shared = [(log, float(hold_out)) for log in logs]
+        log_fractions = [(log, float(hold_out)) for log in logs]
     else:
-        shared = [*((log, 0.0) for log in logs), *((log, 1.0) for log in hold_out)]
-    drive = model_with_servos(robot, kp, kd)
-    made = {servo.joint for servo in robot.description.made_servos}  # so that it stands: no one's
-    for log, _ in shared if kp is None or kd is None else ():
-        if lacking := [name for name in log.joints if name in made]:
-            raise MeasurementError(log.source, diagnose("command-without-gains", joints=lacking))
-    notes = tuple(one for log, _ in shared for one in inspect_log(robot, log))
+        log_fractions = [*((log, 0.0) for log in logs), *((log, 1.0) for log in hold_out)]
+    servos = model_with_servos(robot, kp, kd)
+    added_servos = {
+        servo.joint for servo in robot.description.made_servos
+    }  # added on loading, without stated gains
+    for log, _ in log_fractions if kp is None or kd is None else ():
+        if without_gains := [name for name in log.joints if name in added_servos]:
+            raise MeasurementError(
+                log.source, diagnose("command-without-gains", joints=without_gains)
+            )
+    notes = tuple(note for log, _ in log_fractions for note in inspect_log(robot, log))
     runs = tuple(
         run
-        for log, share in shared
-        for run in split_runs(log.order_joints(robot), robot.home, share)
+        for log, fraction in log_fractions
+        for run in split_runs(log.order_joints(robot), robot.home, fraction)
     )
-    _check(robot, drive, logs, runs)
-    table = _parameters(robot, drive, {name for log, _ in shared for name in log.joints}, known)
-    interval = float(np.median([log.interval for log, _ in shared]))
-    motion = MotionResiduals(Simulator(robot, drive, table, interval), runs)
+    _check_runs(robot, servos, logs, runs)
+    table = _make_parameters(
+        robot, servos, {name for log, _ in log_fractions for name in log.joints}, prior_list
+    )
+    interval = float(np.median([log.interval for log, _ in log_fractions]))
+    motion = MotionResiduals(Simulator(robot, servos, table, interval), runs)
     for log in () if isinstance(hold_out, int | float) else hold_out:
-        alike = measure_replay(
+        correlation = measure_replay(
             [*motion.fitted, *split_runs(log.order_joints(robot), robot.home, 1.0)]
         )
-        if alike > _REPLAY:
-            raise MeasurementError(log.source, diagnose("held-out-was-fitted", correlation=alike))
+        if correlation > _MIN_REPLAY_CORRELATION:
+            raise MeasurementError(
+                log.source, diagnose("held-out-was-fitted", correlation=correlation)
+            )
     return _report_motions(logs, notes, motion, motion.fit())
 
 
-def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
-    """Checks that there is something to fit, and that what moves is driven by a servo.
+def _check_runs(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
+    """Check that there are samples to fit, and that each joint of a log has commands and a servo.
 
     Raises:
         MeasurementError: If not.
@@ -129,16 +143,16 @@ def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]
                 raise MeasurementError(log.source, diagnose("joint-without-servo", joint=name))
 
 
-def _parameters(
-    robot: Robot, drive: Servos, named: set[str], priors: Sequence[Prior]
+def _make_parameters(
+    robot: Robot, drive: Servos, log_joints: set[str], priors: Sequence[Prior]
 ) -> ParameterTable:
-    """Returns what is estimated: of joints that are in a log, and of the links that they move.
+    """Create the parameters: joints in the logs, links that they move, and delays.
 
-    Damping of a servo and of its joint do the same: the joint's is estimated.
+    The damping of a joint includes that of its servo, since they have the same effect.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
-    wanted: list[tuple[str, str, str, float]] = []
+    candidates: list[tuple[str, str, str, float]] = []
     kinds = {
         "kp": drive.kp,
         "damping": model.dof_damping[dofs],
@@ -147,43 +161,51 @@ def _parameters(
         "offset": np.zeros(robot.nu),
     }
     for joint, name in enumerate(robot.joint_names):
-        if name in named:
-            wanted += [(kind, name, "", float(values[joint])) for kind, values in kinds.items()]
+        if name in log_joints:
+            candidates += [(kind, name, "", float(values[joint])) for kind, values in kinds.items()]
     for joint, (name, link) in enumerate(zip(robot.joint_names, bodies.links, strict=True)):
-        if name in named and bodies.mass[joint] > 0:
-            wanted.append(("mass", link, "", float(bodies.mass[joint])))
-            wanted += [
-                ("com", link, axis, float(bodies.com[joint, at])) for at, axis in enumerate("xyz")
+        if name in log_joints and bodies.mass[joint] > 0:
+            candidates.append(("mass", link, "", float(bodies.mass[joint])))
+            candidates += [
+                ("com", link, axis, float(bodies.com[joint, component]))
+                for component, axis in enumerate("xyz")
             ]
-    return ParameterTable(apply_priors([*wanted, *DELAY_PARAMETERS], priors))
+    return ParameterTable(apply_priors([*candidates, *DELAY_PARAMETERS], priors))
 
 
 def _report_motions(
     logs: Sequence[Log], notes: Iterable[Diagnostic], motion: MotionResiduals, posterior: Posterior
 ) -> MotionFit:
-    """Returns a fit with how far its predictions are from what was measured."""
+    """Create the result of a fit: estimates and prediction errors."""
     robot = motion.simulator.robot
-    off: dict[tuple[str, str], list[Array]] = {}
-    for name, x in (("before", motion.table.stated), ("after", posterior.mean)):
+    errors: dict[tuple[str, str], list[Array]] = {}
+    for name, vector in (("before", motion.table.stated), ("after", posterior.mean)):
         for run in motion.runs:
-            one = motion.finer.predict_positions(run, [x])[0] - run.position
-            for part in ("counts", "held_out"):
-                off.setdefault((name, part), []).append(np.where(getattr(run, part), one, np.nan))
-    rms = {key: compute_rms(one) for key, one in off.items()}
-    part = "held_out" if math.isfinite(rms["after", "held_out"]) else "counts"
+            series = motion.fine_simulator.predict_positions(run, [vector])[0] - run.position
+            for subset in ("counts", "held_out"):
+                errors.setdefault((name, subset), []).append(
+                    np.where(getattr(run, subset), series, np.nan)
+                )
+    rms = {key: compute_rms(error) for key, error in errors.items()}
+    subset = "held_out" if math.isfinite(rms["after", "held_out"]) else "counts"
     joints = range(robot.nu)
     by_joint = np.array(
-        [compute_rms(one[:, joint] for one in off["after", part]) for joint in joints]
+        [compute_rms(series[:, joint] for series in errors["after", subset]) for joint in joints]
     )
-    noise = np.array([_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints])
-    posterior = _widened(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
+    noise = np.array(
+        [_estimate_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints]
+    )
+    posterior = _inflate_covariance(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
     return MotionFit(
         name=robot.name,
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
         kp_over_mass=estimate_kp_over_mass(posterior),
-        failures=tuple(_unexplained(robot, by_joint, noise, rms["after", part])),
-        diagnostics=(*notes, *_notes(motion.runs, rms["after", part], rms["before", part])),
+        failures=tuple(_report_misfit(robot, by_joint, noise, rms["after", subset])),
+        diagnostics=(
+            *notes,
+            *_report_notes(motion.runs, rms["after", subset], rms["before", subset]),
+        ),
         posterior=posterior,
         seconds=sum(log.duration for log in logs),
         held_out=rms["after", "held_out"],
@@ -196,261 +218,319 @@ def _report_motions(
     )
 
 
-def _widened(posterior: Posterior, times: float) -> Posterior:
-    """Returns what is known if measurements' noise is so many times what it was taken to be.
+def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
+    """Return the distribution for measurement noise that is larger by a factor.
 
-    What is left beyond the encoders' noise is of the model: it shifts numbers, and nobody knows
-    which way. What was known before is as it was.
+    Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
+    directions. The prior is unchanged.
     """
-    width = np.array([one.width for one in posterior.parameters])
-    sizes, share = np.outer(width, width), times**-2
-    whole = share * np.linalg.inv(posterior.covariance / sizes) + (1 - share) * posterior.precision
-    return replace(posterior, covariance=sizes * np.linalg.inv(whole))
+    width = np.array([parameter.width for parameter in posterior.parameters])
+    sizes, inverse_square = np.outer(width, width), noise_ratio**-2
+    information = (
+        inverse_square * np.linalg.inv(posterior.covariance / sizes)
+        + (1 - inverse_square) * posterior.precision
+    )
+    return replace(posterior, covariance=sizes * np.linalg.inv(information))
 
 
-def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Iterator[Diagnostic]:
-    """Yields what the fitted model does not explain."""
-    left = by_joint / noise
-    if np.nanmedian(left) > _MISFIT or np.nanmax(left, initial=0.0) > _MISFIT_OF_ONE:
+def _report_misfit(
+    robot: Robot, by_joint: Array, noise: Array, rms_error: float
+) -> Iterator[Diagnostic]:
+    """Yield a failure if the fitted model does not explain the motion."""
+    noise_ratios = by_joint / noise
+    if (
+        np.nanmedian(noise_ratios) > _MAX_NOISE_RATIO
+        or np.nanmax(noise_ratios, initial=0.0) > _MAX_JOINT_NOISE_RATIO
+    ):
         worst = int(np.nanargmax(by_joint))
         yield diagnose(
             "motion-not-explained",
-            left=Quantity(off, "rad"),
+            left=Quantity(rms_error, "rad"),
             noise=Quantity(float(np.nanmedian(noise)), "rad"),
             worst=robot.joint_names[worst],
             most=Quantity(by_joint[worst], "rad"),
         )
 
 
-def _notes(runs: Sequence[Run], off: float, before: float) -> Iterator[Diagnostic]:
-    """Yields what else is to be said."""
-    if off > before:
+def _report_notes(
+    runs: Sequence[Run], rms_error: float, stated_error: float
+) -> Iterator[Diagnostic]:
+    """Yield notes: a prediction worse than with the stated values, and a replayed motion."""
+    if rms_error > stated_error:
         yield diagnose(
-            "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
+            "motion-predicted-worse",
+            now=Quantity(rms_error, "rad"),
+            stated=Quantity(stated_error, "rad"),
         )
-    alike = measure_replay(runs)
-    if alike > _REPLAY:
-        yield diagnose("held-out-is-a-replay", correlation=alike)
+    correlation = measure_replay(runs)
+    if correlation > _MIN_REPLAY_CORRELATION:
+        yield diagnose("held-out-is-a-replay", correlation=correlation)
 
 
-_REPLAY = 0.95
-"""Correlation of what was held out with something that was fitted: logs of one motion, started
-anew, have 0.99 and more; another motion of the same joints hardly 0.5."""
+_MIN_REPLAY_CORRELATION = 0.95
+"""Correlation of held-out and fitted commands above which they are the same motion. Measured:
+repeated logs have at least 0.99, other motions of the same joints hardly 0.5."""
 
 
-def _align(part: Array, whole: Array) -> tuple[float, float]:
-    """Returns after how many samples of other commands some commands begin, and how alike they are.
+def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
+    """Return the shift at which commands agree best with a part of others, and the correlation.
 
-    By the greatest correlation of all joints together, and a parabola about it.
+    The shift is in samples. All joints are correlated jointly, and the shift is refined with a
+    parabola through the maximum.
     """
-    wanted = part - part.mean(axis=0)
-    if len(whole) < len(part) or not wanted.any():
+    centred_pattern = pattern - pattern.mean(axis=0)
+    if len(series) < len(pattern) or not centred_pattern.any():
         return 0.0, 0.0
-    moved, ones = whole - whole.mean(axis=0), np.ones((len(part), 1))
-    alike = fftconvolve(moved, wanted[::-1], "valid", axes=0).sum(axis=1)
-    mean = fftconvolve(moved, ones, "valid", axes=0) / len(part)
-    energy = (fftconvolve(moved**2, ones, "valid", axes=0) - len(part) * mean**2).sum(axis=1)
-    alike /= np.sqrt(np.maximum(energy, _LEAST**2 * len(part)) * (wanted**2).sum())
-    best = int(alike.argmax())
-    found = float(alike[best])
-    if 0 < best < len(alike) - 1:
-        before, here, after = alike[best - 1 : best + 2]
-        if (bend := before - 2 * here + after) < 0:
-            return best + float((before - after) / bend) / 2, found
-    return float(best), found
+    centred_series, ones = series - series.mean(axis=0), np.ones((len(pattern), 1))
+    correlations = fftconvolve(centred_series, centred_pattern[::-1], "valid", axes=0).sum(axis=1)
+    mean = fftconvolve(centred_series, ones, "valid", axes=0) / len(pattern)
+    energy = (fftconvolve(centred_series**2, ones, "valid", axes=0) - len(pattern) * mean**2).sum(
+        axis=1
+    )
+    correlations /= np.sqrt(
+        np.maximum(energy, _MIN_NOISE_STD**2 * len(pattern)) * (centred_pattern**2).sum()
+    )
+    best_index = int(correlations.argmax())
+    best_correlation = float(correlations[best_index])
+    if 0 < best_index < len(correlations) - 1:
+        before, peak, after = correlations[best_index - 1 : best_index + 2]
+        if (curvature := before - 2 * peak + after) < 0:
+            return best_index + float((before - after) / curvature) / 2, best_correlation
+    return float(best_index), best_correlation
 
 
-def _middle(rows: Array) -> Array:
-    """Returns the middle half of some rows: of logs that are shifted against each other."""
+def _get_middle_half(rows: Array) -> Array:
+    """Return the middle half of some rows, which overlaps if logs are shifted in time."""
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 
 def measure_replay(runs: Sequence[Run]) -> float:
-    """Returns how alike what was held out is to what was fitted, by its commands, wherever it was.
+    """Return the largest correlation between held-out and fitted commands, at any shift.
 
-    The greatest correlation of the middle half of a held-out part with any part as long of what was
-    fitted.
+    The middle half of each held-out part is compared with all fitted parts; 0 if there are none.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
-    parts = [_middle(run.command[run.held_out.any(axis=1)]) for run in runs]
-    return max((_align(part, own)[1] for part in parts if len(part) for own in fitted), default=0.0)
+    parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]
+    return max(
+        (_align_commands(part, series)[1] for part in parts if len(part) for series in fitted),
+        default=0.0,
+    )
 
 
 def measure_repeatability(runs: Sequence[Run]) -> float:
-    """Returns how far the robot is from itself over runs of the same commands (rad).
+    """Return the RMS difference [rad] between runs of the same commands, divided by sqrt(2).
 
-    The middle half of each run beside the first run that it repeats, as their commands align; NaN
-    if none does.
+    The middle half of each run is compared with the first earlier run of the same commands, aligned
+    in time. NaN if no commands are repeated.
     """
-    off = []
-    for number, run in enumerate(runs):
-        for other in runs[:number]:
-            shift, alike = _align(_middle(run.command), other.command)
-            if alike > _REPLAY:
-                own = _middle(run.position)
-                at = shift + np.arange(len(own))
-                there = np.arange(len(other.position))
-                its = np.column_stack([np.interp(at, there, one) for one in other.position.T])
-                off.append((own - its) / math.sqrt(2.0))  # each is off from what both would be
+    differences = []
+    for index, run in enumerate(runs):
+        for earlier_run in runs[:index]:
+            shift, correlation = _align_commands(_get_middle_half(run.command), earlier_run.command)
+            if correlation > _MIN_REPLAY_CORRELATION:
+                positions = _get_middle_half(run.position)
+                sample_times = shift + np.arange(len(positions))
+                earlier_times = np.arange(len(earlier_run.position))
+                earlier_positions = np.column_stack(
+                    [
+                        np.interp(sample_times, earlier_times, column)
+                        for column in earlier_run.position.T
+                    ]
+                )
+                differences.append(
+                    (positions - earlier_positions) / math.sqrt(2.0)
+                )  # variance of a difference = 2 x variance
                 break
-    return compute_rms(off) if off else math.nan
+    return compute_rms(differences) if differences else math.nan
 
 
-def _encoder_noise(series: Sequence[Array]) -> float:
-    """Returns the standard deviation of what no motion is, by third differences.
+def _estimate_encoder_noise(series: Sequence[Array]) -> float:
+    """Return the standard deviation of the encoder noise, estimated from third differences.
 
-    Of noise without memory their variance is 20 times its own; a motion of some Hz has hardly any.
-    By their median, as joints that are kicked by a new command have for a moment; and no less than
-    the encoder's quantum makes.
+    For white noise of variance s^2 their variance is 20 s^2; motions of some Hz contribute little.
+    The median is used, since joints jump for a moment after a new command. The result is at least
+    the standard deviation of the encoder's quantisation; NaN without differences.
     """
-    steps = np.concatenate([np.abs(np.diff(one, 3)) for one in series])
+    steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
-    quantum = max(find_column_step(one[np.isfinite(one)]) for one in series)
+    quantum = max(find_column_step(column[np.isfinite(column)]) for column in series)
     if not steps.size:
         return math.nan
-    return max(float(np.median(steps)) / _MEDIAN / math.sqrt(20.0), quantum / math.sqrt(12.0))
+    return max(
+        float(np.median(steps)) / _NORMAL_MEDIAN / math.sqrt(20.0), quantum / math.sqrt(12.0)
+    )
 
 
-_MEDIAN = 0.6744897501960817
-"""Of the magnitude of a normal number of deviation 1."""
+_NORMAL_MEDIAN = 0.6744897501960817
+"""Median of the absolute value of a standard normal variable."""
 
 
 IntArray = NDArray[np.int64]
 
-_ENOUGH = 0.04
-"""Of the cost: a fifth of a standard deviation, by which an interval is 2 % too narrow."""
+_MIN_DECREASE = 0.04
+"""Predicted decrease of the cost below which the iteration has converged: sqrt(0.04) is a fifth of
+a standard deviation, with which an interval is 2 % too narrow."""
 
-_ROUGHLY = 10.0
-"""Of the cost: near enough while what is left is motion, and its noise is not known."""
+_ROUGH_MIN_DECREASE = 10.0
+"""Predicted decrease of the cost below which the first pass ends, in which the noise is still
+assumed to be white. Chosen, not tuned."""
 
-_NEAR = 4.0
-"""Of the cost: derivatives from two standard deviations away do; a simulation makes them slowly."""
+_MAX_DERIVATIVE_DISTANCE = 4.0
+"""Squared distance, in standard deviations, up to which derivatives are reused, since they need
+many simulations: 4 is two standard deviations. Chosen, not tuned."""
 
-_FINER = 4
-"""Times the steps of what derivatives are made with has what is compared with measurements: its
-error, that of dry friction, falls with the square. Derivatives are right to 1 % without."""
+_FINE_STEP_FACTOR = 4
+"""Factor on the number of simulation steps for predictions. The error of dry friction decreases
+quadratically with the step. Derivatives are accurate to 1 % without this factor."""
 
 
 class MotionResiduals:
-    """Measured and simulated runs, and how far they are apart.
+    """Measured and simulated runs, and the whitened residuals between them.
 
-    Fine steps predict; coarse ones, of which there are thirty for one, make derivatives.
+    Predictions use fine simulation steps; derivatives use coarse ones, since they need about thirty
+    times as many simulations.
 
     Args:
-        simulator: Simulates them.
-        runs: As they were measured.
+        simulator: Simulator with coarse steps.
+        runs: Measured runs.
     """
 
     def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
-        self.finer = simulator.with_steps(_FINER * simulator.steps)
+        self.fine_simulator = simulator.with_steps(_FINE_STEP_FACTOR * simulator.steps)
         self.moments = MomentCoordinates(self.table)
         self._noise: tuple[SeriesNoise, ...] = ()
-        self._remembers = False
-        self._at: Array | None = None
-        self._known: Array | None = None
+        self._is_autoregressive = False
+        self._derivative_point: Array | None = None
+        self._information: Array | None = None
         self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
 
-    def linearise(self, moments: Array, about: Array) -> LinearisedResiduals:
-        """Returns whitened residuals as sums; see ``estimate_parameters``.
+    def linearise(self, moments: Array, noise_point: Array) -> LinearisedResiduals:
+        """Return whitened residuals as sums; see ``estimate_parameters``.
 
-        Noise is what is left at ``about``, and derivatives are made near it.
+        The noise is estimated from the residuals if ``moments`` is ``noise_point``; derivatives are
+        then evaluated again if the parameters have moved far.
         """
-        x = self.moments.to_parameters(moments)
-        left = [
-            self.finer.predict_positions(run, [x])[0] - np.where(run.counts, run.position, np.nan)
+        vector = self.moments.to_parameters(moments)
+        residuals = [
+            self.fine_simulator.predict_positions(run, [vector])[0]
+            - np.where(run.counts, run.position, np.nan)
             for run in self.fitted
         ]
-        if moments is about:
-            kind = SeriesNoise.fit_autoregression if self._remembers else SeriesNoise.fit_white
-            self._noise = tuple(
-                kind([one[:, joint] for one in left]) for joint in range(left[0].shape[1])
+        if moments is noise_point:
+            fit_noise = (
+                SeriesNoise.fit_autoregression if self._is_autoregressive else SeriesNoise.fit_white
             )
-            off = None if self._at is None else (moments - self._at) / self.table.width
-            if off is None or off @ self._known @ off > _NEAR:
-                self._at = moments.copy()
+            self._noise = tuple(
+                fit_noise([series[:, joint] for series in residuals])
+                for joint in range(residuals[0].shape[1])
+            )
+            distance = (
+                None
+                if self._derivative_point is None
+                else (moments - self._derivative_point) / self.table.width
+            )
+            if (
+                distance is None
+                or distance @ self._information @ distance > _MAX_DERIVATIVE_DISTANCE
+            ):
+                self._derivative_point = moments.copy()
                 self._jacobians = [
-                    differentiate_motion(self.simulator, self.moments, run, moments, self._known)
+                    differentiate_motion(
+                        self.simulator, self.moments, run, moments, self._information
+                    )
                     for run in self.fitted
                 ]
         size = len(self.table)
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        white = [one / np.array([own.long_run_std for own in self._noise]) for one in left]
-        for places, rows, joint, run in self._rows():
-            finding = np.isfinite(white[run][:, joint])
-            counted = rows[finding] / self._noise[joint].long_run_std
-            information[places[:, None], places] += counted.T @ counted
-            gradient[places] += counted.T @ white[run][finding, joint]
-        if moments is about:
+        whitened = [
+            series / np.array([noise.long_run_std for noise in self._noise]) for series in residuals
+        ]
+        for places, rows, joint, run in self._iterate_derivatives():
+            is_finite = np.isfinite(whitened[run][:, joint])
+            scaled = rows[is_finite] / self._noise[joint].long_run_std
+            information[places[:, None], places] += scaled.T @ scaled
+            gradient[places] += scaled.T @ whitened[run][is_finite, joint]
+        if moments is noise_point:
             width = self.table.width
-            self._known = width[:, None] * information * width + self.table.precision
-        whole = np.concatenate([one[np.isfinite(one)] for one in white])
-        return LinearisedResiduals(information, gradient, float(whole @ whole), whole.size)
+            self._information = width[:, None] * information * width + self.table.precision
+        all_residuals = np.concatenate([series[np.isfinite(series)] for series in whitened])
+        return LinearisedResiduals(
+            information, gradient, float(all_residuals @ all_residuals), all_residuals.size
+        )
 
-    def _rows(self) -> Iterator[tuple[IntArray, Array, int, int]]:
-        """Yields parameters, derivatives by them (n, ...), the joint, and the run."""
+    def _iterate_derivatives(self) -> Iterator[tuple[IntArray, Array, int, int]]:
+        """Yield parameter indices, derivatives, shape (samples, parameters), joint and run."""
         for run, jacobians in enumerate(self._jacobians):
-            for number, (places, by_places) in jacobians.items():
-                for at, joint in enumerate(self.simulator.groups[number][0]):
-                    yield places, by_places[:, at], joint, run
+            for group, (places, by_places) in jacobians.items():
+                for column, joint in enumerate(self.simulator.groups[group][0]):
+                    yield places, by_places[:, column], joint, run
 
     def fit(self) -> Posterior:
-        """Returns the parameters, with the noise that they leave.
+        """Return the estimated parameters, with the noise that they leave.
 
-        They are those of least squares, in which each joint counts by its noise's long-run
-        deviation. Their covariance is that which noise with its memory gives such parameters
-        ("sandwich"): for H = A + 1, in the priors' widths, H^-1 (B + 1) H^-1, where B is the
-        covariance of the gradient.
+        Weighted least squares, each joint weighted by the long-run standard deviation of its noise.
+        The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior widths,
+        with H = A + P, information A, prior precision P, and B the covariance of the gradient under
+        the autocorrelated noise.
 
         Raises:
-            FitError: If it does not converge.
+            FitError: If the iteration does not converge.
         """
-        y = self.moments.from_parameters(self.table.stated)
-        for self._remembers, enough in ((False, _ROUGHLY), (True, _ENOUGH)):
-            posterior = estimate_parameters(self.table, self.linearise, y, enough=enough)
-            y = posterior.mean
+        moments = self.moments.from_parameters(self.table.stated)
+        for self._is_autoregressive, min_decrease in (
+            (False, _ROUGH_MIN_DECREASE),
+            (True, _MIN_DECREASE),
+        ):
+            posterior = estimate_parameters(
+                self.table, self.linearise, moments, min_decrease=min_decrease
+            )
+            moments = posterior.mean
         width = self.table.width
-        spread = np.zeros((len(y), len(y)))
-        for places, rows, joint, run in self._rows():
+        gradient_covariance = np.zeros((len(moments), len(moments)))
+        for places, rows, joint, run in self._iterate_derivatives():
             noise = self._noise[joint]
-            counted = np.where(self.fitted[run].counts[:, joint, None], rows, 0.0)
-            back = noise.propagate_weights(counted / noise.long_run_std**2)
-            spread[places[:, None], places] += back @ back.T
-        whole = posterior.information + posterior.precision
-        narrow = np.linalg.inv(whole)
-        spread = width[:, None] * spread * width + posterior.precision
-        # With what was promised and not found.
-        promised = posterior.covariance / np.outer(width, width)
-        covariance = narrow @ (spread - whole) @ narrow + promised
+            weighted = np.where(self.fitted[run].counts[:, joint, None], rows, 0.0)
+            propagated = noise.propagate_weights(weighted / noise.long_run_std**2)
+            gradient_covariance[places[:, None], places] += propagated @ propagated.T
+        information = posterior.information + posterior.precision
+        inverse = np.linalg.inv(information)
+        gradient_covariance = width[:, None] * gradient_covariance * width + posterior.precision
+        # ``covariance`` includes the unrealised step of the last iteration.
+        covariance = posterior.covariance / np.outer(width, width)
+        covariance = inverse @ (gradient_covariance - information) @ inverse + covariance
         return self.moments.transform_posterior(posterior, covariance)
 
 
-# What is left of a fitted motion, as noise that remembers itself.
+# Residuals of a fitted motion as autocorrelated noise.
 
 
-_MOST_LAGS = 20
-"""100 ms at 200 Hz: what remembers longer is seen by what it does in that time."""
+_MAX_LAGS = 20
+"""Order of the autoregressive noise: 100 ms at 200 Hz. Longer correlations are represented by their
+effect within that time. Chosen, not tuned."""
 
-_LEAST = 1e-6
-"""rad, m: no encoder's noise is less, and no weight is infinite."""
+_MIN_NOISE_STD = 1e-6
+"""Lower bound of a noise standard deviation [rad, m], so that weights are finite. Chosen, not
+tuned."""
 
 _SAMPLES_PER_LAG = 20
-"""Fewer tell nothing of a coefficient."""
+"""Smallest number of samples per coefficient; with fewer the noise is assumed to be white. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeriesNoise:
-    """Noise of one joint: e_k = sum_i c_i e_(k-i) + w_k, with w of standard deviation s.
+    """Autoregressive noise of one joint: e_k = sum_i c_i e_(k-i) + w_k, w white with deviation s.
 
-    Residuals of a motion follow each other: an encoder that is still says the same for long, and
-    what a model lacks lasts. A sum over many samples is as uncertain as that of independent ones of
-    the deviation s / (1 - sum c), its long-run deviation.
+    Residuals of a motion are correlated in time: a resting encoder repeats its value, and errors of
+    the model last. A sum over many samples is as uncertain as that of independent samples of
+    standard deviation s / (1 - sum c), the long-run deviation.
 
     Attributes:
-        coefficients: (lags,) c.
-        innovation: s.
-        deviation: Of e.
+        coefficients: Coefficients c, shape (lags,).
+        innovation: Standard deviation s of w [rad].
+        deviation: Standard deviation of e [rad].
     """
 
     coefficients: Array
@@ -459,121 +539,128 @@ class SeriesNoise:
 
     @staticmethod
     def fit_white(series: Sequence[Array]) -> SeriesNoise:
-        """Returns noise without memory, that some series (n,) are."""
-        deviation = float(np.fmax(compute_rms(series), _LEAST))  # which is NaN of nothing
+        """Return white noise with the RMS of some series, shape (n,) each."""
+        deviation = float(np.fmax(compute_rms(series), _MIN_NOISE_STD))  # fmax ignores NaN
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
     @staticmethod
     def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
-        """Returns the noise that some series (n,) are; NaN are missing.
+        """Return the noise of some series, shape (n,) each, by the Yule-Walker equations.
 
-        By Yule's and Walker's equations, whose noise never grows.
+        NaN samples are missing. The equations give a stable filter. White noise is returned if the
+        samples are too few.
         """
-        filled = [np.where(np.isfinite(one), one, 0.0) for one in series]
-        count = int(sum(np.isfinite(one).sum() for one in series))
+        filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
+        count = int(sum(np.isfinite(series_part).sum() for series_part in series))
         white = SeriesNoise.fit_white(series)
-        if count < _SAMPLES_PER_LAG * _MOST_LAGS or white.deviation <= _LEAST:
+        if count < _SAMPLES_PER_LAG * _MAX_LAGS or white.deviation <= _MIN_NOISE_STD:
             return white
-        moments = np.array(
-            [sum(float(one[lag:] @ one[: max(len(one) - lag, 0)]) for one in filled) / count
-             for lag in range(_MOST_LAGS + 1)]
+        autocovariances = np.array(
+            [sum(float(row[lag:] @ row[: max(len(row) - lag, 0)]) for row in filled) / count
+             for lag in range(_MAX_LAGS + 1)]
         )  # fmt: skip
-        given = solve_toeplitz(moments[:-1], moments[1:])
-        variance = max(float(moments[0] - given @ moments[1:]), _LEAST**2)
-        return SeriesNoise(given, math.sqrt(variance), white.deviation)
+        coefficients = solve_toeplitz(autocovariances[:-1], autocovariances[1:])
+        variance = max(
+            float(autocovariances[0] - coefficients @ autocovariances[1:]), _MIN_NOISE_STD**2
+        )
+        return SeriesNoise(coefficients, math.sqrt(variance), white.deviation)
 
     @property
     def long_run_std(self) -> float:
-        """Standard deviation of independent samples that tell as little; that of e at least."""
+        """Long-run standard deviation [rad], at least that of e."""
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Returns B^T with B^T B the covariance of sums of the noise with weights (n, m): (m, n).
+        """Return B^T, shape (m, n): B^T B is the covariance of weighted sums of the noise.
 
-        The noise is w through a filter; so its sums are those of w with the weights through the
-        filter backwards.
+        The weights have the shape (n, m). Sums of filtered noise are sums of white noise whose
+        weights are filtered backwards in time.
         """
-        turned = [1.0, *-self.coefficients]
-        return np.asarray(lfilter([self.innovation], turned, weights[::-1], axis=0)).T
+        filter_coefficients = [1.0, *-self.coefficients]
+        return np.asarray(lfilter([self.innovation], filter_coefficients, weights[::-1], axis=0)).T
 
 
 def compute_rms(series: Iterable[Array]) -> float:
-    """Returns the root mean square of what is not NaN; NaN of nothing."""
-    whole = np.concatenate([one.ravel() for one in series])
-    finding = whole[np.isfinite(whole)]
-    return float(np.sqrt(np.mean(finding**2))) if finding.size else math.nan
+    """Return the root mean square of the values that are not NaN; NaN if there are none."""
+    values = np.concatenate([array.ravel() for array in series])
+    finite_values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else math.nan
 
 
-# How predicted motions change with parameters: differences along what is known to be uncertain.
+# Derivatives of predicted motions: differences along uncertain directions.
 
 
-_STEP = 0.1
-"""Of a standard deviation: by that parameters are changed for a derivative. From 0.1 to 1 the
-intervals of a v3 are the same to 1 %, and motions hardly bend in the least of these."""
+_DIFFERENCE_STEP = 0.1
+"""Finite-difference step in standard deviations. Measured on v3: with steps of 0.1 to 1 the
+intervals agree to 1 %."""
 
-_FIRST_STEP = 1e-2
-"""Of a prior's width, while nothing else is known."""
+_INITIAL_DIFFERENCE_STEP = 1e-2
+"""Finite-difference step in prior widths, while only the priors are known. Chosen, not tuned."""
 
 
 def differentiate_motion(
     simulator: Simulator,
     moments: MomentCoordinates,
     run: Run,
-    at: Array,
-    known: Array | None = None,
+    point: Array,
+    information: Array | None = None,
 ) -> Mapping[int, tuple[IntArray, Array]]:
-    """Returns how predicted positions change with parameters by moments.
+    """Compute the derivatives of the predicted positions by the parameters, in moment coordinates.
 
-    kp, friction, masses all larger by the same factor move nothing, but each alone moves much: by
-    parameters one at a time, errors of large derivatives add up to what looks as if the factor were
-    told, and intervals are a quarter too narrow. So steps are along principal directions of what is
-    known, each as long as it is uncertain.
+    A common factor on kp, friction and masses changes nothing, but each alone changes much. With
+    differences along single parameters, the errors of large derivatives would add up to a false
+    effect of the common factor, and intervals would be a quarter too narrow. Therefore the steps
+    are along the principal directions of the information, scaled by their uncertainties.
 
-    Joints that move no body of each other's are changed together, as they do not feel it.
+    Independent groups of joints are changed in the same simulation.
 
     Args:
-        simulator: Predicts them.
-        moments: Makes parameters of moments.
-        run: The run.
-        at: (n,) moments.
-        known: (n, n) what is known of these, in the priors' widths: inverse of a covariance. None:
-            the priors alone, and steps are one parameter at a time.
+        simulator: Simulator.
+        moments: Conversion of moment coordinates to parameters.
+        run: Run.
+        point: Moment coordinates, shape (n,).
+        information: Information of the coordinates, shape (n, n), in units of the prior widths;
+            None if only the priors are known, with steps along single parameters.
 
     Returns:
-        {group of joints: (numbers of the parameters that act on it, (n, joints, parameters))}.
+        {group of joints: (indices of the parameters, derivatives of shape (samples, joints,
+        parameters))}.
     """
-    groups, shared = simulator.groups, simulator.bodies.find_common_parameters(simulator.table)
-    turns, width = max(len(columns) for _, columns in groups), simulator.table.width
-    changes = np.zeros((turns + len(shared), len(at)))
+    groups, common_parameters = (
+        simulator.groups,
+        simulator.bodies.find_common_parameters(simulator.table),
+    )
+    num_turns, width = max(len(columns) for _, columns in groups), simulator.table.width
+    changes = np.zeros((num_turns + len(common_parameters), len(point)))
     steps = []
-    for columns in (*(own for _, own in groups), shared):
-        steps.append(_steps(columns, known))
-        rows = slice(len(columns)) if len(steps) <= len(groups) else slice(turns, None)
+    for columns in (*(columns for _, columns in groups), common_parameters):
+        steps.append(_make_steps(columns, information))
+        rows = slice(len(columns)) if len(steps) <= len(groups) else slice(num_turns, None)
         changes[rows, columns] = steps[-1]
     changes *= width
 
-    vectors = [moments.to_parameters(one) for one in (at, *(at + changes))]
+    vectors = [moments.to_parameters(vector) for vector in (point, *(point + changes))]
     predicted = simulator.predict_positions(run, vectors)
     moved = predicted[1:] - predicted[0]
-    found: dict[int, tuple[IntArray, Array]] = {}
+    derivatives: dict[int, tuple[IntArray, Array]] = {}
     for number, (joints, columns) in enumerate(groups):
-        places = np.array([*columns, *shared], dtype=np.int64)
+        indices = np.array([*columns, *common_parameters], dtype=np.int64)
         by_step = np.moveaxis(moved[:, :, joints], 0, 2)
         jacobians = np.concatenate(
             [
                 by_step[..., : len(columns)] @ np.linalg.inv(steps[number]).T,
-                by_step[..., turns:] @ np.linalg.inv(steps[-1]).T,
+                by_step[..., num_turns:] @ np.linalg.inv(steps[-1]).T,
             ],
             axis=2,
         )
-        found[number] = places, jacobians / width[places]
-        simulator.replace_lag_derivatives(vectors[0], *found[number])
-    return found
+        derivatives[number] = indices, jacobians / width[indices]
+        simulator.replace_lag_derivatives(vectors[0], *derivatives[number])
+    return derivatives
 
 
-def _steps(columns: list[int], known: Array | None) -> Array:
-    """Returns steps (rows) of some parameters in their priors' widths."""
-    if known is None:
-        return _FIRST_STEP * np.eye(len(columns))
-    values, directions = np.linalg.eigh(known[np.ix_(columns, columns)])
-    return np.asarray(_STEP * (directions / np.sqrt(values)).T)
+def _make_steps(columns: list[int], information: Array | None) -> Array:
+    """Return steps of some parameters in units of the prior widths, one per row."""
+    if information is None:
+        return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))
+    values, directions = np.linalg.eigh(information[np.ix_(columns, columns)])
+    return np.asarray(_DIFFERENCE_STEP * (directions / np.sqrt(values)).T)

@@ -1,4 +1,8 @@
-"""What a robot whose base is held would have done: simulations of a log's commands."""
+"""Simulation of logs: predicted encoder positions of a robot whose base is held.
+
+`Simulator` predicts the positions of a `Run` for parameter vectors. `MovingBodies` writes masses
+and CoM positions into a MuJoCo model, `MomentCoordinates` replaces CoM positions by first moments.
+"""
 
 from __future__ import annotations
 
@@ -27,46 +31,53 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SERVOS_SUBJECT = "servos"
-"""Subject of the delay between commands and what servos do: one for all of them."""
+"""Subject of delay and lags, which are common to all servos."""
 
 DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""What a torque may follow late: commands by a delay, part of which smooths them as a lag does; and
-by itself a position: a slow motor lags in both, a bus delays commands alone."""
+"""Kind, subject, component and stated value of the delay parameters: the total delay of commands,
+the part of it that is a first-order lag of commands, and a first-order lag of positions. A slow
+motor has both lags, a bus delays only commands."""
 
 BURN_IN_DURATION = 0.25
-"""s: where a run begins, its velocity is not known to better than encoders tell: what that does
-has decayed after some time constants kd / kp of servos (20 to 50 ms)."""
+"""Time [s] at the start of a run that is not compared. The initial velocity is only known from
+encoder readings; its error decays within some time constants kd / kp of the servos (20 to 50
+ms)."""
 
-_STIFF = 0.5
-"""Of a step times the fastest rate (kd + damping) / inertia: Runge-Kutta's error is 1e-4 of it."""
+_MAX_STEP_RATE = 0.5
+"""Upper bound of the time step times the fastest rate (kd + damping) / inertia. The error of the
+Runge-Kutta method is then 1e-4 of the motion."""
 
-_FINEST = 20
-"""Steps of the simulation between two samples, at most."""
+_MAX_STEPS_PER_SAMPLE = 20
+"""Upper bound of the simulation steps per sample. Chosen, not tuned."""
 
-_EXACT = 1e-11
-"""Of the solver: what is not solved of dry friction is in derivatives by differences."""
+_SOLVER_TOLERANCE = 1e-11
+"""Tolerance of MuJoCo's solver. Its error in dry friction would appear in finite differences.
+Chosen, not tuned."""
 
-_AT_ONCE = 8
-"""Simulations of a run whose states are kept: 25 MB each for a minute of twelve joints."""
+_MAX_BATCH_SIZE = 8
+"""Upper bound of the simulations whose states are kept at once: each has 25 MB for a minute of
+twelve joints."""
 
-_FIRST = 9
-"""Samples at a run's beginning through which a parabola gives where it begins, and how fast."""
+_NUM_START_SAMPLES = 9
+"""Number of samples at the start of a run to which a parabola is fitted, for initial position and
+velocity. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A part of a log that the clock does not jump in.
+    """Part of a log without jumps of the clock.
 
     Attributes:
-        time: (n,) of the samples from its beginning on (s).
-        position: (n, nu) measured (rad); NaN where missing.
-        command: (n, nu) from a sample on (rad); of joints that are in no log, what holds them.
-        start: (2, nu) joint positions and velocities at its beginning.
-        counts: (n, nu) whether a position is one to fit.
-        held_out: (n, nu) whether it is one to predict.
+        time: Sample times from the start of the run, shape (n,) [s].
+        position: Measured positions, shape (n, nu) [rad]; NaN if missing.
+        command: Commands from each sample on, shape (n, nu) [rad]; resting positions of joints that
+            are not in the log.
+        start: Joint positions [rad] and velocities [rad/s] at the start, shape (2, nu).
+        counts: Whether a position is fitted, shape (n, nu).
+        held_out: Whether a position is predicted instead, shape (n, nu).
     """
 
     time: Array
@@ -78,62 +89,72 @@ class Run:
 
 
 def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
-    """Yields the runs of a log.
+    """Yield the runs of a log that are longer than one second.
 
     Args:
-        log: With the robot's joints in its order.
-        rest: (nu,) where joints that the log does not tell are held (rad).
-        hold_out: Of each run's duration, at its end, what is not fitted.
+        log: Log, joints in actuator order.
+        rest: Positions at which joints are held that are not in the log, shape (nu,) [rad].
+        hold_out: Fraction at the end of each run that is not fitted.
     """
-    ends = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
-    for first, last in pairwise(ends):
+    boundaries = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
+    for first, last in pairwise(boundaries):
         part = log.select_rows(slice(first, last))
         time = part.time - part.time[0]
         if time[-1] < 4 * BURN_IN_DURATION:
             continue
-        silent = ~np.isfinite(part.position).any(axis=0)
-        command = np.where(silent, rest, _held(part.command))
-        there = np.isfinite(part.position) & (time > BURN_IN_DURATION)[:, None]
-        late = (time > (1 - hold_out) * time[-1])[:, None]
-        begin = _beginning(time[:_FIRST], part.position[:_FIRST])
-        begin = np.where(np.isfinite(begin), begin, [command[0], 0.0 * command[0]])
-        yield Run(time, part.position, command, begin, there & ~late, there & late)
+        not_in_log = ~np.isfinite(part.position).any(axis=0)
+        command = np.where(not_in_log, rest, _fill_commands(part.command))
+        measured = np.isfinite(part.position) & (time > BURN_IN_DURATION)[:, None]
+        is_late = (time > (1 - hold_out) * time[-1])[:, None]
+        initial_state = _fit_initial_state(
+            time[:_NUM_START_SAMPLES], part.position[:_NUM_START_SAMPLES]
+        )
+        initial_state = np.where(
+            np.isfinite(initial_state), initial_state, [command[0], 0.0 * command[0]]
+        )
+        yield Run(
+            time, part.position, command, initial_state, measured & ~is_late, measured & is_late
+        )
 
 
-def _held(command: Array) -> Array:
-    """Returns commands in which one that is missing is that before, or else the first."""
+def _fill_commands(command: Array) -> Array:
+    """Replace a missing command by the previous one, or at the start by the first one."""
     filled = command.copy()
     for column in filled.T:
-        known = np.flatnonzero(np.isfinite(column))
-        if known.size:
-            before = np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)
-            column[:] = column[known[before]]
+        finite_rows = np.flatnonzero(np.isfinite(column))
+        if finite_rows.size:
+            previous = np.maximum(
+                np.searchsorted(finite_rows, np.arange(len(column)), side="right") - 1, 0
+            )
+            column[:] = column[finite_rows[previous]]
     return filled
 
 
-def _beginning(time: Array, position: Array) -> Array:
-    """Returns where joints (n, nu) begin, and how fast (2, nu), by a parabola; NaN if not known."""
-    found = np.full((2, position.shape[1]), np.nan)
+def _fit_initial_state(time: Array, position: Array) -> Array:
+    """Return initial positions and velocities, shape (2, nu), by a parabola; NaN if unknown."""
+    initial_state = np.full((2, position.shape[1]), np.nan)
     for joint, column in enumerate(position.T):
-        known = np.isfinite(column)
-        if known.sum() > 3:
-            curve = np.polynomial.Polynomial.fit(time[known], column[known], 2).convert().coef
-            found[:, joint] = np.pad(curve, (0, 2))[:2]
-    return found
+        is_finite = np.isfinite(column)
+        if is_finite.sum() > 3:
+            curve = (
+                np.polynomial.Polynomial.fit(time[is_finite], column[is_finite], 2).convert().coef
+            )
+            initial_state[:, joint] = np.pad(curve, (0, 2))[:2]
+    return initial_state
 
 
 class Simulator:
-    """Simulates runs of a robot whose base is held, for vectors of parameters.
+    """Simulator of runs of a robot whose base is held, for parameter vectors.
 
-    Servos are tau = kp (command(t - delay) - encoder) - kd velocity, each command from its sample
-    to the next; an encoder tells the joint's position and its offset.
+    Servo law: tau = kp (command(t - delay) - encoder) - kd velocity. A command holds until the next
+    sample; the encoder position is joint position plus offset.
 
     Args:
-        robot: The robot.
-        drive: Its servos.
-        table: The parameters.
-        interval: Between samples of the logs (s).
-        steps: Of the simulation between two samples; by default what the stiffest joint needs.
+        robot: Robot.
+        drive: Servos.
+        table: Parameters.
+        interval: Sampling interval of the logs [s].
+        steps: Simulation steps per sample; by default as many as the stiffest joint needs.
     """
 
     def __init__(
@@ -148,29 +169,32 @@ class Simulator:
         self.bodies = MovingBodies(robot, drive.model)
         model = self.bodies.model
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4.value
-        # Legs in the air do not touch; a log in which they did is told of. Nobody reads sensors,
-        # and islands of one leg each are too small to be worth it.
+        # Contacts do not occur in a hanging robot, sensors are not read, and islands of single
+        # legs are too small to save time.
         disable = mujoco.mjtDisableBit
-        for needless in (disable.mjDSBL_CONTACT, disable.mjDSBL_SENSOR, disable.mjDSBL_ISLAND):
-            model.opt.disableflags |= needless.value
-        if not model.neq:  # dry friction alone: as many steps as there are joints at most
+        for flag in (disable.mjDSBL_CONTACT, disable.mjDSBL_SENSOR, disable.mjDSBL_ISLAND):
+            model.opt.disableflags |= flag.value
+        if not model.neq:  # dry friction only: at most as many iterations as joints
             model.opt.solver = mujoco.mjtSolver.mjSOL_CG.value
-            model.opt.tolerance = _EXACT
+            model.opt.tolerance = _SOLVER_TOLERANCE
         self._dofs, actuators = robot.mj_convention.qvel_index, robot.mj_convention.actuator_index
         self._driven = actuators >= 0
         self._motors = actuators[self._driven]
-        mass = self._inertia()
+        mass = self._compute_joint_inertia()
         damping = drive.kd + model.dof_damping[self._dofs]
-        needed = np.ceil((damping / mass).max(initial=0.0) * interval / _STIFF)
-        self.steps = steps or int(np.clip(needed, 1, _FINEST))
+        needed_steps = np.ceil((damping / mass).max(initial=0.0) * interval / _MAX_STEP_RATE)
+        self.steps = steps or int(np.clip(needed_steps, 1, _MAX_STEPS_PER_SAMPLE))
         model.opt.timestep = interval / self.steps
         self._model = model
         self._workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
         self._models: list[mujoco.MjModel] = []
         self.groups = self.bodies.find_independent_groups(table)
 
-    def _inertia(self) -> Array:
-        """Returns what each joint alone moves (nu,), at home: of the mass matrix' inverse."""
+    def _compute_joint_inertia(self) -> Array:
+        """Return 1 / (M^-1)_jj of each joint in the home posture, shape (nu,) [kg m^2].
+
+        M is the mass matrix: it is the inertia that a torque of the joint alone accelerates.
+        """
         model, data = self.bodies.model, mujoco.MjData(self.bodies.model)
         self.robot.mj_convention.set_state(data, self.robot.home)
         mujoco.mj_forward(model, data)
@@ -179,19 +203,19 @@ class Simulator:
         return np.asarray(1 / np.diag(np.linalg.inv(mass))[self._dofs])
 
     def with_steps(self, steps: int) -> Simulator:
-        """Returns the same with other steps between two samples."""
+        """Return a simulator with another number of steps per sample."""
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
     def predict_positions(self, run: Run, vectors: Sequence[Array]) -> Array:
-        """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run.
+        """Return the predicted encoder positions, shape (vectors, n, nu) [rad], of a run."""
+        starts = range(0, len(vectors), _MAX_BATCH_SIZE)
+        return np.concatenate(
+            [self._predict_batch(run, vectors[start : start + _MAX_BATCH_SIZE]) for start in starts]
+        )
 
-        Some at a time: states of all take much memory.
-        """
-        parts = range(0, len(vectors), _AT_ONCE)
-        return np.concatenate([self._predict(run, vectors[at : at + _AT_ONCE]) for at in parts])
-
-    def _predict(self, run: Run, vectors: Sequence[Array]) -> Array:
+    def _predict_batch(self, run: Run, vectors: Sequence[Array]) -> Array:
+        """Return the predicted encoder positions for at most ``_MAX_BATCH_SIZE`` vectors."""
         while len(self._models) < len(vectors):
             self._models.append(copy.copy(self._model))  # meshes too: 20 ms
         models = self._models[: len(vectors)]
@@ -199,16 +223,20 @@ class Simulator:
             self.set_parameters(model, vector)
         step = float(self._model.opt.timestep)
         count = int(np.ceil(run.time[-1] / step - 1e-9))
-        commands = _mean_commands(run.time, run.command, step * np.arange(count + 1, dtype=float))
-        offsets = [self._per_joint(vector, "offset", np.zeros(self.robot.nu)) for vector in vectors]
+        commands = _average_commands(
+            run.time, run.command, step * np.arange(count + 1, dtype=float)
+        )
+        offsets = [
+            self._get_joint_values(vector, "offset", np.zeros(self.robot.nu)) for vector in vectors
+        ]
         controls, starts = [], []
         data = self._workers[0]
-        lags = [self._late(vector, "command") for vector in vectors]
-        waits = [self._late(vector) - lag for vector, lag in zip(vectors, lags, strict=True)]
+        lags = [self._get_delay(vector, "command") for vector in vectors]
+        delays = [self._get_delay(vector) - lag for vector, lag in zip(vectors, lags, strict=True)]
         for model, lag, offset in zip(models, lags, offsets, strict=True):
-            asked = self.drive.gear * (_smoothed(commands, lag / step) - offset)
-            ctrl = np.zeros((len(asked), model.nu))
-            ctrl[:, model.actuator_ctrladr[self._motors]] = asked[:, self._driven]
+            targets = self.drive.gear * (_apply_lag(commands, lag / step) - offset)
+            ctrl = np.zeros((len(targets), model.nu))
+            ctrl[:, model.actuator_ctrladr[self._motors]] = targets[:, self._driven]
             self.robot.mj_convention.set_state(data, run.start[0] - offset, run.start[1])
             data.time = 0.0
             data.act[:] = settled_activations(model, ctrl[0])
@@ -216,99 +244,111 @@ class Simulator:
             controls.append(ctrl)
         states = roll_out(models, self._workers, np.array(starts), np.array(controls))
         states = np.concatenate([np.array(starts)[:, None], states], axis=1)
-        # Commands that come later do the same later: steps begin where commands do.
-        at, steps = self.robot.mj_convention, step * np.arange(states.shape[1])
-        q, v = states[..., 1 + at.qpos_index], states[..., 1 + self._model.nq + at.qvel_index]
-        found = [
-            CubicHermiteSpline(steps, *own)(run.time - wait) + offset
-            for *own, wait, offset in zip(q, v, waits, offsets, strict=True)
+        # A delay shifts the response in time, so that steps start at command changes.
+        convention, steps = self.robot.mj_convention, step * np.arange(states.shape[1])
+        q, v = (
+            states[..., 1 + convention.qpos_index],
+            states[..., 1 + self._model.nq + convention.qvel_index],
+        )
+        positions = [
+            CubicHermiteSpline(steps, *series)(run.time - delay) + offset
+            for *series, delay, offset in zip(q, v, delays, offsets, strict=True)
         ]
-        return np.array(found)
+        return np.array(positions)
 
-    def _per_joint(self, vector: Array, kind: str, stated: Array) -> Array:
+    def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
+        """Return the values of a kind for all joints, shape (nu,)."""
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
-    def _late(self, vector: Array, part: str = "") -> float:
+    def _get_delay(self, vector: Array, part: str = "") -> float:
+        """Return the delay [s], or with a component the lag of commands or positions [s]."""
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
-    def replace_lag_derivatives(self, vector: Array, places: IntArray, jacobians: Array) -> None:
-        """Makes derivatives by the positions' lag those by the damping and armature it amounts to.
+    def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
+        """Replace derivatives by the position lag by those of its equivalent damping and armature.
 
-        Nothing distinguishes them, and no error of differences must seem to.
+        To second order a lag T of positions is a damping of -kp T and an armature of kp T^2.
+        Finite-difference errors must not distinguish equivalent parameters.
         """
-        kp, late = self._per_joint(vector, "kp", self.drive.kp), self._late(vector, "position")
-        rates = np.zeros(len(self.table))
-        for kind, own in (("damping", -kp), ("armature", 2 * kp * late)):
-            for name, rate in zip(self.robot.joint_names, own.tolist(), strict=True):
-                if (place := self.table.find_index(kind, name)) is not None:
-                    rates[place] = rate
-        if rates.any():
-            lag = self.table.find_index("lag", SERVOS_SUBJECT, "position")
-            jacobians[..., places == lag] = (jacobians @ rates[places])[..., None]
+        kp, lag = (
+            self._get_joint_values(vector, "kp", self.drive.kp),
+            self._get_delay(vector, "position"),
+        )
+        coefficients = np.zeros(len(self.table))
+        for kind, joint_rates in (("damping", -kp), ("armature", 2 * kp * lag)):
+            for name, rate in zip(self.robot.joint_names, joint_rates.tolist(), strict=True):
+                if (index := self.table.find_index(kind, name)) is not None:
+                    coefficients[index] = rate
+        if coefficients.any():
+            lag_index = self.table.find_index("lag", SERVOS_SUBJECT, "position")
+            jacobians[..., indices == lag_index] = (jacobians @ coefficients[indices])[..., None]
 
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
-        """Gives a model all of a vector of parameters.
+        """Write a parameter vector into a model.
 
-        Dry friction and armature are not below zero; damping may be, where derivatives are made.
+        Dry friction and armature are clipped at 0. Damping is not, since finite differences need
+        both sides.
         """
         dofs, drive, stated = self._dofs, self.drive, self._model
-        kp = np.maximum(self._per_joint(vector, "kp", drive.kp), 0.0)
-        at, driven, squared = self._motors, self._driven, drive.gear[self._driven] ** 2
-        late = self._late(vector, "position")
-        model.actuator_gainprm[at, 0] = kp[driven] / squared
-        model.actuator_biasprm[at, 1] = -kp[driven] / squared
-        model.actuator_biasprm[at, 2] = (kp * late - drive.kd)[driven] / squared
-        for kind, values, own in (
+        kp = np.maximum(self._get_joint_values(vector, "kp", drive.kp), 0.0)
+        motors, driven, squared = self._motors, self._driven, drive.gear[self._driven] ** 2
+        lag = self._get_delay(vector, "position")
+        model.actuator_gainprm[motors, 0] = kp[driven] / squared
+        model.actuator_biasprm[motors, 1] = -kp[driven] / squared
+        model.actuator_biasprm[motors, 2] = (kp * lag - drive.kd)[driven] / squared
+        for kind, values, stated_values in (
             ("damping", model.dof_damping, stated.dof_damping),
             ("friction", model.dof_frictionloss, stated.dof_frictionloss),
             ("armature", model.dof_armature, stated.dof_armature),
         ):
-            least = -np.inf if kind == "damping" else 0.0
-            values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), least)
-        model.dof_armature[dofs] += kp * late**2
+            lower_bound = -np.inf if kind == "damping" else 0.0
+            values[dofs] = np.maximum(
+                self._get_joint_values(vector, kind, stated_values[dofs]), lower_bound
+            )
+        model.dof_armature[dofs] += kp * lag**2
         self.bodies.set_parameters(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
 
 
-def _mean_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Returns the means (k - 1, nu) between times (k,) of commands that stay until the next."""
-    there = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
-    steps = np.diff(there)[:, None] * np.vstack([command[:1], command])
+def _average_commands(time: Array, command: Array, edges: Array) -> Array:
+    """Return the means (k - 1, nu) of piecewise constant commands between k times."""
+    boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
+    steps = np.diff(boundaries)[:, None] * np.vstack([command[:1], command])
     sums = np.vstack([np.zeros(command.shape[1]), np.cumsum(steps, axis=0)])
-    whole = np.column_stack([np.interp(edges, there, column) for column in sums.T])
-    return np.asarray(np.diff(whole, axis=0) / np.diff(edges)[:, None])
+    integrals = np.column_stack([np.interp(edges, boundaries, column) for column in sums.T])
+    return np.asarray(np.diff(integrals, axis=0) / np.diff(edges)[:, None])
 
 
-def _smoothed(command: Array, lag: float) -> Array:
-    """Returns means (k, nu) of commands that are followed with a lag, in parts of a step.
+def _apply_lag(command: Array, lag: float) -> Array:
+    """Return mean commands, shape (k, nu), after a first-order lag, given in time steps.
 
-    Of a lag below zero, what it is as much above: derivatives are made on both sides.
+    A negative lag has the opposite effect, so that central differences are possible about 0.
     """
-    kept = math.exp(-1 / abs(lag)) if lag else 0.0
-    off = command - command[0]
-    begins = lfilter([0.0, 1 - kept], [1.0, -kept], off, axis=0)
-    return np.asarray(command + (begins - off) * lag * (1 - kept))
+    decay = math.exp(-1 / abs(lag)) if lag else 0.0
+    deviations = command - command[0]
+    filtered = lfilter([0.0, 1 - decay], [1.0, -decay], deviations, axis=0)
+    return np.asarray(command + (filtered - deviations) * lag * (1 - decay))
 
 
-# The moving bodies of a MuJoCo model: their inertials as parameters, and which feel each other.
+# Moving bodies of a MuJoCo model, with their inertials as parameters.
 
 
 class MovingBodies:
-    """The bodies that a robot's joints move, each with those that are fixed to it.
+    """Bodies that a robot's joints move, each merged with the bodies that are fixed to it.
 
-    Masses and coms are those of all that a joint moves up to the next joint; they are named by
-    the joint's link of the URDF, and coms are in its frame, that of Pinocchio's joint. With a mass
-    its rotational inertia about the com is in proportion; a com that moves leaves it.
+    Each body is named by its joint's URDF link; its CoM is expressed in the link frame, which is
+    the frame of the Pinocchio joint. The rotational inertia about the CoM is proportional to the
+    mass, and independent of the CoM.
 
     Args:
-        robot: A robot whose base is held.
-        model: Its MuJoCo model.
+        robot: Robot with a fixed base.
+        model: MuJoCo model.
 
     Attributes:
-        model: A copy of the model, in which each body's inertial is that of all fixed to it.
-        links: (nu,) the link of each joint.
-        mass: (nu,) kg.
-        com: (nu, 3) in the link's frame (m).
+        model: Copy of the model with merged inertials.
+        links: Link of each joint, shape (nu,).
+        mass: Masses, shape (nu,) [kg].
+        com: CoM positions in the link frames, shape (nu, 3) [m].
     """
 
     def __init__(self, robot: Robot, model: mujoco.MjModel) -> None:
@@ -317,12 +357,12 @@ class MovingBodies:
         self._bodies = self.model.jnt_bodyid[self._joints]
         self._names = robot.joint_names
         for body in dict.fromkeys(self._bodies.tolist()):
-            self._gather(body)
-            # Coms that move are nowhere that MuJoCo could take them for their body's origin.
+            self._merge_fixed_bodies(body)
+            # MuJoCo must not treat a moved CoM as coincident with the body's origin.
             self.model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
             self.model.body_simple[body] = 0
         self.model.dof_simplenum[:] = 0
-        self._to_link = list(_link_frames(robot, self.model, self._bodies))
+        self._to_link = list(_compute_link_frames(robot, self.model, self._bodies))
         self.links = tuple(
             find_moved_link(robot.pin_model, robot.pin_model.getJointId(name))
             for name in robot.joint_names
@@ -336,180 +376,188 @@ class MovingBodies:
             ]
         )
 
-    def _gather(self, body: int) -> None:
-        """Gives a body the inertial of all that is fixed to it."""
+    def _merge_fixed_bodies(self, body: int) -> None:
+        """Move the inertials of all bodies that are fixed to a body into that body."""
         model = self.model
         fixed = np.flatnonzero(model.body_weldid == body)
         if len(fixed) == 1:
             return
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        whole = pin.Inertia.Zero()
-        for other in fixed:
-            turned = data.ximat[other].reshape(3, 3)
-            place = pin.SE3(turned, data.xipos[other])
-            own = pin.Inertia(
-                float(model.body_mass[other]), np.zeros(3), np.diag(model.body_inertia[other])
+        total_inertia = pin.Inertia.Zero()
+        for fixed_body in fixed:
+            rotation = data.ximat[fixed_body].reshape(3, 3)
+            pose = pin.SE3(rotation, data.xipos[fixed_body])
+            inertia = pin.Inertia(
+                float(model.body_mass[fixed_body]),
+                np.zeros(3),
+                np.diag(model.body_inertia[fixed_body]),
             )
-            whole += place.act(own)
-        own = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body]).actInv(whole)
-        values, axes = np.linalg.eigh(own.inertia)
+            total_inertia += pose.act(inertia)
+        inertia = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body]).actInv(total_inertia)
+        values, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] *= np.linalg.det(axes)
         model.body_mass[fixed], model.body_inertia[fixed] = 0.0, 0.0
-        model.body_mass[body], model.body_ipos[body] = own.mass, own.lever
+        model.body_mass[body], model.body_ipos[body] = inertia.mass, inertia.lever
         model.body_inertia[body] = values
         mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
 
     def set_parameters(self, model: mujoco.MjModel, table: ParameterTable, vector: Array) -> None:
-        """Writes masses and coms of a vector of parameters into a copy of ``model``."""
-        for number, (link, body) in enumerate(zip(self.links, self._bodies, strict=True)):
-            if self.mass[number] <= 0:
+        """Write masses and CoM positions of a parameter vector into a copy of ``model``."""
+        for joint, (link, body) in enumerate(zip(self.links, self._bodies, strict=True)):
+            if self.mass[joint] <= 0:
                 continue
-            least = MIN_MASS_FRACTION * self.mass[number]
-            mass = max(table.get_value(vector, "mass", link, "", self.mass[number]), least)
-            com = table.get_com(vector, link, self.com[number])
+            min_mass = MIN_MASS_FRACTION * self.mass[joint]
+            mass = max(table.get_value(vector, "mass", link, "", self.mass[joint]), min_mass)
+            com = table.get_com(vector, link, self.com[joint])
             model.body_mass[body] = mass
-            model.body_inertia[body] = self._inertia[number] * mass / self.mass[number]
-            model.body_ipos[body] = self._to_link[number].actInv(com)
+            model.body_inertia[body] = self._inertia[joint] * mass / self.mass[joint]
+            model.body_ipos[body] = self._to_link[joint].actInv(com)
 
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
-        """Returns groups of joints that do not feel each other, with the parameters of each.
+        """Return groups of joints without mutual effect, with the parameters of each group.
 
-        The base is held, so those are one that have a moving body in common; all are where loops,
-        couplings or tendons are.
+        Since the base is held, the joints of one kinematic tree are a group. Models with equality
+        constraints or tendons have a single group.
         """
         model = self.model
-        roots = [_root(model, int(body)) for body in self._bodies]
+        roots = [_find_root_body(model, int(body)) for body in self._bodies]
         if model.neq or model.ntendon:
             roots = [0] * len(roots)
-        found = []
+        groups = []
         for root in dict.fromkeys(roots):
-            joints = [number for number, own in enumerate(roots) if own == root]
-            subjects = {name for at in joints for name in (self._names[at], self.links[at])}
-            columns = [place for place, one in enumerate(table) if one.subject in subjects]
-            found.append((joints, columns))
-        return found
+            joints = [joint for joint, joint_root in enumerate(roots) if joint_root == root]
+            subjects = {
+                name
+                for joint_index in joints
+                for name in (self._names[joint_index], self.links[joint_index])
+            }
+            columns = [
+                index for index, parameter in enumerate(table) if parameter.subject in subjects
+            ]
+            groups.append((joints, columns))
+        return groups
 
     def find_common_parameters(self, table: ParameterTable) -> list[int]:
-        """Returns the parameters of no joint or link: those that act on all."""
-        own = {*self._names, *self.links}
-        return [place for place, one in enumerate(table) if one.subject not in own]
+        """Return the indices of parameters of no joint or link, which affect all groups."""
+        subjects = {*self._names, *self.links}
+        return [index for index, parameter in enumerate(table) if parameter.subject not in subjects]
 
 
-def _root(model: mujoco.MjModel, body: int) -> int:
-    """Returns the first moving body on the way from the world to a body."""
+def _find_root_body(model: mujoco.MjModel, body: int) -> int:
+    """Return the first moving body on the path from the world to a body."""
     while model.body_weldid[model.body_parentid[body]] != 0:
         body = int(model.body_parentid[body])
     return int(model.body_weldid[body])
 
 
-def _link_frames(
+def _compute_link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
-    """Yields how each joint's body frame of MuJoCo is placed in Pinocchio's frame of the joint."""
+    """Yield the pose of each joint's MuJoCo body in the frame of its Pinocchio joint."""
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, robot.home)
     mujoco.mj_kinematics(model, data)
     by_pin = robot.pin_model.createData()
     pin.forwardKinematics(robot.pin_model, by_pin, robot.pin_convention.q(robot.home))
-    base = _base_offset(robot, data, by_pin)
+    world_offset = _compute_base_offset(robot, data, by_pin)
     for name, body in zip(robot.joint_names, bodies.tolist(), strict=True):
-        there = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
-        yield (base * by_pin.oMi[robot.pin_model.getJointId(name)]).actInv(there)
+        body_pose = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+        yield (world_offset * by_pin.oMi[robot.pin_model.getJointId(name)]).actInv(body_pose)
 
 
-def _base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3:
-    """Returns where Pinocchio's world is in MuJoCo's: the base is fixed where the MJCF has it."""
+def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3:
+    """Return the pose of Pinocchio's world in MuJoCo's, in which the MJCF fixes the base."""
     model = robot.pin_model
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
-    there = by_pin.oMi[frame.parentJoint] * frame.placement
+    base_pose = by_pin.oMi[frame.parentJoint] * frame.placement
     base = data.body(robot.mj_base)
-    return pin.SE3(base.xmat.reshape(3, 3), base.xpos.copy()) * there.inverse()
+    return pin.SE3(base.xmat.reshape(3, 3), base.xpos.copy()) * base_pose.inverse()
 
 
-# Coordinates of parameters in which forces are linear: first moments in place of coms.
+# Coordinates in which forces are linear: first moments.
 
 
 MIN_MASS_FRACTION = 0.01
-"""Of the stated mass: a lighter body's com is anywhere, and no simulation is of use."""
+"""Lower bound of a mass as a fraction of the stated mass. The CoM of a lighter body is
+undetermined, and its simulation unstable. Chosen, not tuned."""
 
 
 class MomentCoordinates:
-    """A vector of parameters by first moments, and back.
+    """Coordinates in which gravity and inertia forces are linear: first moments for CoMs.
 
-    Gravity and inertia act by m and m c. A step that is good in them is none in m and c, as
-    d(m c) = m dc + c dm + dm dc: where mass and com of a link are determined by their product
-    alone, and each to no better than the prior, the last term was 20 standard deviations of what
-    was measured.
+    Forces depend on m and m c. A step in m and c has the error d(m c) - (m dc + c dm) = dm dc. If
+    measurements determine only the product, this error was 20 standard deviations.
 
-    In place of a com c there stands c0 + (m / m0) (c - c0), c0 and m0 being the stated ones: a
-    length, the com itself at the stated mass, and linear in the moment and the mass. Its prior is
-    the com's. In place of a delay there stands what of it is no lag of commands: both are positive,
-    and their sum is what is known.
+    A CoM c is replaced by c0 + (m / m0) (c - c0), with stated values c0 and m0: a length, equal to
+    c at the stated mass, and linear in moment and mass. Its prior is that of c. The delay is
+    replaced by the delay minus the lag of commands: both are positive, and their sum is determined.
 
     Args:
-        table: The parameters.
+        table: Parameters.
     """
 
     def __init__(self, table: ParameterTable) -> None:
         pairs = []
-        for place, one in enumerate(table):
-            mass = table.find_index("mass", one.subject) if one.kind == "com" else None
-            if mass is not None and one.component in AXES:
-                pairs.append((place, mass))
+        for index, parameter in enumerate(table):
+            mass = table.find_index("mass", parameter.subject) if parameter.kind == "com" else None
+            if mass is not None and parameter.component in AXES:
+                pairs.append((index, mass))
         self._coms, self._masses = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         self._stated_com, self._stated_mass = table.stated[self._coms], table.stated[self._masses]
-        late = [
+        delay_pair = [
             table.find_index("delay", SERVOS_SUBJECT),
             table.find_index("lag", SERVOS_SUBJECT, "command"),
         ]
-        self._late = np.array(late if None not in late else [], dtype=np.int64).reshape(-1, 2).T
+        self._delay_indices = (
+            np.array(delay_pair if None not in delay_pair else [], dtype=np.int64).reshape(-1, 2).T
+        )
 
-    def _lightness(self, vector: Array) -> Array:
-        """Returns m0 / m of each com."""
-        least = MIN_MASS_FRACTION * self._stated_mass
-        return np.asarray(self._stated_mass / np.maximum(vector[self._masses], least))
+    def _compute_mass_ratio(self, vector: Array) -> Array:
+        """Return m0 / m for each CoM coordinate."""
+        min_mass = MIN_MASS_FRACTION * self._stated_mass
+        return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))
 
     def to_parameters(self, moments: Array) -> Array:
-        """Returns parameters (n,) of moments (n,)."""
-        found = moments.copy()
-        off = moments[self._coms] - self._stated_com
-        found[self._coms] = self._stated_com + self._lightness(moments) * off
-        found[self._late[0]] += moments[self._late[1]]
-        return found
+        """Return the parameters, shape (n,), for coordinates, shape (n,)."""
+        vector = moments.copy()
+        deviation = moments[self._coms] - self._stated_com
+        vector[self._coms] = self._stated_com + self._compute_mass_ratio(moments) * deviation
+        vector[self._delay_indices[0]] += moments[self._delay_indices[1]]
+        return vector
 
     def from_parameters(self, vector: Array) -> Array:
-        """Returns moments (n,) of parameters (n,)."""
-        found = vector.copy()
-        off = vector[self._coms] - self._stated_com
-        found[self._coms] = self._stated_com + off / self._lightness(vector)
-        found[self._late[0]] -= vector[self._late[1]]
-        return found
+        """Return the coordinates, shape (n,), for parameters, shape (n,)."""
+        moments = vector.copy()
+        deviation = vector[self._coms] - self._stated_com
+        moments[self._coms] = self._stated_com + deviation / self._compute_mass_ratio(vector)
+        moments[self._delay_indices[0]] -= vector[self._delay_indices[1]]
+        return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Returns how parameters change with moments (n, n)."""
-        found, lightness = np.eye(len(moments)), self._lightness(moments)
-        off = moments[self._coms] - self._stated_com
-        found[self._coms, self._coms] = lightness
-        found[self._coms, self._masses] = -(lightness**2) * off / self._stated_mass
-        found[self._late[0], self._late[1]] = 1.0
-        return found
+        """Return the derivative of the parameters by the coordinates, shape (n, n)."""
+        derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
+        deviation = moments[self._coms] - self._stated_com
+        derivative[self._coms, self._coms] = mass_ratio
+        derivative[self._coms, self._masses] = -(mass_ratio**2) * deviation / self._stated_mass
+        derivative[self._delay_indices[0], self._delay_indices[1]] = 1.0
+        return derivative
 
     def transform_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
-        """Returns what is known of parameters, of what is known of moments, linear about the best.
+        """Return the distribution of the parameters, linearised about the mean of the coordinates.
 
         Args:
-            posterior: Of moments.
-            covariance: (n, n) of them, in the priors' widths.
+            posterior: Distribution of the coordinates.
+            covariance: Covariance of the coordinates, shape (n, n), in units of the prior widths.
         """
-        width = np.array([one.width for one in posterior.parameters])
-        turn = self.differentiate_parameters(posterior.mean) * width / width[:, None]
-        back = np.linalg.inv(turn)
-        covariance = turn @ covariance @ turn.T
+        width = np.array([parameter.width for parameter in posterior.parameters])
+        transform = self.differentiate_parameters(posterior.mean) * width / width[:, None]
+        inverse = np.linalg.inv(transform)
+        covariance = transform @ covariance @ transform.T
         return replace(
             posterior,
             mean=self.to_parameters(posterior.mean),
             covariance=width[:, None] * (covariance + covariance.T) / 2 * width,
-            information=back.T @ posterior.information @ back,
-            precision=back.T @ posterior.precision @ back,
+            information=inverse.T @ posterior.information @ inverse,
+            precision=inverse.T @ posterior.precision @ inverse,
         )

@@ -1,1 +1,1 @@
-"""Takes planned stands with a robot, and writes down what its encoders show."""
+"""Record planned stands with a robot: connection, operator and output file."""

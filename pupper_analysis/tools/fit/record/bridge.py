@@ -1,4 +1,4 @@
-"""Ways to a robot: positions are read from it, and commands sent to it."""
+"""Connections to a robot: interface, and selection by name."""
 
 from __future__ import annotations
 
@@ -19,83 +19,87 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
 Array = NDArray[np.float64]
 
-GROUP = "pupper_analysis.bridges"
-"""Entry points of other packages: a function of the robot and of what follows a colon."""
+ENTRY_POINT_GROUP = "pupper_analysis.bridges"
+"""Entry points by which other packages add bridges: functions of the robot and of the text after
+the colon, which return a `Bridge` and an `Operator`."""
 
 
 class Operator(Protocol):
-    """Who stands beside the robot."""
+    """Person beside the robot."""
 
-    def prepare(self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str]) -> bool:
-        """Lets a stand be set down: lifted, turned, loaded; False to leave it out."""
+    def prepare(
+        self, stand: PlannedStand, loads: Mapping[str, Array], instructions: Sequence[str]
+    ) -> bool:
+        """Set a stand up: lift, turn and load the robot; return False to skip the stand."""
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """Returns the feet that are in the air; None to leave the stand out."""
+        """Return the feet that are in the air; None to skip the stand."""
 
     def stops(self) -> bool:
-        """Says whether a key was pressed."""
+        """Return True if a key was pressed."""
 
 
 class Bridge(Protocol):
-    """A robot: joints are in the order of the robot's model.
+    """Connection to a robot, with joints in actuator order.
 
     Attributes:
-        ramps: Whether commands are sent to it, so that it moves.
+        ramps: Whether commands move the robot, so that they are ramped and checked.
     """
 
     ramps: bool
 
     def read(self) -> tuple[float, Array]:
-        """Returns when positions were measured (s, as ``now``), and these (nu,) (rad)."""
+        """Return the measurement time [s], as of ``now``, and joint positions (nu,) [rad]."""
 
     def send(self, command: Array) -> None:
-        """Commands positions (nu,) (rad)."""
+        """Command joint positions, shape (nu,) [rad]."""
 
     def now(self) -> float:
-        """Returns the time (s)."""
+        """Return the time [s]."""
 
     def wait(self, seconds: float) -> None:
-        """Lets time pass."""
+        """Wait."""
 
     def close(self) -> None:
-        """Lets the robot go, which holds what it was commanded last."""
+        """Close the connection; the robot holds its last command."""
 
 
 def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
-    """Returns a bridge and who stands beside the robot, by ``NAME`` or ``NAME:WORDS``.
+    """Open a bridge and its operator by ``NAME`` or ``NAME:ARGUMENTS``.
 
     Raises:
-        ConfigurationError: If there is none of that name.
+        ConfigurationError: If there is no bridge of this name.
     """
-    key, _, words = name.partition(":")
-    others = {point.name: point for point in entry_points(group=GROUP)}
-    if key in _OWN:
-        module, function = _OWN[key].split(":")
-        made = getattr(import_module(module), function)(robot, words)
-    elif key in others:
-        made = others[key].load()(robot, words)
+    key, _, arguments = name.partition(":")
+    entry_bridges = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+    if key in _BUILTIN_BRIDGES:
+        module, function = _BUILTIN_BRIDGES[key].split(":")
+        pair = getattr(import_module(module), function)(robot, arguments)
+    elif key in entry_bridges:
+        pair = entry_bridges[key].load()(robot, arguments)
     else:
-        known = (*_OWN, *others)
+        known = (*_BUILTIN_BRIDGES, *entry_bridges)
         raise ConfigurationError("--bridge", diagnose("no-bridge", name=key, known=known))
-    bridge, person = made
-    return bridge, person
+    bridge, operator = pair
+    return bridge, operator
 
 
-_OWN = {
+_BUILTIN_BRIDGES = {
     "mujoco": "pupper_analysis.tools.fit.record.simulated:open_simulated",
     "ros2": "pupper_analysis.tools.fit.record.ros:open_ros",
     "typed": "pupper_analysis.tools.fit.record.terminal:open_typed",
 }
+"""{name: module and function of each bridge of this package}."""
 
 
 @dataclass
 class WallClock:
-    """Time as it passes, for bridges to what is real."""
+    """Real time, for bridges to real robots."""
 
     def now(self) -> float:
-        """Returns the time (s)."""
+        """Return the time [s]."""
         return time.monotonic()
 
     def wait(self, seconds: float) -> None:
-        """Lets time pass."""
+        """Wait."""
         time.sleep(seconds)

@@ -1,8 +1,8 @@
-"""Takes planned stands one after the other: ramps to each, waits for rest, averages, asks, writes.
+"""Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
-The robot holds what it was commanded last, whenever this ends: at the plan's end, by a key, by a
-message that does not come, by a servo that does not follow. A row is in the file before the next
-stand begins, and stands that are there are not taken again.
+Whenever the recording ends, the robot holds its last command: at the end of the plan, by a key, if
+no positions arrive, or if a servo does not follow. Each row is written before the next stand
+begins, and stands that are already in the file are not recorded again.
 """
 
 from __future__ import annotations
@@ -40,41 +40,55 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 Array = NDArray[np.float64]
 
 MAX_JOINT_SPEED = 0.5
-"""rad/s, at most: from one stand of a plan to the next it takes two seconds."""
+"""Upper bound of the commanded joint speed [rad/s]: two adjacent stands of a plan are about two
+seconds apart. Chosen, not tuned."""
 
-_TICK = 0.02
-"""s between two commands of a ramp."""
+_COMMAND_INTERVAL = 0.02
+"""Time [s] between two commands of a ramp. Chosen, not tuned."""
 
-_LOST = 0.3
-"""s without a position: no message, or a controller that has stopped."""
+_MAX_POSITION_AGE = 0.3
+"""Upper bound of the age of a position [s]. Older positions mean lost messages or a stopped
+controller. Chosen, not tuned."""
 
-_BEHIND = 0.5
-"""rad: a position that is so far from its command is of a servo that gives nothing."""
+_MAX_TRACKING_ERROR = 0.5
+"""Upper bound of the difference [rad] between position and command. A larger one means a servo
+without torque. Chosen, not tuned."""
 
-_ASKED, _FOLLOWS = 0.25, 0.25
-"""A joint that was led so far (rad) and went less than that part of it does not follow."""
+_MIN_COMMANDED_TRAVEL = 0.25
+"""Commanded travel [rad] from which a joint must follow. Chosen, not tuned."""
 
-_LIVES = 0.6
-"""Of its way: a joint that went so far was not only pressed there by another load."""
+_MIN_TRAVEL_RATIO = 0.25
+"""Ratio of measured to commanded travel below which a joint does not follow. Chosen, not tuned."""
 
-_STILL, _WINDOW, _PATIENCE = 1e-3, 1.0, 20.0
-"""rad within which positions stay over so many seconds, at rest; and how long that may take (s)."""
+_LIVE_TRAVEL_RATIO = 0.6
+"""Ratio of measured to commanded travel above which a servo works: other loads do not move a joint
+so far. Chosen, not tuned."""
 
-_EDGE = 0.02
-"""Of the stand's height: how far within the carrying feet the com is, at least, by the file."""
+_REST_RANGE = 1e-3
+"""Upper bound of the range of each joint position [rad] at rest. Chosen, not tuned."""
+
+_REST_WINDOW = 1.0
+"""Duration [s] over which the range and the mean are taken. Chosen, not tuned."""
+
+_REST_TIMEOUT = 20.0
+"""Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
+
+_MIN_COM_MARGIN_RATIO = 0.02
+"""Lower bound of the CoM margin with the file's masses, as a fraction of the nominal height.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
 class Recording(Result):
-    """What was taken of a plan.
+    """Result of a recording.
 
     Attributes:
-        name: The robot's name.
-        file: Where the rows are.
-        taken: Stands that were taken now.
+        name: Robot name.
+        file: Output file.
+        taken: Stands that were recorded now.
         had: Stands that were in the file before.
-        left: Stands that are still to be taken.
-        findings: Why stands were left out, or it ended.
+        left: Stands that are still missing.
+        findings: Reasons for skipped stands, or for the end of the recording.
     """
 
     name: str
@@ -86,16 +100,16 @@ class Recording(Result):
 
     @property
     def complete(self) -> bool:
-        """Whether no stand is left."""
+        """Whether no stand is missing."""
         return not self.left
 
 
-class _EndError(Exception):
-    """The recording ends here, and the robot holds.
+class _RecordingEndedError(Exception):
+    """End of the recording; the robot holds its last command.
 
     Args:
-        finding: Why.
-        rows: So many of those that were taken now are sound.
+        finding: Reason.
+        rows: Number of rows recorded now that are reliable; None for all.
     """
 
     def __init__(self, finding: Diagnostic, rows: int | None = None) -> None:
@@ -103,41 +117,41 @@ class _EndError(Exception):
         self.finding, self.rows = finding, rows
 
 
-class _LeftOutError(_EndError):
-    """This stand is not taken; the next may be."""
+class _StandSkippedError(_RecordingEndedError):
+    """End of a stand without a row; the next stand may be recorded."""
 
 
 def record_stands(
-    robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, person: Operator
+    robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Takes the stands of a plan, and adds a row for each to a file.
+    """Record the stands of a plan, and append a row for each to a file.
 
     Args:
-        robot: The robot, as its files have it.
-        plan: A file of ``write_plan``.
-        output: The file; stands whose names it has are not taken again.
-        bridge: The way to the robot.
-        person: Who lifts it, and sees which feet carry.
+        robot: Robot, with the values of its files.
+        plan: File of ``write_plan``.
+        output: Output file. Stands whose names it contains are not recorded again.
+        bridge: Connection to the robot.
+        operator: Person who lifts the robot, and observes the feet that carry.
 
     Raises:
-        ConfigurationError: If the file is the plan itself.
-        MeasurementError: If a command is beyond a joint's limits, or a stand out of balance, by the
-            robot's file: before anything moves; or the file is of another plan.
-        OutputError: If it cannot be written, or another recording writes to it.
+        ConfigurationError: If the output is the plan itself.
+        MeasurementError: If the output belongs to another plan; or, before anything moves, if a
+            command exceeds the joint limits or a stand is not balanced with the file's masses.
+        OutputError: If the output cannot be written, or another recording writes to it.
     """
     path = Path(output)
     if path.exists() and path.samefile(plan):
         raise ConfigurationError("output", diagnose("recording-into-the-plan"))
-    with _locked(path):
-        return _record_stands(robot, plan, path, bridge, person)
+    with _lock_output(path):
+        return _record_missing_stands(robot, plan, path, bridge, operator)
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Let no other recording add rows to a file.
+def _lock_output(path: Path) -> Iterator[None]:
+    """Prevent other recordings from writing to the same file.
 
     Raises:
-        OutputError: If another recording does, or the folder cannot be written to.
+        OutputError: If another recording writes to the file, or its folder is not writable.
     """
     target, _ = resolve_target(path)
     try:
@@ -146,253 +160,300 @@ def _locked(path: Path) -> Iterator[None]:
             lock = target.with_name(f".{target.name}.lock")
             if not stack.enter_context(lock_file(lock, temporary=True)):
                 raise OutputError(path, diagnose("recording-is-running"))
-            held = stack.pop_all()
+            released_stack = stack.pop_all()
     except OSError as error:
         raise OutputError(path, describe_os_error(error)) from error
-    with held:
+    with released_stack:
         remove_stale_files(target.parent)
         yield
 
 
-def _record_stands(
-    robot: Robot, plan: str | Path, path: Path, bridge: Bridge, person: Operator
+def _record_missing_stands(
+    robot: Robot, plan: str | Path, path: Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Take the stands of a plan while no other recording writes to the file."""
+    """Record the stands of a plan that the file does not contain."""
     planned = read_stands(plan).order_joints(robot)
-    margins = list(_check(robot, planned))  # before anything moves
-    aside = compute_com_std(robot, ())
-    had = _names_in(path, planned)
-    rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
+    margins = list(_check_plan(robot, planned))  # before anything moves
+    com_std = compute_com_std(robot, ())
+    recorded_names = _read_recorded_names(path, planned)
+    rows = [
+        row for row, name in enumerate(planned.names) if planned.names[row] not in recorded_names
+    ]
     taken: list[str] = []
     sizes: list[int] = []
     findings: list[Diagnostic] = []
-    before: PlannedStand | None = None
-    session = _Session(robot, bridge, person)
+    previous: PlannedStand | None = None
+    session = _RecordingSession(robot, bridge, operator)
     try:
         for row in rows:
-            stand = _stand(planned, row)
-            loads = {link: own[row] for link, own in planned.added.items() if own[row, 0]}
+            stand = _make_planned_stand(planned, row)
+            loads = {link: load[row] for link, load in planned.added.items() if load[row, 0]}
             try:
-                todo = list(_todo(stand, loads, before))
-                if margins[row] < aside:
-                    margin, off = Quantity(margins[row], "m"), Quantity(aside, "m")
-                    said = diagnose("keep-a-hand-on-it", stand=stand.name, margin=margin, aside=off)
-                    todo.append(str(said))
-                read, up = session.take(stand, loads, todo, len(taken))
-            except _LeftOutError as error:
+                instructions = list(_list_instructions(stand, loads, previous))
+                if margins[row] < com_std:
+                    margin, deviation = Quantity(margins[row], "m"), Quantity(com_std, "m")
+                    warning = diagnose(
+                        "keep-a-hand-on-it", stand=stand.name, margin=margin, aside=deviation
+                    )
+                    instructions.append(str(warning))
+                position, swing = session.take_stand(stand, loads, instructions, len(taken))
+            except _StandSkippedError as error:
                 findings.append(error.finding)
                 continue
             finally:
-                before = stand
-            sizes.append(_append(path, planned, row, read, up))
+                previous = stand
+            sizes.append(_append_row(path, planned, row, position, swing))
             taken.append(stand.name)
-    except _EndError as error:
+    except _RecordingEndedError as error:
         findings.append(error.finding)
-        if doubtful := taken[error.rows :] if error.rows is not None else []:
-            findings.append(diagnose("rows-withdrawn", stands=doubtful))
-            _cut(path, sizes[len(taken) - len(doubtful)])
-            del taken[-len(doubtful) :]
+        if unreliable := taken[error.rows :] if error.rows is not None else []:
+            findings.append(diagnose("rows-withdrawn", stands=unreliable))
+            _truncate_file(path, sizes[len(taken) - len(unreliable)])
+            del taken[-len(unreliable) :]
     except KeyboardInterrupt:
         findings.append(diagnose("recording-stopped"))
     finally:
-        session.hold()
+        session.hold_position()
         bridge.close()
-    left = [planned.names[row] for row in rows if planned.names[row] not in taken]
-    names = tuple(name for name in planned.names if name in had)
-    return Recording(robot.name, str(path), tuple(taken), names, tuple(left), tuple(findings))
+    missing = [planned.names[row] for row in rows if planned.names[row] not in taken]
+    names = tuple(name for name in planned.names if name in recorded_names)
+    return Recording(robot.name, str(path), tuple(taken), names, tuple(missing), tuple(findings))
 
 
-class _Session:
-    """A robot that is led from stand to stand."""
+class _RecordingSession:
+    """Robot that is moved from stand to stand."""
 
-    def __init__(self, robot: Robot, bridge: Bridge, person: Operator) -> None:
-        self._robot, self._bridge, self._person = robot, bridge, person
+    def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
+        self._robot, self._bridge, self._operator = robot, bridge, operator
         self._command: Array | None = None
-        self._lived = np.zeros(robot.nu, dtype=int)  # rows there were as a servo last did its work
+        self._last_live_rows = np.zeros(
+            robot.nu, dtype=int
+        )  # number of rows when each servo last worked
 
-    def hold(self) -> None:
-        """Commands again what was commanded last."""
+    def hold_position(self) -> None:
+        """Send the last command again."""
         if self._command is not None:
             self._bridge.send(self._command)
 
-    def take(
-        self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str], rows: int
+    def take_stand(
+        self,
+        stand: PlannedStand,
+        loads: Mapping[str, Array],
+        instructions: Sequence[str],
+        rows: int,
     ) -> tuple[Array, Sequence[str]]:
-        """Returns positions at rest (nu,), and the feet in the air, after so many rows."""
+        """Return joint positions at rest, shape (nu,) [rad], and the feet in the air.
+
+        ``rows`` is the number of rows recorded before.
+        """
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
-            self._ramp(stand, target, rows)
+            self._ramp_commands(stand, target, rows)
         else:
             self._bridge.send(target)
-        if not self._person.prepare(stand, loads, todo):
-            raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
-        read = self._rest(stand) if self._bridge.ramps else self._bridge.read()[1]
-        up = self._person.feet_up(tuple(self._robot.feet), stand.swing)
-        if up is None:
-            raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
-        return read, up
+        if not self._operator.prepare(stand, loads, instructions):
+            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
+        position = self._average_at_rest(stand) if self._bridge.ramps else self._bridge.read()[1]
+        swing = self._operator.feet_up(tuple(self._robot.feet), stand.swing)
+        if swing is None:
+            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
+        return position, swing
 
-    def _ramp(self, stand: PlannedStand, target: Array, rows: int) -> None:
-        if self._command is None:  # where it is, and not where anybody thinks that it is
-            self._command = self._positions(stand)
+    def _ramp_commands(self, stand: PlannedStand, target: Array, rows: int) -> None:
+        """Ramp the command to a stand, starting at the measured positions in the first stand."""
+        if self._command is None:  # start at the measured positions
+            self._command = self._read_positions(stand)
             self._bridge.send(self._command)
-            self._rest(stand)  # what it was commanded before, which carried it, is not known
-        begin, first = self._command, self._positions(stand)
-        steps = max(1, math.ceil(np.abs(target - begin).max() / (MAX_JOINT_SPEED * _TICK)))
+            self._average_at_rest(stand)  # the previous command is unknown
+        start, first_position = self._command, self._read_positions(stand)
+        steps = max(
+            1, math.ceil(np.abs(target - start).max() / (MAX_JOINT_SPEED * _COMMAND_INTERVAL))
+        )
         for step in range(1, steps + 1):
-            self._command = begin + step / steps * (target - begin)
+            self._command = start + step / steps * (target - start)
             self._bridge.send(self._command)
-            self._bridge.wait(_TICK)
-            self._watch(stand, begin, first)
-        asked, moved = target - begin, self._positions(stand) - first
-        lives = (np.abs(asked) > _ASKED) & (moved * np.sign(asked) > _LIVES * np.abs(asked))
-        self._lived[lives] = rows
+            self._bridge.wait(_COMMAND_INTERVAL)
+            self._check_tracking(stand, start, first_position)
+        commanded_travel, travel = target - start, self._read_positions(stand) - first_position
+        works = (np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL) & (
+            travel * np.sign(commanded_travel) > _LIVE_TRAVEL_RATIO * np.abs(commanded_travel)
+        )
+        self._last_live_rows[works] = rows
 
-    def _watch(self, stand: PlannedStand, begin: Array, first: Array) -> None:
-        """Looks whether it may go on: servos follow from where they were, and no key is pressed."""
+    def _check_tracking(self, stand: PlannedStand, start: Array, first_position: Array) -> None:
+        """Check that all servos follow, and that no key is pressed.
+
+        Raises:
+            _RecordingEndedError: If not.
+        """
         assert self._command is not None
-        read = self._positions(stand)
-        off, asked = np.abs(read - self._command), np.abs(self._command - begin)
-        idle = (asked > _ASKED) & (np.abs(read - first) < _FOLLOWS * asked)
-        if (idle | (off > _BEHIND)).any():
-            joint = int(np.where(idle | (off > _BEHIND), off, 0.0).argmax())
+        position = self._read_positions(stand)
+        error, commanded_travel = np.abs(position - self._command), np.abs(self._command - start)
+        is_idle = (commanded_travel > _MIN_COMMANDED_TRAVEL) & (
+            np.abs(position - first_position) < _MIN_TRAVEL_RATIO * commanded_travel
+        )
+        if (is_idle | (error > _MAX_TRACKING_ERROR)).any():
+            joint = int(np.where(is_idle | (error > _MAX_TRACKING_ERROR), error, 0.0).argmax())
             finding = diagnose(
                 "servo-does-not-follow",
                 joint=self._robot.joint_names[joint],
                 stand=stand.name,
-                off=Quantity(float(off[joint]), "rad"),
+                off=Quantity(float(error[joint]), "rad"),
             )
-            raise _EndError(finding, int(self._lived[joint]))
-        if self._person.stops():
-            raise _EndError(diagnose("recording-stopped"))
+            raise _RecordingEndedError(finding, int(self._last_live_rows[joint]))
+        if self._operator.stops():
+            raise _RecordingEndedError(diagnose("recording-stopped"))
 
-    def _positions(self, stand: PlannedStand) -> Array:
-        begin = self._bridge.now()
+    def _read_positions(self, stand: PlannedStand) -> Array:
+        """Return current joint positions, shape (nu,) [rad]."""
+        start = self._bridge.now()
         while True:
-            at, read = self._bridge.read()
-            if self._bridge.now() - at <= _LOST and np.isfinite(read).all():
-                return read
-            if self._bridge.now() - begin > _LOST:
-                raise _EndError(diagnose("positions-lost", stand=stand.name))
-            self._bridge.wait(_TICK)
+            time, position = self._bridge.read()
+            if self._bridge.now() - time <= _MAX_POSITION_AGE and np.isfinite(position).all():
+                return position
+            if self._bridge.now() - start > _MAX_POSITION_AGE:
+                raise _RecordingEndedError(diagnose("positions-lost", stand=stand.name))
+            self._bridge.wait(_COMMAND_INTERVAL)
 
-    def _rest(self, stand: PlannedStand) -> Array:
-        """Returns the average of positions (nu,) once they stay."""
+    def _average_at_rest(self, stand: PlannedStand) -> Array:
+        """Return the mean joint positions, shape (nu,) [rad], once the robot is at rest."""
         assert self._command is not None
-        count = round(_WINDOW / _TICK)
+        count = round(_REST_WINDOW / _COMMAND_INTERVAL)
         window: list[Array] = []
-        end = self._bridge.now() + _PATIENCE
-        while self._bridge.now() < end:
-            self._bridge.wait(_TICK)
-            window = [*window[-count + 1 :], self._positions(stand)]
-            self._watch(stand, self._command, window[-1])
-            if len(window) == count and np.ptp(window, axis=0).max() < _STILL:
+        deadline = self._bridge.now() + _REST_TIMEOUT
+        while self._bridge.now() < deadline:
+            self._bridge.wait(_COMMAND_INTERVAL)
+            window = [*window[-count + 1 :], self._read_positions(stand)]
+            self._check_tracking(stand, self._command, window[-1])
+            if len(window) == count and np.ptp(window, axis=0).max() < _REST_RANGE:
                 return np.asarray(np.mean(window, axis=0))
-        moves = int(np.ptp(window, axis=0).argmax())
-        joint = self._robot.joint_names[moves]
-        raise _LeftOutError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
+        moving_joint = int(np.ptp(window, axis=0).argmax())
+        joint = self._robot.joint_names[moving_joint]
+        raise _StandSkippedError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
 
 
-def _todo(
-    stand: PlannedStand, loads: Mapping[str, Array], before: PlannedStand | None
+def _list_instructions(
+    stand: PlannedStand, loads: Mapping[str, Array], previous: PlannedStand | None
 ) -> Iterator[str]:
-    if before is None or before.heading != stand.heading:
+    """Yield the instructions for the operator: heading, known mass, feet in the air."""
+    if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
         yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))
-    if (0.0 if before is None else before.added) != stand.added:
+    if (0.0 if previous is None else previous.added) != stand.added:
         if not loads:
             yield str(diagnose("take-the-mass-off", stand=stand.name))
-        for link, (mass, *place) in loads.items():
-            at, much = ", ".join(f"{1e3 * one:.4g}" for one in place), Quantity(mass, "kg")
-            yield str(diagnose("put-the-mass-on", stand=stand.name, mass=much, link=link, place=at))
+        for link, (mass, *position) in loads.items():
+            position_text, mass_quantity = (
+                ", ".join(f"{1e3 * coordinate:.4g}" for coordinate in position),
+                Quantity(mass, "kg"),
+            )
+            yield str(
+                diagnose(
+                    "put-the-mass-on",
+                    stand=stand.name,
+                    mass=mass_quantity,
+                    link=link,
+                    place=position_text,
+                )
+            )
     yield str(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
 
 
-def _check(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
-    """Checks all stands by the robot's file, and yields how far each com is within its feet (m).
+def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
+    """Check all stands with the file's masses, and yield the CoM margin [m] of each.
 
     Raises:
-        MeasurementError: If one is beyond a limit, or out of balance.
+        MeasurementError: If a command exceeds the joint limits, or a stand is not balanced.
     """
-    # What is empty in a plan is nowhere: it is beyond any limit.
+    # An empty command is beyond any limit.
     planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
     for row, name in enumerate(planned.names):
         command, loaded = planned.command[row], robot
-        for link, own in planned.added.items():
-            mass, *place = own[row].tolist()
-            loaded = with_payload(loaded, mass, (link, *place))
-        margin = _margin(loaded, command, planned.swing[row])
-        if margin < _EDGE * robot.stand_height:
+        for link, load in planned.added.items():
+            mass, *position = load[row].tolist()
+            loaded = with_payload(loaded, mass, (link, *position))
+        margin = _compute_com_margin(loaded, command, planned.swing[row])
+        if margin < _MIN_COM_MARGIN_RATIO * robot.stand_height:
             finding = diagnose("stand-out-of-balance", stand=name, margin=Quantity(margin, "m"))
             raise MeasurementError(planned.source, finding)
         yield margin
 
 
-def _margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
-    """Returns how far the com is within the feet that carry, of a robot on them (m)."""
+def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
+    """Return the CoM margin [m] of a robot whose carrying feet are on level ground."""
     config = Configuration(robot, robot.posed(command))
-    points = [p for foot, own in robot.feet.items() if foot not in swing for p in own]
-    places = config.foot_places(points)
-    plane = np.column_stack([places[:, :2], np.ones(len(points))])
-    a, b, _ = np.linalg.lstsq(plane, places[:, 2])[0]
-    up = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
-    level = pin.Quaternion.FromTwoVectors(up, np.array([0.0, 0.0, 1.0])).matrix()
-    at = dict(zip(points, places @ level.T, strict=True))
-    return com_margin(level @ config.center_of_mass(), at)
+    points = [
+        point
+        for foot, foot_points in robot.feet.items()
+        if foot not in swing
+        for point in foot_points
+    ]
+    positions = config.foot_places(points)
+    plane = np.column_stack([positions[:, :2], np.ones(len(points))])
+    a, b, _ = np.linalg.lstsq(plane, positions[:, 2])[0]
+    normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
+    rotation = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
+    level_positions = dict(zip(points, positions @ rotation.T, strict=True))
+    return com_margin(rotation @ config.center_of_mass(), level_positions)
 
 
-# The file: a row more each time, and never one less.
+# Output file: one row is appended per stand.
 
 
-def _names_in(path: Path, planned: MeasuredStands) -> set[str]:
-    """Returns the stands that a file has.
+def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
+    """Return the names of the recorded stands of a file; empty if there is no file.
 
     Raises:
-        MeasurementError: If they are not those of the plan.
+        MeasurementError: If the stands are not those of the plan.
     """
     if not path.exists():
         return set()
-    found = read_stands(path)
-    for row in range(len(found)):
-        rows = [at for at, name in enumerate(planned.names) if name == found.names[row]]
-        same = rows and np.allclose(found.command[row], planned.command[rows[0]], atol=_SAME)
-        if found.joints != planned.joints or not same:
-            finding = diagnose("recording-of-another-plan", stand=found.names[row])
+    recorded = read_stands(path)
+    for row in range(len(recorded)):
+        rows = [index for index, name in enumerate(planned.names) if name == recorded.names[row]]
+        matches = rows and np.allclose(
+            recorded.command[row], planned.command[rows[0]], atol=_COMMAND_ATOL
+        )
+        if recorded.joints != planned.joints or not matches:
+            finding = diagnose("recording-of-another-plan", stand=recorded.names[row])
             raise MeasurementError(str(path), finding)
-    return set(found.names)
+    return set(recorded.names)
 
 
-_SAME = 2e-6
-"""rad: what six digits round."""
+_COMMAND_ATOL = 2e-6
+"""Tolerance [rad] of the comparison of commands: six written decimals."""
 
 
-def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
-    added = float(sum(own[row, 0] for own in planned.added.values()))
+def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:
+    """Return a stand of a plan file."""
+    added = float(sum(load[row, 0] for load in planned.added.values()))
     command = dict(zip(planned.joints, planned.command[row].tolist(), strict=True))
-    turned = float(planned.heading[row])
-    return PlannedStand(planned.names[row], planned.swing[row], command, None, turned, added)
+    heading = float(planned.heading[row])
+    return PlannedStand(planned.names[row], planned.swing[row], command, None, heading, added)
 
 
-def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> int:
-    """Adds a row: the whole file is written anew beside it, and takes its place at once.
+def _append_row(
+    path: Path, planned: MeasuredStands, row: int, position: Array, swing: Sequence[str]
+) -> int:
+    """Append a row; the file is replaced atomically.
 
     Returns:
-        How long it was before.
+        Length of the file before [bytes].
     """
-    one = replace(planned.select_rows([row]), position=read[None], swing=(tuple(up),))
-    there = path.read_bytes() if path.exists() else None
-    had = there or b""
-    if had and not had.endswith(b"\n"):
-        had += b"\n"
-    content = had + format_stands(one, header=not had).encode()
-    write_all([Writing(path, content, RECORD_KIND, before=there)])
-    return len(had)
+    row_stand = replace(planned.select_rows([row]), position=position[None], swing=(tuple(swing),))
+    content_before = path.read_bytes() if path.exists() else None
+    existing = content_before or b""
+    if existing and not existing.endswith(b"\n"):
+        existing += b"\n"
+    content = existing + format_stands(row_stand, header=not existing).encode()
+    write_all([Writing(path, content, RECORD_KIND, before=content_before)])
+    return len(existing)
 
 
-def _cut(path: Path, size: int) -> None:
-    """Takes rows back: what was there before them stays, and a file of nothing goes."""
+def _truncate_file(path: Path, size: int) -> None:
+    """Truncate a file to a length [bytes]; delete it if the length is 0."""
     if not size:
         path.unlink()
         return
-    there = path.read_bytes()
-    write_all([Writing(path, there[:size], RECORD_KIND, before=there)])
+    content = path.read_bytes()
+    write_all([Writing(path, content[:size], RECORD_KIND, before=content)])

@@ -1,8 +1,8 @@
-"""A robot over ROS 2 topics: ``sensor_msgs/JointState``, and a forward position controller.
+"""Bridge over ROS 2 topics: ``sensor_msgs/JointState`` and a forward position controller.
 
-Assumed of the messages: ``JointState`` has ``name`` and ``position`` (rad), in any order, of some
-or of all joints; the controller takes ``std_msgs/Float64MultiArray`` with ``data`` in the order of
-its own joints, which ``ros2:order=a,b,c`` says (the robot's order by default).
+``JointState`` messages contain ``name`` and ``position`` [rad] of some or all joints, in any order.
+The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the order of its joints,
+which is actuator order unless ``ros2:order=a,b,c`` states another.
 """
 
 from __future__ import annotations
@@ -22,26 +22,29 @@ from pupper_analysis.tools.fit.record.terminal import Terminal
 
 Array = NDArray[np.float64]
 
-STATE, COMMAND = "/joint_states", "/forward_position_controller/commands"
+STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/forward_position_controller/commands"
 
-_TICK, _DISCOVERY = 0.02, 5.0
-"""s until nodes of a network have found each other: on one machine it is 0.1 to 1 s."""
+_SPIN_INTERVAL = 0.02
+"""Time [s] between two checks for messages. Chosen, not tuned."""
+
+_DISCOVERY_TIMEOUT = 5.0
+"""Time [s] within which ROS nodes must discover each other: 0.1 to 1 s on one machine."""
 
 
-class Topics(WallClock):
-    """Subscribes to the joints' state, and publishes commands.
+class RosBridge(WallClock):
+    """Bridge that subscribes to joint states and publishes commands.
 
     Args:
-        robot: The robot.
-        ros: ``rclpy``, with its modules ``qos`` and ``signals``.
-        messages: The classes ``JointState`` and ``Float64MultiArray``.
-        state: Topic of the state.
+        robot: Robot.
+        ros: Module ``rclpy`` with its modules ``qos`` and ``signals``.
+        messages: Message classes ``JointState`` and ``Float64MultiArray``.
+        state: Topic of the joint states.
         command: Topic of the commands.
-        order: The controller's joints.
+        order: Joints of the controller.
 
     Raises:
-        ConfigurationError: If joints and order differ, or nobody publishes states of all joints, or
-            hears commands.
+        ConfigurationError: If ``order`` does not contain exactly the robot's joints, or if within
+            five seconds the states of some joints are missing or nothing subscribes to commands.
     """
 
     ramps = True
@@ -51,8 +54,8 @@ class Topics(WallClock):
         robot: Robot,
         ros: Any,
         messages: tuple[Any, Any],
-        state: str = STATE,
-        command: str = COMMAND,
+        state: str = STATE_TOPIC,
+        command: str = COMMAND_TOPIC,
         order: tuple[str, ...] = (),
     ) -> None:
         names = robot.joint_names
@@ -62,16 +65,16 @@ class Topics(WallClock):
         self._robot, self._ros, self._message = robot, ros, messages[1]
         self._order = [names.index(name) for name in order or names]
         self._positions: dict[str, float] = {}
-        self._seen = dict.fromkeys(names, -math.inf)
+        self._reception_times = dict.fromkeys(names, -math.inf)
         if not ros.ok():  # its own handler of Ctrl-C would end the topic before the last command
             ros.init(signal_handler_options=ros.signals.SignalHandlerOptions.NO)
         self._node = ros.create_node("pupper_analysis_fit")
-        # "Best effort" hears reliable publishers, too; the other way round nothing comes.
+        # "Best effort" subscribers receive from reliable publishers as well; the reverse fails.
         quality = ros.qos.qos_profile_sensor_data
-        self._node.create_subscription(messages[0], state, self._hear, quality)
+        self._node.create_subscription(messages[0], state, self._receive_state, quality)
         self._publisher = self._node.create_publisher(messages[1], command, 10)
-        end = self.now() + _DISCOVERY
-        while (silent := [name for name, at in self._seen.items() if at < 0]) or (
+        end = self.now() + _DISCOVERY_TIMEOUT
+        while (silent := [name for name, at in self._reception_times.items() if at < 0]) or (
             self._publisher.get_subscription_count() == 0
         ):
             if self.now() > end:
@@ -80,53 +83,54 @@ class Topics(WallClock):
                     "topic-is-silent", joints=silent or None, state=state, command=command
                 )
                 raise ConfigurationError("--bridge", finding)
-            self.wait(_TICK)
+            self.wait(_SPIN_INTERVAL)
 
-    def _hear(self, message: Any) -> None:
+    def _receive_state(self, message: Any) -> None:
+        """Store the positions of a message, with the time of reception."""
         for name, value in zip(message.name, message.position, strict=False):
-            if name in self._seen:
-                self._positions[name], self._seen[name] = float(value), self.now()
+            if name in self._reception_times:
+                self._positions[name], self._reception_times[name] = float(value), self.now()
 
     def read(self) -> tuple[float, Array]:
-        """See ``Bridge``: as old as the joint that was heard of longest ago."""
+        """Return the oldest reception time [s] and joint positions, shape (nu,) [rad]."""
         self._ros.spin_once(self._node, timeout_sec=0.0)
-        there = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
-        return min(self._seen.values()), np.array(there)
+        positions = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
+        return min(self._reception_times.values()), np.array(positions)
 
     def wait(self, seconds: float) -> None:
-        """Lets time pass, and hears."""
+        """Wait and process messages."""
         end = self.now() + seconds
-        while (left := end - self.now()) > 0:
-            self._ros.spin_once(self._node, timeout_sec=left)
+        while (remaining := end - self.now()) > 0:
+            self._ros.spin_once(self._node, timeout_sec=remaining)
 
     def send(self, command: Array) -> None:
-        """See ``Bridge``."""
+        """Publish joint positions, shape (nu,) [rad]."""
         message = self._message()
         message.data = [float(command[joint]) for joint in self._order]
         self._publisher.publish(message)
 
     def close(self) -> None:
-        """See ``Bridge``."""
+        """Destroy the ROS node."""
         self._node.destroy_node()
 
 
-def open_ros(robot: Robot, words: str) -> tuple[Topics, Terminal]:
-    """Returns the bridge, of ``state=TOPIC;command=TOPIC;order=JOINT,...``.
+def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
+    """Open the bridge, with arguments ``state=TOPIC;command=TOPIC;order=JOINT,...``.
 
     Raises:
-        ConfigurationError: If ROS 2 is not there, or a word says nothing.
+        ConfigurationError: If ROS 2 is not installed, or an argument is unknown.
     """
     try:
         ros = import_module("rclpy")
         for name in ("qos", "signals"):
             import_module(f"rclpy.{name}")
-        state = import_module("sensor_msgs.msg").JointState
-        numbers = import_module("std_msgs.msg").Float64MultiArray
+        state_class = import_module("sensor_msgs.msg").JointState
+        array_class = import_module("std_msgs.msg").Float64MultiArray
     except ImportError as error:
         raise ConfigurationError("--bridge", diagnose("no-rclpy")) from error
-    said = dict(word.partition("=")[::2] for word in words.split(";") if word)
-    if not {*said} <= {"state", "command", "order"}:
-        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=words))
-    order = tuple(said.get("order", "").split(",")) if said.get("order") else ()
-    topics = said.get("state", STATE), said.get("command", COMMAND)
-    return Topics(robot, ros, (state, numbers), *topics, order), Terminal()
+    options = dict(word.partition("=")[::2] for word in arguments.split(";") if word)
+    if not {*options} <= {"state", "command", "order"}:
+        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=arguments))
+    order = tuple(options.get("order", "").split(",")) if options.get("order") else ()
+    topics = options.get("state", STATE_TOPIC), options.get("command", COMMAND_TOPIC)
+    return RosBridge(robot, ros, (state_class, array_class), *topics, order), Terminal()

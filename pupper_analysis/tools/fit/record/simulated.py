@@ -1,4 +1,4 @@
-"""A robot in MuJoCo whose masses, servos and encoders are off: to try a plan before a robot is."""
+"""Simulated robot with perturbed masses, servos and encoders, to try a plan without hardware."""
 
 from __future__ import annotations
 
@@ -22,35 +22,37 @@ from pupper_analysis.tools.study.parameters import scale_robot
 
 Array = NDArray[np.float64]
 
-MASS, COM, OFFSET, KP = 0.1, 0.006, math.radians(1.0), 0.07
-"""What it is off by, as standard deviations: in parts, m, rad, in parts (and as much in common)."""
+MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0.07
+"""Standard deviations of the perturbations: log mass of each link, CoM components [m], encoder
+offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
 
-_STEP = 2 * math.pi / 2**14
-"""rad of its encoders."""
+_ENCODER_STEP = 2 * math.pi / 2**14
+"""Encoder step [rad]: 14 bits per turn."""
 
-_SET_DOWN = 0.01
-"""m: from so high it is put on its feet."""
+_DROP_HEIGHT = 0.01
+"""Height [m] of the lowest foot when the robot is set down. Chosen, not tuned."""
 
-_TURNS = (1e-3, 2e-4)
-"""m: torsional and rolling friction of rubber feet, at most."""
+_MAX_FOOT_FRICTION = (1e-3, 2e-4)
+"""Upper bounds of torsional and rolling friction [m], those of rubber feet. Chosen, not tuned."""
 
-_CARRIES = 0.005
-"""Of the weight: a foot with less is in the air, as far as a person sees."""
+_MIN_LOAD_RATIO = 0.005
+"""Load of a foot, as a fraction of the weight, below which a person sees it in the air. Chosen, not
+tuned."""
 
 
 class SimulatedRobot:
-    """A robot in MuJoCo, and who stands beside it.
+    """Robot in MuJoCo with perturbed parameters, and its operator.
 
     Args:
-        robot: The robot, as its files have it.
-        seed: Of what is off.
-        kp: Stiffness that is stated of its servos (N m/rad); the files' by default.
+        robot: Robot, with the values of its files.
+        seed: Seed of the perturbations.
+        kp: Stated servo stiffness [N m/rad]; the files' by default.
 
     Attributes:
-        total_mass: What it weighs (kg).
-        kp: (nu,) N m/rad.
-        offset: (nu,) zeros of its encoders (rad).
-        sent: All commands (nu,), as they were sent (rad).
+        total_mass: True mass [kg].
+        kp: True stiffness, shape (nu,) [N m/rad].
+        offset: Encoder offsets, shape (nu,) [rad].
+        sent: All commands, shape (nu,) [rad] each.
     """
 
     ramps = True
@@ -59,46 +61,49 @@ class SimulatedRobot:
         rng = np.random.default_rng(seed)
         factors = {}
         for link, _ in list_bodies(robot):
-            factors[f"mass:{link}"] = math.exp(MASS * rng.normal())
-            factors |= {f"com_{axis}:{link}": COM * rng.normal() for axis in "xyz"}
+            factors[f"mass:{link}"] = math.exp(MASS_LOG_STD * rng.normal())
+            factors |= {f"com_{axis}:{link}": COM_STD * rng.normal() for axis in "xyz"}
         common = rng.normal()
         gains = resolve_servo_gains(robot, kp, None)
-        self.kp = gains.kp * np.exp(KP * (common + rng.normal(size=robot.nu)))
-        self.offset = OFFSET * rng.normal(size=robot.nu)
+        self.kp = gains.kp * np.exp(KP_LOG_STD * (common + rng.normal(size=robot.nu)))
+        self.offset = OFFSET_STD * rng.normal(size=robot.nu)
         self.robot = scale_robot(robot, factors)
         self.total_mass = self.robot.total_mass
         self.sent: list[Array] = []
         self._kd = gains.kd
         self._time = 0.0
-        self._put_on({})
+        self._attach_loads({})
         self.send(robot.nominal + self.offset)
-        self._set_down(())
+        self._place_on_feet(())
 
-    def _put_on(self, loads: Mapping[str, Array]) -> None:
+    def _attach_loads(self, loads: Mapping[str, Array]) -> None:
+        """Create the simulation with known masses attached."""
         loaded = self.robot
-        for link, (mass, *place) in loads.items():
-            loaded = with_payload(loaded, float(mass), (link, *place))
+        for link, (mass, *position) in loads.items():
+            loaded = with_payload(loaded, float(mass), (link, *position))
         drive = model_with_servos(loaded, self.kp, self._kd)
         drive.model.opt.noslip_iterations = 20
-        drive.model.geom_friction[:, 1:] = np.minimum(drive.model.geom_friction[:, 1:], _TURNS)
+        drive.model.geom_friction[:, 1:] = np.minimum(
+            drive.model.geom_friction[:, 1:], _MAX_FOOT_FRICTION
+        )
         self._loaded, self._drive, self._data = loaded, drive, mujoco.MjData(drive.model)
 
     def now(self) -> float:
-        """See ``Bridge``."""
+        """Return the simulated time [s]."""
         return self._time
 
     def read(self) -> tuple[float, Array]:
-        """See ``Bridge``."""
+        """Return the time [s] and the quantised encoder positions, shape (nu,) [rad]."""
         index = self._loaded.mj_convention.qpos_index
-        shown = self._data.qpos[index][7:] + self.offset
-        return self._time, np.round(shown / _STEP) * _STEP
+        positions = self._data.qpos[index][7:] + self.offset
+        return self._time, np.round(positions / _ENCODER_STEP) * _ENCODER_STEP
 
     def send(self, command: Array) -> None:
-        """See ``Bridge``."""
+        """Store joint positions, shape (nu,) [rad], that ``wait`` commands."""
         self.sent.append(command.copy())
 
     def wait(self, seconds: float) -> None:
-        """See ``Bridge``."""
+        """Simulate with the last command."""
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):
@@ -106,63 +111,68 @@ class SimulatedRobot:
         self._time += seconds
 
     def close(self) -> None:
-        """See ``Bridge``."""
+        """Do nothing."""
 
     def prepare(
         self,
         stand: PlannedStand,
         loads: Mapping[str, Array],
-        todo: Sequence[str],  # noqa: ARG002 - it does what is planned
+        instructions: Sequence[str],  # noqa: ARG002 - follows the plan
     ) -> bool:
-        """See ``Operator``: lifts it, puts the mass on, and sets it down as it was commanded."""
-        self._put_on(loads)
-        self._set_down(stand.swing)
+        """Attach the known masses, and set the robot down in its commanded posture."""
+        self._attach_loads(loads)
+        self._place_on_feet(stand.swing)
         return True
 
-    def _set_down(self, swing: Sequence[str]) -> None:
+    def _place_on_feet(self, swing: Sequence[str]) -> None:
+        """Set the robot down just above the ground, in its commanded posture."""
         robot, joints = self._loaded, self.sent[-1] - self.offset
-        on = [point for foot, own in robot.feet.items() if foot not in swing for point in own]
-        qpos, base = robot.posed(joints), compute_level_base(robot, joints, on)
+        contact_points = [
+            point for foot, points in robot.feet.items() if foot not in swing for point in points
+        ]
+        qpos, base = robot.posed(joints), compute_level_base(robot, joints, contact_points)
         qpos[2], qpos[3:7] = base[4], base[:4]
-        every = robot.contact_points
-        lowest = Configuration(robot, qpos).foot_places(every)[:, 2]
-        lowest = lowest - [robot.contact_radius[point] for point in every]
-        qpos[2] += _SET_DOWN - min(lowest)
+        all_points = robot.contact_points
+        lowest = Configuration(robot, qpos).foot_places(all_points)[:, 2]
+        lowest = lowest - [robot.contact_radius[point] for point in all_points]
+        qpos[2] += _DROP_HEIGHT - min(lowest)
         mujoco.mj_resetData(self._drive.model, self._data)
         self._data.qpos[robot.mj_convention.qpos_index] = qpos
 
     def feet_up(
         self,
         feet: Sequence[str],
-        planned: Sequence[str],  # noqa: ARG002 - it sees
+        planned: Sequence[str],  # noqa: ARG002 - evaluates the contacts
     ) -> tuple[str, ...] | None:
-        """See ``Operator``: as it is; None if it lies on something else, or on two feet."""
+        """Return the feet without load; None if other parts touch or two or fewer feet carry."""
         carried, force = dict.fromkeys(feet, 0.0), np.zeros(6)
         for number, contact in enumerate(self._data.contact[: self._data.ncon]):
             mujoco.mj_contactForce(self._drive.model, self._data, number, force)
             feet_of = self._loaded.foot_geoms
-            on = [feet_of[int(geom)] for geom in contact.geom if int(geom) in feet_of]
-            if not on:
+            touching_feet = [feet_of[int(geom)] for geom in contact.geom if int(geom) in feet_of]
+            if not touching_feet:
                 return None
-            carried[on[0]] += float(force[0])
-        least = _CARRIES * self.total_mass * float(np.linalg.norm(self.robot.gravity))
-        up = tuple(foot for foot in feet if carried[foot] < least)
-        return up if len(feet) - len(up) >= 3 else None
+            carried[touching_feet[0]] += float(force[0])
+        min_load = _MIN_LOAD_RATIO * self.total_mass * float(np.linalg.norm(self.robot.gravity))
+        swing = tuple(foot for foot in feet if carried[foot] < min_load)
+        return swing if len(feet) - len(swing) >= 3 else None
 
     def stops(self) -> bool:
-        """See ``Operator``."""
+        """Return False."""
         return False
 
 
-def open_simulated(robot: Robot, words: str) -> tuple[SimulatedRobot, SimulatedRobot]:
-    """Returns the bridge, of ``mujoco:SEED`` or ``mujoco:SEED;kp=60``.
+def open_simulated(robot: Robot, arguments: str) -> tuple[SimulatedRobot, SimulatedRobot]:
+    """Open the bridge, with arguments ``SEED`` or ``SEED;kp=60``.
 
     Raises:
-        ConfigurationError: If that is no seed, or no stiffness.
+        ConfigurationError: If the seed or the stiffness is invalid.
     """
-    seed, _, stiffness = (words or "0").partition(";kp=")
+    seed, _, stiffness = (arguments or "0").partition(";kp=")
     try:
-        made = SimulatedRobot(robot, int(seed), float(stiffness) if stiffness else None)
+        simulated = SimulatedRobot(robot, int(seed), float(stiffness) if stiffness else None)
     except (OverflowError, ValueError) as error:
-        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=words)) from error
-    return made, made
+        raise ConfigurationError(
+            "--bridge", diagnose("no-bridge-words", words=arguments)
+        ) from error
+    return simulated, simulated

@@ -1,4 +1,4 @@
-"""Who stands beside the robot, at a terminal; and a robot whose positions that person types."""
+"""Operator at a terminal, and a bridge with typed positions."""
 
 from __future__ import annotations
 
@@ -19,59 +19,59 @@ Array = NDArray[np.float64]
 
 
 class Terminal:
-    """Asks at a terminal. While the robot moves, any key stops it."""
+    """Operator who answers prompts at a terminal. While the robot moves, any key stops it."""
 
     def prepare(
         self,
-        stand: PlannedStand,  # noqa: ARG002 - words say it
+        stand: PlannedStand,  # noqa: ARG002 - the instructions contain it
         loads: Mapping[str, Array],  # noqa: ARG002
-        todo: Sequence[str],
+        instructions: Sequence[str],
     ) -> bool:
-        """See ``Operator``."""
-        for line in todo:
+        """Print the instructions and wait; return False to skip the stand."""
+        for line in instructions:
             click.echo(f"  {line}", err=True)
-        said: str = click.prompt(
+        answer: str = click.prompt(
             "  [Enter], or s to leave it out", default="", show_default=False, err=True
         )
-        return said.strip().lower() != "s"
+        return answer.strip().lower() != "s"
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """See ``Operator``."""
-        known = {foot.lower(): foot for foot in feet}
+        """Ask for the feet in the air; return None to skip the stand."""
+        foot_names = {foot.lower(): foot for foot in feet}
         while True:
             default = " ".join(planned) or "none"
-            said: str = click.prompt(
+            answer: str = click.prompt(
                 "  which feet are up? (s leaves it out)", default=default, err=True
             )
-            words = said.replace(",", " ").lower().split()
+            words = answer.replace(",", " ").lower().split()
             if words == ["s"]:
                 return None
-            if words == ["none"] or all(word in known for word in words):
-                return tuple(known[word] for word in words if word != "none")
+            if words == ["none"] or all(word in foot_names for word in words):
+                return tuple(foot_names[word] for word in words if word != "none")
             click.echo(f"  {' '.join(feet)}, or none", err=True)
 
     def stops(self) -> bool:
-        """See ``Operator``."""
+        """Return True if a key was pressed; always False without a terminal."""
         if not sys.stdin.isatty():
             return False
-        # A terminal hands over lines; without that a key is there once it is pressed.
-        before = termios.tcgetattr(sys.stdin)
-        single = [*before[:3], before[3] & ~(termios.ICANON | termios.ECHO), *before[4:]]
-        termios.tcsetattr(sys.stdin, termios.TCSANOW, single)
+        # Terminals buffer lines; without buffering a key is available at once.
+        settings = termios.tcgetattr(sys.stdin)
+        unbuffered = [*settings[:3], settings[3] & ~(termios.ICANON | termios.ECHO), *settings[4:]]
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, unbuffered)
         try:
             pressed = bool(select.select([sys.stdin], [], [], 0)[0])
             if pressed:
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
         finally:
-            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, settings)
         return pressed
 
 
-class Typed(WallClock):
-    """A robot that a person commands by other means, and whose positions are typed.
+class TypedBridge(WallClock):
+    """Bridge to a robot that a person commands by other means, and whose positions are typed.
 
     Args:
-        robot: The robot.
+        robot: Robot.
     """
 
     ramps = False
@@ -80,22 +80,22 @@ class Typed(WallClock):
         self._names = robot.joint_names
 
     def read(self) -> tuple[float, Array]:
-        """See ``Bridge``."""
-        found = [
+        """Ask for each joint position; return the time [s] and positions, shape (nu,) [rad]."""
+        degrees = [
             click.prompt(f"  position of {name} (deg)", type=float, err=True)
             for name in self._names
         ]
-        return self.now(), np.radians(found)
+        return self.now(), np.radians(degrees)
 
     def send(self, command: Array) -> None:
-        """See ``Bridge``."""
+        """Print joint positions, shape (nu,) [rad], in degrees."""
         for name, value in zip(self._names, np.degrees(command).tolist(), strict=True):
             click.echo(f"  command {name} {value:.3f} deg", err=True)
 
     def close(self) -> None:
-        """See ``Bridge``."""
+        """Do nothing."""
 
 
-def open_typed(robot: Robot, _: str) -> tuple[Typed, Terminal]:
-    """Returns the bridge."""
-    return Typed(robot), Terminal()
+def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
+    """Open the bridge and its operator."""
+    return TypedBridge(robot), Terminal()

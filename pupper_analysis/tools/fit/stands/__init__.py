@@ -1,1 +1,1 @@
-"""Fit of stands at rest: a soft servo is a torque sensor."""
+"""Fit of stands at rest: residual equations, parameters, plan of stands and wiring."""

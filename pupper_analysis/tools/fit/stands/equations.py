@@ -1,4 +1,9 @@
-"""What must be zero of measured stands at rest, as a function of the parameters."""
+"""Residual equations of measured stands at rest, as functions of the parameters.
+
+`StandEquations` has the equations of all stands. Each stand also has unknowns of its own (base tilt
+and height, contact forces), which are eliminated; the result is the whitened residuals and their
+derivatives by the parameters.
+"""
 
 from __future__ import annotations
 
@@ -21,49 +26,61 @@ from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, li
 
 Array = NDArray[np.float64]
 
-_TURNS_AND_HEIGHT = [3, 4, 2]
-"""Of qvel: turns about the base's own x and y, and how high it is. What a stand at rest leaves of
-the base's motion: where it stands, and where it looks to, nothing of it shows."""
+_TILT_HEIGHT_INDICES = [3, 4, 2]
+"""Indices in qvel of a stand's base unknowns: rotations about the base x and y axes, and height.
+The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
 
-_LAST = 0.75
-"""Of the friction in joints and on feet, for each motion of the base. Of v3, set down in MuJoCo,
-all feet of a stand keep moments of one sign, and the joints that moved most their whole friction:
-with this, and half of each one's variance by itself, residuals of true robots come out as 1."""
+_LAST_MOTION_FRACTION = 0.75
+"""Standard deviation of the friction that joints and feet keep from the last motion of the base,
+for each of six motions, as a fraction of the friction. Measured on v3 set down in MuJoCo: all
+feet of a stand keep moments of one sign, and the fastest joints their full friction. With this
+value, and half of the variance independent, the residuals of exact robots have unit variance."""
 
-_FIXED, _STILL = 1e-6, 1e-9
-"""Singular values and rates that are none: of motions that a leg does not take part in."""
+_RANK_RTOL = 1e-6
+"""Relative singular value below which a motion of the base moves no joint. Chosen, not tuned."""
 
-_BALANCE = 1e-5
-"""Of the weight, and of the weight times the height: standard deviation of what balances the base.
-A robot at rest obeys statics; the number is so small that it hides nothing, and lets the base's
-rows, which no measurement's noise reaches, be weighed."""
+_VELOCITY_ATOL = 1e-9
+"""Rotation of joints or feet per motion of the base below which the motion is not scaled up.
+Chosen, not tuned."""
 
-_LINEAR = 1e-4
-"""Of a weight times a height: standard deviation of a servo's torque from kp times its error. A
-joint of a leg carries a tenth of that product: it is a thousandth of what it carries."""
+_BALANCE_RTOL = 1e-5
+"""Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
+times height. A robot at rest obeys statics, so that the value is small; it must not be 0, since
+no measurement noise acts on these equations. Chosen, not tuned."""
 
-_UNKNOWN = 1e3
-"""Likewise, of the torque of a motor whose command is not known: what it says is nothing."""
+_TORQUE_RTOL = 1e-4
+"""Standard deviation of a servo's torque from kp times its error, as a fraction of weight times
+height. A leg joint carries about a tenth of that product, so this is a thousandth of its torque."""
 
-_TURNS_ROUND, _YIELDS = 1e-3, 0.7
-"""rad, and of the dead band: where an error is no larger, which side it is on is not sure. Joints
-of Go1 and MEVIUS that are held by less than their dry friction have from none to all of it."""
+_UNKNOWN_TORQUE_RATIO = 1e3
+"""Standard deviation of the torque of a joint without a usable command, as a fraction of weight
+times height: large enough to determine nothing. Chosen, not tuned."""
 
-_ANYWHERE = 0.45
-"""Of a dead band: standard deviation of what friction carries of a joint that has not yielded."""
+_MIN_SIGN_BAND = 1e-3
+"""Smallest servo error [rad] over which the sign of friction changes smoothly, so that derivatives
+exist. Chosen, not tuned."""
+
+_SIGN_BAND_RATIO = 0.7
+"""Servo error over which the sign of friction changes smoothly, as a fraction of the dead band.
+Joints of Go1 and MEVIUS that are held by less than their dry friction have from none to all of it.
+"""
+
+_HELD_FRICTION_STD = 0.45
+"""Standard deviation of the friction of a joint that has not yielded, as a fraction of dead band
+times kp. It decreases if the servo error exceeds the sign band. Derived from joints of Go1 and
+MEVIUS, which carry anything from none to all of it."""
 
 
 @dataclass(frozen=True)
 class StandNoise:
-    """What measurements of a stand are off by, as standard deviations.
+    """Standard deviations of the noise in a stand.
 
     Attributes:
-        encoder: Of a joint position (rad).
-        moment: Of the moment on a contact point, about each axis, in parts of the force on it (m):
-            a foot that turns on the ground, or rolls, keeps some of what stopped it.
-        flatness: Of the ground's height under a foot, and of the links' lengths (m).
-        friction: Factor on the stated dry friction of joints, of which nobody knows where in its
-            band a joint came to rest.
+        encoder: Joint position [rad].
+        moment: Moment about each axis on a contact point, divided by the normal force [m]: friction
+            of a foot that turned or rolled on the ground.
+        flatness: Height of the ground under a foot, and of errors of the link lengths [m].
+        friction: Random dry friction of the joints, as a factor on the stated friction.
     """
 
     encoder: float
@@ -74,14 +91,14 @@ class StandNoise:
 
 @dataclass(frozen=True, eq=False)
 class StandReading:
-    """What was measured of one stand; NaN is not measured. See ``MeasuredStands``.
+    """Measurements of one stand; NaN if not measured. See ``MeasuredStands``.
 
     Attributes:
-        command: (nu,) rad.
-        position: (nu,) rad.
-        points: The contact points that carry.
-        heading: How the robot is turned about the vertical (rad).
-        added: {link: known mass on it (kg), and where in its frame (m)} (4,).
+        command: Commanded joint positions, shape (nu,) [rad].
+        position: Measured joint positions, shape (nu,) [rad].
+        points: Names of the contact points of the feet that carry.
+        heading: Rotation of the robot about the vertical [rad].
+        added: {link: known mass on it [kg] and its position in the link frame [m], shape (4,)}.
     """
 
     command: Array
@@ -92,7 +109,7 @@ class StandReading:
 
 
 def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading]:
-    """Yields what was measured of each stand."""
+    """Yield the measurements of each stand."""
     for row in range(len(stands)):
         yield StandReading(
             command=stands.command[row],
@@ -104,47 +121,52 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
                 for point in points
             ),
             heading=float(stands.heading[row]),
-            added={link: own[row] for link, own in stands.added.items() if own[row, 0]},
+            added={link: load[row] for link, load in stands.added.items() if load[row, 0]},
         )
 
 
-_SHOWS = 1.0
-"""Standard deviations that the robot's weight makes: forces that show less are within a sole."""
+_MIN_FORCE_SIGNAL = 1.0
+"""Smallest effect, in standard deviations, of an unknown force as large as the weight with which
+the force is eliminated. Smaller effects are those of force distributions within a sole. Chosen,
+not tuned."""
 
-_TOLD = 1e-4
-"""Of what an encoder's noise allows: a reading of which all others tell less contradicts none."""
+_MIN_READING_INFORMATION = 1e-4
+"""Lower bound of the information about a reading from all others, relative to that of its encoder
+noise. Prevents a division by zero. Chosen, not tuned."""
 
 
 class StandRows:
-    """The rows of one stand, at parameters and at own unknowns.
+    """Residuals of one stand, with derivatives, at given parameters and own unknowns.
 
-    Own unknowns are the turns of the base about its own x and y, its height, and three components
-    of the force on each contact point, in the ground's axes.
+    The own unknowns are the rotations of the base about its x and y axes, its height, and three
+    force components on each of p contact points, in the axes of the ground.
 
     Args:
-        table: The parameters.
-        numbers: What they say.
-        reading: What was measured.
-        laws: {contact point: how far it sinks}.
-        base: (5,) the base's quaternion (w, x, y, z) and height (m).
-        forces: (p, 3) on the contact points (N).
-        noise: Of the measurements.
-        regressor: For gravity.
+        table: Parameters.
+        numbers: Values of the parameters.
+        reading: Measurements.
+        laws: {contact point: law of its penetration}.
+        base: Base quaternion (w, x, y, z) and height [m], shape (5,).
+        forces: Forces on the contact points, shape (p, 3) [N].
+        noise: Noise of the measurements.
+        regressor: Regressor of gravity.
 
     Attributes:
-        config: The configuration.
-        jacobians: (p, 3, nv) of the contact points.
-        kp: (nu,) of the servos (N m/rad).
-        residual: (m,) r of each row: of the degrees of freedom, then of the contact points.
-        by_x: (m, n) its derivatives by parameters, by_own by own unknowns, by_noise by what acts on
-            several rows: encoders (nu,), moments on contact points (3 each), last motions (12).
-        deviation: (m,) standard deviations of other noise.
+        config: Configuration of the robot.
+        jacobians: Jacobians of the contact points, shape (p, 3, nv).
+        kp: Servo stiffness, shape (nu,) [N m/rad].
+        residual: Residuals, shape (m,): nv equations of balance, then one for each contact point.
+        by_x: Derivative of the residuals by the n parameters, shape (m, n).
+        by_own: Derivative of the residuals by the own unknowns, shape (m, 3 + 3 p).
+        by_noise: Derivative of the residuals by noise that acts on several rows, shape (m, nu + 3 p
+            + 12): encoders, moments on contact points, last motions of joints and feet.
+        deviation: Standard deviations of the noise that acts on single rows, shape (m,).
     """
 
     def __init__(
         self,
         table: ParameterTable,
-        numbers: StandValues,
+        values: StandValues,
         reading: StandReading,
         laws: dict[str, GroundLaw],
         base: Array,
@@ -152,139 +174,174 @@ class StandRows:
         noise: StandNoise,
         regressor: GravityRegressor,
     ) -> None:
-        self._table, self._numbers, self._reading = table, numbers, reading
+        self._table, self._values, self._reading = table, values, reading
         self._forces, self._regressor = forces, regressor
-        robot, points = numbers.robot, reading.points
-        self.kp = numbers.kp
+        robot, points = values.robot, reading.points
+        self.kp = values.kp
         self._robot, self._names = robot, robot.joint_names
-        qpos = robot.posed(reading.position - numbers.offset)
+        qpos = robot.posed(reading.position - values.offset)
         qpos[2], qpos[3:7] = base[4], base[:4]
         self.config = Configuration(robot, qpos)
         self._feet = [robot.foot_of(point) for point in points]
-        # Points of a sole sink as on average, and linearly about that: each by its own law they
-        # would leave the ground and come back from step to step, and no fit would end.
-        feet = np.array(self._feet)
-        mean = np.array([forces[feet == foot, 2].mean() for foot in feet])
-        level = [laws[p].depth(f) for p, f in zip(points, mean.tolist(), strict=True)]
-        self._rates = np.array([laws[p].rate(d) for p, d in zip(points, level, strict=True)])
-        self._deep = np.array(level) + (forces[:, 2] - mean) / self._rates
-        self._softness = np.array([numbers.softness[foot] for foot in self._feet])
+        # The penetration of a sole's points is linearised about their mean. With the law of each
+        # point, points would lift off and return in alternating steps, without convergence.
+        foot_of_point = np.array(self._feet)
+        mean_forces = np.array([forces[foot_of_point == foot, 2].mean() for foot in foot_of_point])
+        mean_depths = [laws[p].depth(f) for p, f in zip(points, mean_forces.tolist(), strict=True)]
+        self._ground_stiffness = np.array(
+            [laws[p].rate(d) for p, d in zip(points, mean_depths, strict=True)]
+        )
+        self._depths = np.array(mean_depths) + (forces[:, 2] - mean_forces) / self._ground_stiffness
+        self._softness = np.array([values.softness[foot] for foot in self._feet])
         self._radius = np.array([robot.contact_radius[point] for point in points])
         self._arms = np.zeros((len(points), 3))
-        # MuJoCo has a contact half way into what the foot sinks.
-        self._arms[:, 2] = self._softness * self._deep / 2 - self._radius
+        # MuJoCo places a contact at half of the penetration.
+        self._arms[:, 2] = self._softness * self._depths / 2 - self._radius
         self._twists = self.config.foot_twists(points)
-        turns = self.config.foot_rotations(points)
-        self._ahead = np.array([t @ numbers.ahead[p] for t, p in zip(turns, points, strict=True)])
-        linear, turning = self._twists[:, :3], self._twists[:, 3:]
-        self.jacobians = linear - cross_matrices(self._arms) @ turning
-        known = np.isfinite(reading.command)
-        lead = np.where(known, reading.command - reading.position, 0.0)
-        band, stuck = numbers.deadband, _turned(numbers.stuck)
-        self._signs = lead / (size := np.hypot(lead, _turned(band)))
-        self._lead = lead - band * self._signs
-        self._by_band = self._signs - (_YIELDS * band) ** 2 * lead / size**3
-        self._stiff = np.where(known, numbers.stiff, 0.0)
-        self._held = _ANYWHERE * numbers.stuck * self._stiff * stuck / np.hypot(lead, stuck)
-        self._known = known
-        self._scale = robot.weight
-        own, sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 12
+        rotations = self.config.foot_rotations(points)
+        self._last_links = np.array(
+            [t @ values.last_links[p] for t, p in zip(rotations, points, strict=True)]
+        )
+        linear, angular = self._twists[:, :3], self._twists[:, 3:]
+        self.jacobians = linear - cross_matrices(self._arms) @ angular
+        commanded = np.isfinite(reading.command)
+        servo_errors = np.where(commanded, reading.command - reading.position, 0.0)
+        deadband, sign_band = values.deadband, _compute_sign_band(values.noise_deadband)
+        self._signs = servo_errors / (size := np.hypot(servo_errors, _compute_sign_band(deadband)))
+        self._servo_errors = servo_errors - deadband * self._signs
+        self._by_deadband = (
+            self._signs - (_SIGN_BAND_RATIO * deadband) ** 2 * servo_errors / size**3
+        )
+        self._noise_kp = np.where(commanded, values.noise_kp, 0.0)
+        self._held_torque_std = (
+            _HELD_FRICTION_STD
+            * values.noise_deadband
+            * self._noise_kp
+            * sign_band
+            / np.hypot(servo_errors, sign_band)
+        )
+        self._commanded = commanded
+        self._weight = robot.weight
+        num_unknowns, num_sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 12
         rows = robot.nv + len(points)
         self.residual = np.zeros(rows)
         self.by_x, self.by_own, self.by_noise = (
-            np.zeros((rows, size)) for size in (len(table), own, sources)
+            np.zeros((rows, size)) for size in (len(table), num_unknowns, num_sources)
         )
-        self._balance()
-        self._contact()
+        self._fill_balance()
+        self._fill_contact()
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Takes noise to be another: nothing else of the rows depends on it."""
-        pressed, length = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
-        own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
-        last = _LAST * np.repeat([noise.friction, noise.moment], 6)
-        self._sources = np.concatenate([np.full(self._robot.nu, noise.encoder), own, last])
-        # A joint rests anywhere in its band of dry friction; half of it is the last motion's.
-        rubbing = noise.friction * self._numbers.rubbing
-        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(6.0))
-        torque = np.hypot(torque, self._held)
-        torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
-        base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
-        flatness = np.full(len(pressed), noise.flatness)
+        """Set the noise. Only the noise covariance depends on it."""
+        normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
+        moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
+        last_std = _LAST_MOTION_FRACTION * np.repeat([noise.friction, noise.moment], 6)
+        self._sources = np.concatenate(
+            [np.full(self._robot.nu, noise.encoder), moment_std, last_std]
+        )
+        # Half of the variance of a uniform distribution in the friction band; the other half is
+        # that of the last motions.
+        friction = noise.friction * self._values.friction
+        torque = np.hypot(_TORQUE_RTOL * self._weight * height, friction / math.sqrt(6.0))
+        torque = np.hypot(torque, self._held_torque_std)
+        torque = np.where(self._commanded, torque, _UNKNOWN_TORQUE_RATIO * self._weight * height)
+        base = _BALANCE_RTOL * self._weight * np.array([1.0, 1.0, 1.0, height, height, height])
+        flatness = np.full(len(normal_forces), noise.flatness)
         self.deviation: Array = np.concatenate([base, torque, flatness])
 
-    def _covariance(self) -> Array:
-        found: Array = self._sources**2 * self.by_noise @ self.by_noise.T
-        return found + np.diag(self.deviation**2)
+    def _compute_covariance(self) -> Array:
+        """Return the noise covariance of the residuals, shape (m, m)."""
+        covariance: Array = self._sources**2 * self.by_noise @ self.by_noise.T
+        return covariance + np.diag(self.deviation**2)
 
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
-        """Returns residuals, whitened, that no own unknown changes; and the own unknowns' step."""
-        rest, log_noise, step = self._without_own(np.column_stack([self.residual, self.by_x]))
-        return LinearisedResiduals.from_residuals(rest[:, 0], rest[:, 1:], log_noise), step
+        """Return the whitened residuals without own unknowns, and the step of the own unknowns."""
+        projected, log_noise, step = self._project_out_unknowns(
+            np.column_stack([self.residual, self.by_x])
+        )
+        return LinearisedResiduals.from_residuals(
+            projected[:, 0], projected[:, 1:], log_noise
+        ), step
 
-    def _without_own(self, columns: Array) -> tuple[Array, float, Array]:
-        """Returns columns of which the first is residuals: what is left of them, whitened.
+    def _project_out_unknowns(self, columns: Array) -> tuple[Array, float, Array]:
+        """Project whitened columns onto the complement of the own unknowns.
 
-        And the logarithm of noise's determinant in it, and the own unknowns' step.
+        The first column contains the residuals.
+
+        Returns:
+            Projected columns, log determinant of their noise covariance, and Gauss-Newton step of
+            the own unknowns. With the covariance C, the projection P and the derivative B by the
+            unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B); the last factor does not
+            depend on the noise and is left out.
         """
-        factor, n = np.linalg.cholesky(self._covariance()), columns.shape[1]
-        white = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
-        left, lengths, right = np.linalg.svd(white[:, n:], full_matrices=True)
-        rank = int(np.count_nonzero(lengths > _SHOWS / self._scale))
-        step = right[:rank].T @ (left[:, :rank].T @ -white[:, 0] / lengths[:rank])
-        # The determinant of noise in the combinations that are left: det(P' C P) =
-        # det(C) det(B' C^-1 B) / det(B' B), and the last depends on no noise.
-        log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(lengths[:rank]).sum())
-        return left[:, rank:].T @ white[:, :n], log_noise, step
+        factor, n = np.linalg.cholesky(self._compute_covariance()), columns.shape[1]
+        whitened = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
+        left_vectors, singular_values, right_vectors = np.linalg.svd(
+            whitened[:, n:], full_matrices=True
+        )
+        rank = int(np.count_nonzero(singular_values > _MIN_FORCE_SIGNAL / self._weight))
+        step = right_vectors[:rank].T @ (
+            left_vectors[:, :rank].T @ -whitened[:, 0] / singular_values[:rank]
+        )
+        log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(singular_values[:rank]).sum())
+        return left_vectors[:, rank:].T @ whitened[:, :n], log_noise, step
 
-    def find_contradictions(self, known: Array) -> tuple[Array, Array]:
-        """Returns by how much each joint was read beyond what all other readings say, and how sure.
+    def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
+        """Return each joint's reading error and its standard deviation, shape (nu,) [rad] each.
 
-        (nu,) each (rad), the second as standard deviations: the error of that reading alone which
-        leaves least, whatever the parameters are, whose covariance (n, n) is known by all readings.
+        The error of a single reading is estimated from all other readings, with the parameters
+        integrated out. With projected residuals r and derivatives d by the reading and A by the
+        parameters of covariance C:
+
+            error = -d^T r / (d^T d - d^T A C A^T d)
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
-        rest = self._without_own(np.column_stack(columns))[0]
-        by_x, moved = np.split(rest[:, 1:], [self.by_x.shape[1]], axis=1)
-        taken = by_x.T @ moved
-        told = (moved * moved).sum(axis=0) - (taken * (known @ taken)).sum(axis=0)
-        told = np.maximum(told, _TOLD / self._sources[0] ** 2)
-        return -(moved.T @ rest[:, 0]) / told, 1 / np.sqrt(told)
+        projected = self._project_out_unknowns(np.column_stack(columns))[0]
+        by_x, by_reading = np.split(projected[:, 1:], [self.by_x.shape[1]], axis=1)
+        by_both = by_x.T @ by_reading
+        information = (by_reading * by_reading).sum(axis=0) - (
+            by_both * (covariance @ by_both)
+        ).sum(axis=0)
+        information = np.maximum(information, _MIN_READING_INFORMATION / self._sources[0] ** 2)
+        return -(by_reading.T @ projected[:, 0]) / information, 1 / np.sqrt(information)
 
-    def _put(self, rows: Array, by: Array | float, *name: str) -> None:
-        """Adds what rows (k, n) change by with a parameter, if it is estimated."""
-        place = self._table.find_index(*name)
-        if place is not None:
-            rows[..., place] += by
+    def _add_derivative(self, rows: Array, derivative: Array | float, *key: str) -> None:
+        """Add the derivative of some rows, shape (k, n), by a parameter, if it is estimated."""
+        index = self._table.find_index(*key)
+        if index is not None:
+            rows[..., index] += derivative
 
-    def _balance(self) -> None:
-        """S tau - g + passive + sum J_p^T f_p = 0."""
-        numbers, nv = self._numbers, self._robot.nv
-        moments = np.array([numbers.moment[foot] for foot in self._feet])
-        kept = self._forces[:, 2:] * moments
-        wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + kept])
+    def _fill_balance(self) -> None:
+        """Fill in the balance S tau - g + passive + sum J_p^T f_p = 0 and its derivatives."""
+        values, nv = self._values, self._robot.nv
+        moments = np.array([values.moment[foot] for foot in self._feet])
+        moment_forces = self._forces[:, 2:] * moments
+        wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + moment_forces])
         stiffness = self.config.pushed_rates(self._twists, wrenches)
-        gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, numbers)
+        gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, values)
         residual = self.config.passive() - gravity
-        residual[2] -= numbers.load * numbers.mass * numbers.size
+        residual[2] -= values.unweighed_load * values.mass * values.gravity_norm
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
-        residual[6:] += numbers.kp * self._lead
-        residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
-        by_x, by_own, by_noise = (one[:nv] for one in (self.by_x, self.by_own, self.by_noise))
-        by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
+        residual[6:] += values.kp * self._servo_errors
+        residual += np.einsum("pij,pi->j", self._twists[:, 3:], moment_forces)
+        by_x, by_own, by_noise = (matrix[:nv] for matrix in (self.by_x, self.by_own, self.by_noise))
+        by_own[:, :3] = -stiffness[:, _TILT_HEIGHT_INDICES]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
-        # What a foot sinks further brings its contact nearer to its centre by half of that.
-        nearer = np.cross([0.0, 0.0, 0.5], self._forces)
-        moved = np.einsum("pij,pi->pj", self._twists[:, 3:], nearer)
+        # Penetration moves the contact towards the centre of the foot by half of its amount.
+        contact_moments = np.cross([0.0, 0.0, 0.5], self._forces)
+        contact_torques = np.einsum("pij,pi->pj", self._twists[:, 3:], contact_moments)
         for point, foot in enumerate(self._feet):
             by_own[:, 3 + 3 * point + 2] += (
-                self._softness[point] / self._rates[point] * moved[point]
+                self._softness[point] / self._ground_stiffness[point] * contact_torques[point]
             )
-            self._put(by_x, self._deep[point] * moved[point], "softness", foot)
-            turned = np.cross(self._ahead[point], self._forces[point])
-            self._put(by_x, turned @ self._twists[point, 3:], "length", foot)
+            self._add_derivative(
+                by_x, self._depths[point] * contact_torques[point], "softness", foot
+            )
+            lever_moment = np.cross(self._last_links[point], self._forces[point])
+            self._add_derivative(by_x, lever_moment @ self._twists[point, 3:], "length", foot)
             for axis, name in enumerate(AXES):
-                self._put(
+                self._add_derivative(
                     by_x,
                     self._forces[point, 2] * self._twists[point, 3 + axis],
                     "moment",
@@ -292,118 +349,130 @@ class StandRows:
                     name,
                 )
             by_own[:, 3 + 3 * point + 2] += moments[point] @ self._twists[point, 3:]
-        # A true position is the measured one less offset and noise; a servo's torque follows the
-        # true one.
+        # True position = measured position - offset - noise; the servo's torque follows the
+        # true position.
         nu = self._robot.nu
-        by_noise[6:, :nu] += np.diag(self.kp * self._known)
+        by_noise[6:, :nu] += np.diag(self.kp * self._commanded)
         by_noise[:, :nu] += stiffness[:, 6:]
         for link in self._reading.added:
-            yielded = numbers.rubbing * self._signs
-            self._put(by_x[6:], yielded, "settling", link)
-            residual[6:] += numbers.settling[link] * yielded
-        turning = self._twists[:, 3:]
-        by_noise[:, nu:-12] = turning.reshape(-1, nv).T
-        joints, feet = self._last_motions()
-        by_noise[6:, -12:-6] = (numbers.rubbing / math.sqrt(3.0))[:, None] * joints
-        pressed = np.maximum(self._forces[:, 2], 0.0)
-        by_noise[:, -6:] = np.einsum("p,pij,pik->jk", pressed, turning, feet)
+            yielded_friction = values.friction * self._signs
+            self._add_derivative(by_x[6:], yielded_friction, "settling", link)
+            residual[6:] += values.settling[link] * yielded_friction
+        angular = self._twists[:, 3:]
+        by_noise[:, nu:-12] = angular.reshape(-1, nv).T
+        joints, feet = self._compute_last_motions()
+        by_noise[6:, -12:-6] = (values.friction / math.sqrt(3.0))[:, None] * joints
+        normal_forces = np.maximum(self._forces[:, 2], 0.0)
+        by_noise[:, -6:] = np.einsum("p,pij,pik->jk", normal_forces, angular, feet)
         for joint, name in enumerate(self._names):
             row = 6 + joint
-            self._put(by_x, stiffness[:, row], "offset", name)
-            self._put(by_x[row], self._lead[joint], "kp", name)
-            self._put(by_x[row], -(numbers.kp[joint] * self._by_band[joint]), "deadband", "servos")
-        self._gravity(by_x, by_mass, by_com, by_slope)
-        self._in_positions(residual, by_x, by_own, by_noise)
+            self._add_derivative(by_x, stiffness[:, row], "offset", name)
+            self._add_derivative(by_x[row], self._servo_errors[joint], "kp", name)
+            self._add_derivative(
+                by_x[row], -(values.kp[joint] * self._by_deadband[joint]), "deadband", "servos"
+            )
+        self._fill_gravity(by_x, by_mass, by_com, by_slope)
+        self._scale_to_positions(residual, by_x, by_own, by_noise)
         self.residual[:nv] = residual
 
-    def _last_motions(self) -> tuple[Array, Array]:
-        """Returns how joints (nu, 6) and feet (p, 3, 6) turn with the base, on feet that stay.
+    def _compute_last_motions(self) -> tuple[Array, Array]:
+        """Return rotations of joints (nu, 6) and feet (p, 3, 6) per motion of the base.
 
-        Each motion of the base by its fastest joint, and its fastest foot. A stand that comes to
-        rest stops them together, and the last motion leaves its friction in all of them.
+        The feet stay in place. Each of the six motions is scaled by its fastest joint, and by its
+        fastest foot. A robot that comes to rest stops them together, so that friction of the last
+        motion remains in all of them.
         """
         nv, twists = self._robot.nv, self._twists
-        on = self.jacobians.reshape(-1, nv)
-        joints, *_ = np.linalg.lstsq(on[:, 6:], -on[:, :6], rcond=_FIXED)
+        contact_jacobian = self.jacobians.reshape(-1, nv)
+        joints, *_ = np.linalg.lstsq(
+            contact_jacobian[:, 6:], -contact_jacobian[:, :6], rcond=_RANK_RTOL
+        )
         feet = twists[:, 3:, :6] + twists[:, 3:, 6:] @ joints
-        fastest = np.maximum(np.abs(joints).max(axis=0), _STILL)
-        return joints / fastest, feet / np.maximum(np.abs(feet).max(axis=(0, 1)), _STILL)
+        fastest = np.maximum(np.abs(joints).max(axis=0), _VELOCITY_ATOL)
+        return joints / fastest, feet / np.maximum(np.abs(feet).max(axis=(0, 1)), _VELOCITY_ATOL)
 
-    def _gravity(
+    def _fill_gravity(
         self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
     ) -> None:
-        """Fills in what balance changes by with masses, coms, loads, and the slope."""
-        numbers = self._numbers
-        for body, (link, *_) in enumerate(numbers.bodies):
-            self._put(by_x, -by_mass[body], "mass", link)
-            self._put(by_x[2], -numbers.load * numbers.size, "mass", link)
+        """Add the derivatives of gravity by masses, CoM positions, known masses, slope and load."""
+        values = self._values
+        for body, (link, *_) in enumerate(values.bodies):
+            self._add_derivative(by_x, -by_mass[body], "mass", link)
+            self._add_derivative(
+                by_x[2], -values.unweighed_load * values.gravity_norm, "mass", link
+            )
             for axis, name in enumerate(AXES):
-                self._put(by_x, -by_com[body][:, axis], "com", link, name)
-        for body, one in enumerate(numbers.loads, len(numbers.bodies)):
-            self._put(by_x, -one.stated * by_mass[body], "added", one.link)
+                self._add_derivative(by_x, -by_com[body][:, axis], "com", link, name)
+        for body, load in enumerate(values.loads, len(values.bodies)):
+            self._add_derivative(by_x, -load.stated * by_mass[body], "added", load.link)
             for axis, name in enumerate(AXES):
-                self._put(by_x, -(by_com[body] @ one.turn[:, axis]), "place", one.link, name)
-        for name, pull in zip("xy", by_slope, strict=True):
-            self._put(by_x, -pull, "slope", "floor", name)
-        self._put(by_x[2], -numbers.mass * numbers.size, "load", "scale")
+                self._add_derivative(
+                    by_x, -(by_com[body] @ load.turn[:, axis]), "place", load.link, name
+                )
+        for name, by_axis in zip("xy", by_slope, strict=True):
+            self._add_derivative(by_x, -by_axis, "slope", "floor", name)
+        self._add_derivative(by_x[2], -values.mass * values.gravity_norm, "load", "scale")
 
-    def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
-        """Takes motors' rows to what a position is off by, times the kp at which noise is taken.
+    def _scale_to_positions(
+        self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
+    ) -> None:
+        """Express the rows of driven joints as position errors, times the kp of the noise.
 
-        And the base's likewise to parts of the robot's weight. It is positions that are measured.
-        By torques and forces, masses and kp that are all too small would fit best: what is off
-        would be small with them, and noise is not.
+        The rows of the base are expressed as fractions of the robot's mass, times the mass of the
+        noise. Otherwise small kp and masses would decrease the residuals, and not the noise.
         """
-        numbers = self._numbers
-        driven = self._known & (numbers.kp > 0)
-        kp = np.where(driven, numbers.kp, 1.0)
-        share = np.full(len(residual), numbers.heaviness / numbers.mass)
-        share[6:] = np.where(driven, self._stiff / kp, 1.0)
+        values = self._values
+        driven = self._commanded & (values.kp > 0)
+        kp = np.where(driven, values.kp, 1.0)
+        factors = np.full(len(residual), values.noise_mass / values.mass)
+        factors[6:] = np.where(driven, self._noise_kp / kp, 1.0)
         for joint, name in enumerate(self._names):
             if driven[joint]:
-                self._put(by_x[6 + joint], -residual[6 + joint] / kp[joint], "kp", name)
-        for link, *_ in numbers.bodies:
-            self._put(by_x[:6], -residual[:6] / numbers.mass, "mass", link)
+                self._add_derivative(by_x[6 + joint], -residual[6 + joint] / kp[joint], "kp", name)
+        for link, *_ in values.bodies:
+            self._add_derivative(by_x[:6], -residual[:6] / values.mass, "mass", link)
         for rows in (residual, by_x.T, by_own.T, by_noise.T):
-            rows *= share
+            rows *= factors
 
-    def _contact(self) -> None:
-        """z_p - r_p + softness depth(f_p) = 0."""
+    def _fill_contact(self) -> None:
+        """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and its derivatives."""
         points = self._reading.points
         heights = self._twists[:, 2]
         nv = self._robot.nv
-        by_x, by_own, by_noise = (one[nv:] for one in (self.by_x, self.by_own, self.by_noise))
+        by_x, by_own, by_noise = (matrix[nv:] for matrix in (self.by_x, self.by_own, self.by_noise))
         self.residual[nv:] = self.config.foot_places(points)[:, 2] - self._radius
-        self.residual[nv:] += self._softness * self._deep
-        by_own[:, :3] = heights[:, _TURNS_AND_HEIGHT]
+        self.residual[nv:] += self._softness * self._depths
+        by_own[:, :3] = heights[:, _TILT_HEIGHT_INDICES]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
         for joint, name in enumerate(self._names):
-            self._put(by_x, -heights[:, 6 + joint], "offset", name)
+            self._add_derivative(by_x, -heights[:, 6 + joint], "offset", name)
         for point, foot in enumerate(self._feet):
-            by_own[point, 3 + 3 * point + 2] += self._softness[point] / self._rates[point]
-            self._put(by_x[point], self._deep[point], "softness", foot)
-            self._put(by_x[point], self._ahead[point, 2], "length", foot)
+            by_own[point, 3 + 3 * point + 2] += (
+                self._softness[point] / self._ground_stiffness[point]
+            )
+            self._add_derivative(by_x[point], self._depths[point], "softness", foot)
+            self._add_derivative(by_x[point], self._last_links[point, 2], "length", foot)
 
 
-def _turned(band: float) -> float:
-    """Returns the error (rad) for which a dead band, or friction of one sign, is there in part."""
-    return math.hypot(_TURNS_ROUND, _YIELDS * band)
+def _compute_sign_band(deadband: float) -> float:
+    """Return the servo error [rad] over which the sign of friction changes smoothly."""
+    return math.hypot(_MIN_SIGN_BAND, _SIGN_BAND_RATIO * deadband)
 
 
-# What parameters say of a robot and its surroundings, and how gravity pulls on it.
+# Values of the parameters, and the regressor of gravity.
 
 
 @dataclass(frozen=True, eq=False)
 class KnownMass:
-    """A known mass that was put on a link.
+    """Known mass that was attached to a link.
 
     Attributes:
-        link: The link.
-        number: Of the joint that moves it.
-        stated: What it weighs by a scale (kg).
-        mass: What it weighs (kg).
-        place: (3,) where it is, in that joint's frame (m).
-        turn: (3, 3) the link's axes there.
+        link: Link.
+        number: Index of the Pinocchio joint that moves the link.
+        stated: Mass on the scale [kg].
+        mass: Estimated mass [kg].
+        place: Position in the joint frame, shape (3,) [m].
+        turn: Axes of the link in the joint frame, shape (3, 3).
     """
 
     link: str
@@ -416,29 +485,32 @@ class KnownMass:
 
 @dataclass(frozen=True, eq=False)
 class StandValues:
-    """What a vector of parameters says of a robot and its surroundings.
+    """Values of the robot and its surroundings for a parameter vector.
 
     Attributes:
-        vector: (n,) the parameters.
-        robot: The robot, with these masses in Pinocchio's model.
-        bodies: (link, number of its joint, mass (kg), com (3,) in its frame (m)) of each.
-        kp: (nu,) N m/rad.
-        offset: (nu,) rad.
-        softness: {foot: factor on how far it sinks}.
-        moment: {foot: (3,) moment on it, in parts of the force on it (m)}.
-        ahead: {contact point: (3,) its leg's last link, in its frame (m)}.
-        down: (3,) gravity in the ground's axes (m/s^2).
-        tilts: (2, 3) its derivatives by the slope.
-        deadband: Error for which a servo gives nothing (rad).
-        settling: {link: friction where a known mass is on it, in parts of ``rubbing``}.
-        load: What stands on the feet beyond the masses, in parts of these.
-        size: Of gravity (m/s^2).
-        mass: Of the whole robot (kg).
-        heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
-        stiff: (nu,) kp, by which an encoder's noise becomes torque.
-        stuck: Dead band by which friction of joints that have not yielded is noise (rad).
-        rubbing: (nu,) friction, that nobody knows the place in.
-        loads: Known masses that were put on.
+        vector: Parameters, shape (n,).
+        robot: Robot, with the masses in its Pinocchio model.
+        bodies: Link, joint index, mass [kg] and CoM in the joint frame, shape (3,) [m], of each
+            body.
+        kp: Servo stiffness, shape (nu,) [N m/rad].
+        offset: Encoder offsets, shape (nu,) [rad].
+        softness: {foot: factor on its penetration}.
+        moment: {foot: moment over normal force, shape (3,) [m]}.
+        last_links: {contact point: vector from the leg's last joint to the point, shape (3,) [m],
+            in the frame of the contact}.
+        gravity: Gravity in the axes of the ground, shape (3,) [m/s^2].
+        gravity_by_slope: Derivatives of ``gravity`` by the slope along x and y, shape (2, 3)
+            [m/s^2].
+        deadband: Servo error without torque [rad].
+        settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
+        unweighed_load: Load on the feet beyond the masses, as a fraction of these.
+        gravity_norm: Norm of gravity [m/s^2].
+        mass: Mass of the whole robot [kg].
+        noise_mass: Mass with which the noise is scaled [kg].
+        noise_kp: Stiffness with which the noise is scaled, shape (nu,) [N m/rad].
+        noise_deadband: Dead band within which the friction of joints is noise [rad].
+        friction: Dry friction, shape (nu,) [N m].
+        loads: Known masses that are attached.
     """
 
     vector: Array
@@ -448,83 +520,92 @@ class StandValues:
     offset: Array
     softness: dict[str, float]
     moment: dict[str, Array]
-    ahead: Mapping[str, Array]
-    down: Array
-    tilts: Array
+    last_links: Mapping[str, Array]
+    gravity: Array
+    gravity_by_slope: Array
     deadband: float
     settling: Mapping[str, float]
-    load: float
-    size: float
+    unweighed_load: float
+    gravity_norm: float
     mass: float
-    heaviness: float
-    stiff: Array
-    stuck: float
-    rubbing: Array
+    noise_mass: float
+    noise_kp: Array
+    noise_deadband: float
+    friction: Array
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Returns the same as a stand has it: with known masses on, turned about the vertical."""
+        """Return the values for one stand, with its known masses and heading."""
         if not reading.added and not reading.heading:
             return self
         robot, loads = self.robot, []
         if reading.added:
             robot = replace(robot, pin_model=robot.pin_model.copy())
-        other = self.robot.structure.model  # whose joints the regressor numbers
+        structure_model = self.robot.structure.model  # the regressor uses its joint indices
         for link, (stated, *place) in reading.added.items():
-            frame = other.frames[other.getFrameId(link, pin.FrameType.BODY)]
+            frame = structure_model.frames[structure_model.getFrameId(link, pin.FrameType.BODY)]
             mass = stated * table.get_value(self.vector, "added", link, "", 1.0)
-            moved = [table.get_value(self.vector, "place", link, axis, 0.0) for axis in AXES]
-            at = frame.placement.act(np.array(place) + moved)
-            turn = frame.placement.rotation
-            loads.append(KnownMass(link, frame.parentJoint, float(stated), mass, at, turn))
+            shift = [table.get_value(self.vector, "place", link, axis, 0.0) for axis in AXES]
+            position = frame.placement.act(np.array(place) + shift)
+            rotation = frame.placement.rotation
+            loads.append(
+                KnownMass(link, frame.parentJoint, float(stated), mass, position, rotation)
+            )
             model = robot.pin_model
-            moves = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-            model.inertias[moves] += pin.Inertia(mass, at, np.zeros((3, 3)))
-        back = pin.utils.rotate("z", -reading.heading)
+            joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+            model.inertias[joint] += pin.Inertia(mass, position, np.zeros((3, 3)))
+        rotation_back = pin.utils.rotate("z", -reading.heading)
         return replace(
             self,
             robot=robot,
-            down=back @ self.down,
-            tilts=self.tilts @ back.T,
+            gravity=rotation_back @ self.gravity,
+            gravity_by_slope=self.gravity_by_slope @ rotation_back.T,
             loads=tuple(loads),
         )
 
 
-def _ahead_of(robot: Robot, point: str) -> Array:
-    """Returns the way (3,) from its leg's last joint to a contact point, in its frame (m).
+def _compute_last_link(robot: Robot, point: str) -> Array:
+    """Return the vector, shape (3,) [m], from a leg's last joint to a contact point.
 
-    In the plane of the leg: without what it is aside along the joint's axis.
+    The component along the joint axis is left out. The vector is expressed in the frame of the
+    contact; zeros if no joint moves the point.
     """
-    rest, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
+    config, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
     if not joints:
         return np.zeros(3)
-    axis = rest.joint_axis(joints[-1])
-    way = rest.foot_places([point])[0] - rest.joint_position(joints[-1])
-    way -= (way @ axis) * axis
-    found: Array = rest.foot_rotations([point])[0].T @ way
-    return found
+    axis = config.joint_axis(joints[-1])
+    vector = config.foot_places([point])[0] - config.joint_position(joints[-1])
+    vector -= (vector @ axis) * axis
+    in_contact_frame: Array = config.foot_rotations([point])[0].T @ vector
+    return in_contact_frame
 
 
 def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
-    """Returns the base's quaternion (w, x, y, z) and height (m), with contact points on the ground.
+    """Return base quaternion (w, x, y, z) and height [m], shape (5,), with the feet on the ground.
 
-    The plane z = a x + b y + c through them is turned level, and brought to the ground.
+    The base is rotated such that the plane z = a x + b y + c through the contact points (least
+    squares) is level and at height 0.
+
+    Args:
+        robot: Robot.
+        joints: Joint positions, shape (nu,) [rad].
+        points: Contact points that carry.
     """
-    places = Configuration(robot, robot.posed(joints)).foot_places(points)
-    places[:, 2] -= [robot.contact_radius[point] for point in points]
-    plane = np.column_stack([places[:, :2], np.ones(len(points))])
-    (a, b, c), *_ = np.linalg.lstsq(plane, places[:, 2])
+    positions = Configuration(robot, robot.posed(joints)).foot_places(points)
+    positions[:, 2] -= [robot.contact_radius[point] for point in points]
+    plane = np.column_stack([positions[:, :2], np.ones(len(points))])
+    (a, b, c), *_ = np.linalg.lstsq(plane, positions[:, 2])
     normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
-    turn = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0]))
-    height = -(turn.matrix() @ np.array([0.0, 0.0, c]))[2]
-    return np.array([turn.w, turn.x, turn.y, turn.z, height])
+    rotation = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0]))
+    height = -(rotation.matrix() @ np.array([0.0, 0.0, c]))[2]
+    return np.array([rotation.w, rotation.x, rotation.y, rotation.z, height])
 
 
 class GravityRegressor:
-    """Generalised forces of gravity, linear in masses and first moments, whichever way it pulls.
+    """Generalised forces of gravity, linear in masses and first moments, for any gravity vector.
 
     Args:
-        robot: The robot.
+        robot: Robot.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -533,60 +614,60 @@ class GravityRegressor:
         self._data, self._rest = self._model.createData(), np.zeros(self._model.nv)
 
     def evaluate(
-        self, config: Configuration, numbers: StandValues
+        self, config: Configuration, values: StandValues
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
-        """Returns gravity's forces (nv,), and their derivatives.
+        """Return the generalised forces of gravity, shape (nv,), and their derivatives.
 
-        By each body's mass (nv,), by its com (nv, 3), those of known loads last, and by the slope
-        along x and y (nv,).
+        The derivatives are by each body's mass, shape (nv,), by its CoM, shape (nv, 3), known
+        masses last, and by the slope along x and y, shape (nv,).
         """
-        bodies = [(number, mass, com) for _, number, mass, com in numbers.bodies]
-        bodies += [(one.number, one.mass, one.place) for one in numbers.loads]
-        at, mass, com = (np.array(column) for column in zip(*bodies, strict=True))
+        bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
+        bodies += [(load.number, load.mass, load.place) for load in values.loads]
+        joints, mass, com = (np.array(column) for column in zip(*bodies, strict=True))
         moments = np.column_stack([mass, mass[:, None] * com])
-        q, found = self._structure.convention.unit_q(config.qpos), []
-        for pull in (numbers.down, *numbers.tilts):
-            self._model.gravity.linear = pull
+        q, regressors = self._structure.convention.unit_q(config.qpos), []
+        for gravity in (values.gravity, *values.gravity_by_slope):
+            self._model.gravity.linear = gravity
             rows = pin.computeJointTorqueRegressor(
                 self._model, self._data, q, self._rest, self._rest
             )
             rows = self._structure.columns(rows.T).T
-            found.append(rows.reshape(len(rows), -1, 10)[:, at - 1, :4])
-        forces = [np.einsum("vbm,bm->v", rows, moments) for rows in found]
-        by_moment = found[0][..., 1:]
-        by_mass = found[0][..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
+            regressors.append(rows.reshape(len(rows), -1, 10)[:, joints - 1, :4])
+        forces = [np.einsum("vbm,bm->v", rows, moments) for rows in regressors]
+        by_moment = regressors[0][..., 1:]
+        by_mass = regressors[0][..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
         by_com = mass[:, None] * by_moment
         return forces[0], list(by_mass.T), list(np.moveaxis(by_com, 1, 0)), forces[1:]
 
 
-_LOOKS = 2
-"""Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
+_UNKNOWN_STEPS = 2
+"""Newton steps of a stand's own unknowns for each evaluation. The equations are linear in the
+forces. Chosen, not tuned."""
 
 
 class StandEquations:
-    """Balance of forces, contact with the ground, and what else was measured, of every stand.
+    """Equations of balance and contact of all stands.
 
-    A stand's unknowns are the parameters, that all stands share, and its own: how the base is
-    tilted and how high it is (3), and the force on every contact point (3 each). Its equations:
+    Unknowns are the parameters, common to all stands, and for each stand the base's tilt (2) and
+    height (1) and the forces on its contact points (3 each). The equations of a stand are
 
-        S tau - g(q; masses, coms) + passive + sum J_p^T f_p = 0          (nv)
-        z_p(q) - r_p + softness depth(f_p) = 0                            (one a contact point)
+        S tau - g(q; masses, CoM) + passive + sum J_p^T f_p - load = 0    (nv)
+        z_p(q) - r_p + softness depth(f_p) = 0                            (1 per contact point)
 
-    with q = position - offset, tau = kp (command - position - dead band), and what no
-    scale has shown on the feet. The encoder's noise acts by both. The unknowns of a stand are
-    eliminated: what is left of its equations are those combinations that no contact force, and no
-    motion of the base, changes.
+    with q = position - offset and tau = kp (command - position - dead band). Encoder noise acts on
+    q and on tau. Each stand's own unknowns are eliminated: the remaining combinations of its
+    equations depend on no contact force and no motion of the base.
 
     Args:
-        robot: The robot, as its files have it.
-        stands: The measurements.
-        table: What is estimated.
-        kp: (nu,) stated stiffness of the servos (N m/rad); 0 without a servo.
-        friction: (nu,) stated dry friction of the joints (N m).
-        noise: Of the measurements; may be set to another.
+        robot: Robot, with the values of its files.
+        stands: Measurements, joints in actuator order.
+        table: Parameters; may be replaced.
+        kp: Stated servo stiffness, shape (nu,) [N m/rad]; 0 without a servo.
+        friction: Dry friction of the joints, shape (nu,) [N m].
+        noise: Noise of the measurements; may be replaced.
 
     Attributes:
-        stuck: Dead band by which friction of joints that have not yielded is noise (rad).
+        noise_deadband: Dead band within which the friction of joints is noise [rad].
     """
 
     def __init__(
@@ -599,64 +680,69 @@ class StandEquations:
         noise: StandNoise,
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
-        self._kp, self._friction, self._stiff = kp, friction, kp
-        self._heaviness = robot.total_mass
-        self.stuck = 0.0
+        self._kp, self._friction, self._noise_kp = kp, friction, kp
+        self._noise_mass = robot.total_mass
+        self.noise_deadband = 0.0
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in list_bodies(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
-        self._ahead = {point: _ahead_of(robot, point) for point in robot.contact_points}
+        self._last_links = {
+            point: _compute_last_link(robot, point) for point in robot.contact_points
+        }
         self._readings = list(make_readings(robot, stands))
-        self._own = [self._begin(reading) for reading in self._readings]
+        self._unknowns = [self._make_initial_unknowns(reading) for reading in self._readings]
 
-    def linearise(self, x: Array, about: Array, evaluations: int = _LOOKS) -> LinearisedResiduals:
-        """Returns the whitened residuals of all stands; see ``estimate_parameters``.
+    def linearise(
+        self, x: Array, noise_point: Array, evaluations: int = _UNKNOWN_STEPS
+    ) -> LinearisedResiduals:
+        """Return the whitened residuals of all stands; see ``estimate_parameters``.
 
-        Where they are only tried (x is not ``about``), stands' own unknowns stay as they are. Where
-        these are known for about these parameters, one look is enough.
+        The own unknowns are updated only if ``x`` is ``noise_point``: otherwise ``x`` is a trial.
+        ``chi2`` is infinite if the equations cannot be evaluated.
         """
-        total, had = LinearisedResiduals.empty(len(x)), list(self._own)
+        total, previous_unknowns = LinearisedResiduals.empty(len(x)), list(self._unknowns)
         try:
-            numbers = self._numbers(x)
+            values = self._make_values(x)
             for stand in range(len(self._readings)):
-                total += self.linearise_stand(stand, numbers, evaluations)
-        except (np.linalg.LinAlgError, ArithmeticError):  # far from anything that stands
+                total += self.linearise_stand(stand, values, evaluations)
+        except (np.linalg.LinAlgError, ArithmeticError):  # no stand exists near these parameters
             total = replace(total, chi2=math.inf)
-        if x is not about:
-            self._own = had
+        if x is not noise_point:
+            self._unknowns = previous_unknowns
         return total
 
     def set_noise_point(self, x: Array) -> None:
-        """Takes kp, weight and dead band, by which noise becomes torque, from x.
+        """Take the kp, mass and dead band with which the noise is scaled from a parameter vector.
 
-        Before it is the stated ones. If it followed the parameters from step to step, steps would
-        go where noise is large.
+        Until then they are the stated ones. They do not follow each step, since steps would then
+        lead to parameters with large noise.
         """
         names = self.robot.joint_names
-        self._stiff = self.table.get_values(x, "kp", names, self._kp)
-        self._heaviness = self._mass(x)
-        self.stuck = abs(self.table.get_value(x, "deadband", "servos", "", 0.0))
+        self._noise_kp = self.table.get_values(x, "kp", names, self._kp)
+        self._noise_mass = self._sum_masses(x)
+        self.noise_deadband = abs(self.table.get_value(x, "deadband", "servos", "", 0.0))
 
     def linearise_stand(
-        self, stand: int, numbers: StandValues, evaluations: int = _LOOKS
+        self, stand: int, values: StandValues, evaluations: int = _UNKNOWN_STEPS
     ) -> LinearisedResiduals:
-        """Returns the whitened residuals of one stand, its own unknowns eliminated."""
+        """Return the whitened residuals of one stand; eliminate and update its own unknowns."""
         for _ in range(evaluations):
-            found, step = self._look(stand, numbers).eliminate_own_unknowns()
-            self._move(stand, step)
-        return found
+            linearised, step = self._evaluate_stand(stand, values).eliminate_own_unknowns()
+            self._apply_step(stand, step)
+        return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
-        """Returns the rows of every stand at parameters, and at own unknowns as they are."""
-        numbers = self._numbers(x)
-        return [self._look(stand, numbers) for stand in range(len(self._readings))]
+        """Return the rows of every stand, at its current own unknowns."""
+        values = self._make_values(x)
+        return [self._evaluate_stand(stand, values) for stand in range(len(self._readings))]
 
-    def _look(self, stand: int, numbers: StandValues) -> StandRows:
-        (base, forces), reading = self._own[stand], self._readings[stand]
+    def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
+        """Return the rows of one stand, at its current own unknowns."""
+        (base, forces), reading = self._unknowns[stand], self._readings[stand]
         return StandRows(
             self.table,
-            numbers.for_reading(reading, self.table),
+            values.for_reading(reading, self.table),
             reading,
             self._laws,
             base,
@@ -665,22 +751,25 @@ class StandEquations:
             self._regressor,
         )
 
-    def _numbers(self, x: Array) -> StandValues:
+    def _make_values(self, x: Array) -> StandValues:
+        """Return the values for a parameter vector, before ``StandValues.for_reading``."""
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
             mass, com = table.get_inertial(x, link, stated)
             bodies.append((link, number, mass, com))
-            at = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-            model.inertias[at] = pin.Inertia(mass, com, stated.inertia)  # at rest nothing turns
-        for point, ahead in self._ahead.items():
-            longer = table.get_value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
-            if longer:
-                at = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
-                model.frames[at].placement *= pin.SE3(np.eye(3), longer * ahead)
-        size = float(np.linalg.norm(robot.gravity))
-        one, two = (table.get_value(x, "slope", "floor", axis, 0.0) for axis in "xy")
-        if (squared := 1 - one * one - two * two) <= 0:
+            index = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+            model.inertias[index] = pin.Inertia(
+                mass, com, stated.inertia
+            )  # rotational inertia has no effect at rest
+        for point, last_link in self._last_links.items():
+            extension = table.get_value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
+            if extension:
+                index = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
+                model.frames[index].placement *= pin.SE3(np.eye(3), extension * last_link)
+        gravity_norm = float(np.linalg.norm(robot.gravity))
+        slope_x, slope_y = (table.get_value(x, "slope", "floor", axis, 0.0) for axis in "xy")
+        if (squared := 1 - slope_x * slope_x - slope_y * slope_y) <= 0:
             raise np.linalg.LinAlgError("on a wall")
         upright = math.sqrt(squared)
         return StandValues(
@@ -694,46 +783,49 @@ class StandEquations:
                 foot: np.array([table.get_value(x, "moment", foot, axis, 0.0) for axis in AXES])
                 for foot in robot.feet
             },
-            ahead=self._ahead,
-            down=size * np.array([one, two, -upright]),
-            tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
+            last_links=self._last_links,
+            gravity=gravity_norm * np.array([slope_x, slope_y, -upright]),
+            gravity_by_slope=gravity_norm
+            * np.array([[1.0, 0.0, slope_x / upright], [0.0, 1.0, slope_y / upright]]),
             deadband=table.get_value(x, "deadband", "servos", "", 0.0),
             settling={
                 link: table.get_value(x, "settling", link, "", 0.0)
-                for link in dict.fromkeys(link for one in self._readings for link in one.added)
+                for link in dict.fromkeys(
+                    link for slope_x in self._readings for link in slope_x.added
+                )
             },
-            load=table.get_value(x, "load", "scale", "", 0.0),
-            size=size,
-            mass=self._mass(x),
-            heaviness=self._heaviness,
-            stiff=self._stiff,
-            stuck=self.stuck,
-            rubbing=self._friction,  # as stated: where little is estimated, torques were sure
+            unweighed_load=table.get_value(x, "load", "scale", "", 0.0),
+            gravity_norm=gravity_norm,
+            mass=self._sum_masses(x),
+            noise_mass=self._noise_mass,
+            noise_kp=self._noise_kp,
+            noise_deadband=self.noise_deadband,
+            friction=self._friction,  # stated: estimates near 0 would make the noise too small
         )
 
-    def _mass(self, x: Array) -> float:
-        """Returns the mass of the whole robot (kg)."""
-        masses = [place for place, one in enumerate(self.table) if one.kind == "mass"]
+    def _sum_masses(self, x: Array) -> float:
+        """Return the mass of the whole robot [kg]."""
+        masses = [index for index, parameter in enumerate(self.table) if parameter.kind == "mass"]
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
-    def _begin(self, reading: StandReading) -> tuple[Array, Array]:
-        """Returns a stand's own unknowns to begin with: on its feet, as the encoders have it."""
+    def _make_initial_unknowns(self, reading: StandReading) -> tuple[Array, Array]:
+        """Return initial own unknowns: feet on the ground by the encoders, equal normal forces."""
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.weight / len(points)
         return compute_level_base(robot, reading.position, points), forces
 
     def compute_informations(self, x: Array) -> list[Array]:
-        """Returns what each stand tells (n, n), where the priors' widths are the units."""
-        numbers, width = self._numbers(x), self.table.width
-        found = [
-            self.linearise_stand(stand, numbers).information for stand in range(len(self._readings))
+        """Return the information of each stand, shape (n, n), in units of the prior widths."""
+        values, width = self._make_values(x), self.table.width
+        informations = [
+            self.linearise_stand(stand, values).information for stand in range(len(self._readings))
         ]
-        return [width[:, None] * one * width for one in found]
+        return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Returns the normal force on each foot that carries in a stand (N)."""
-        forces = dict(zip(self._readings[stand].points, self._own[stand][1], strict=True))
+        """Return the normal force [N] on each foot that carries in a stand."""
+        forces = dict(zip(self._readings[stand].points, self._unknowns[stand][1], strict=True))
         return {
             foot: float(sum(forces[point][2] for point in points if point in forces))
             for foot, points in self.robot.feet.items()
@@ -743,49 +835,54 @@ class StandEquations:
     def compute_swing_heights(
         self, stand: int, x: Array, offsets: Array
     ) -> dict[str, tuple[float, float]]:
-        """Returns how high each foot is that is in the air in a stand, its lowest point.
+        """Return the height of the lowest contact point of each foot in the air.
 
         Args:
-            stand: Its number.
-            x: The parameters.
-            offsets: (nu,) standard deviations of the encoders' zeros (rad).
+            stand: Index of the stand.
+            x: Parameters, shape (n,).
+            offsets: Standard deviations of the encoder offsets, shape (nu,) [rad].
 
         Returns:
-            {foot: height above the ground and its standard deviation (m)}.
+            {foot: height above the ground and its standard deviation [m]}.
         """
-        carrying, config = self._readings[stand].points, self._look(stand, self._numbers(x)).config
-        robot, found = self.robot, {}
+        carrying, config = (
+            self._readings[stand].points,
+            self._evaluate_stand(stand, self._make_values(x)).config,
+        )
+        robot, heights_by_foot = self.robot, {}
         for foot, points in robot.feet.items():
             if not set(points) & set(carrying):
                 radius = [robot.contact_radius[point] for point in points]
                 heights = config.foot_places(points)[:, 2] - radius
                 lowest = int(heights.argmin())
-                rates = config.foot_twists(points)[lowest, 2, 6:]
-                off = math.hypot(float(np.linalg.norm(rates * offsets)), self.noise.flatness)
-                found[foot] = float(heights[lowest]), off
-        return found
+                gradient = config.foot_twists(points)[lowest, 2, 6:]
+                std = math.hypot(float(np.linalg.norm(gradient * offsets)), self.noise.flatness)
+                heights_by_foot[foot] = float(heights[lowest]), std
+        return heights_by_foot
 
     def compute_rms_residuals(self, x: Array) -> list[float]:
-        """Returns the root mean square of each stand's whitened residuals."""
-        numbers = self._numbers(x)
-        left = [self.linearise_stand(stand, numbers) for stand in range(len(self._readings))]
-        return [math.sqrt(one.chi2 / max(one.rows, 1)) for one in left]
+        """Return the RMS whitened residual of each stand."""
+        values = self._make_values(x)
+        linearised = [self.linearise_stand(stand, values) for stand in range(len(self._readings))]
+        return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]
 
-    def find_contradictions(self, known: Posterior) -> tuple[Array, Array]:
-        """Returns by how much each joint in each stand was read beyond what all others say.
+    def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
+        """Return each joint's reading error in each stand, and its standard deviation.
 
-        (m, nu) (rad), and standard deviations; see ``StandRows``.
+        Both have the shape (stands, nu) [rad]; see ``StandRows.find_contradictions``.
         """
-        found = [
-            rows.find_contradictions(known.covariance) for rows in self.evaluate_rows(known.mean)
+        contradictions = [
+            rows.find_contradictions(posterior.covariance)
+            for rows in self.evaluate_rows(posterior.mean)
         ]
-        off, sure = np.moveaxis(np.array(found), 1, 0)
-        return off, sure
+        errors, stds = np.moveaxis(np.array(contradictions), 1, 0)
+        return errors, stds
 
-    def _move(self, stand: int, step: Array) -> None:
-        base, forces = self._own[stand]
-        one, two = step[:2] / 2
-        turned = pin.Quaternion(*base[:4]) * pin.Quaternion(1.0, one, two, 0.0)
-        turned.normalize()
-        moved = np.array([turned.w, turned.x, turned.y, turned.z, base[4] + step[2]])
-        self._own[stand] = moved, forces + step[3:].reshape(-1, 3)
+    def _apply_step(self, stand: int, step: Array) -> None:
+        """Apply a step of a stand's own unknowns."""
+        base, forces = self._unknowns[stand]
+        half_x, half_y = step[:2] / 2
+        rotation = pin.Quaternion(*base[:4]) * pin.Quaternion(1.0, half_x, half_y, 0.0)
+        rotation.normalize()
+        moved = np.array([rotation.w, rotation.x, rotation.y, rotation.z, base[4] + step[2]])
+        self._unknowns[stand] = moved, forces + step[3:].reshape(-1, 3)

@@ -1,4 +1,9 @@
-"""Fit of stands at rest: masses, centres of mass, zeros of encoders, stiffness of servos."""
+"""Fit of stands at rest: masses, CoM positions, encoder offsets, servo stiffness and leg lengths.
+
+Inputs are commands and positions of the joints in several stands. Outputs are estimates with
+intervals, and failures if the model does not explain the measurements. `StandEquations` has the
+residuals, `estimate_parameters` the iteration.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +54,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JointResidual(Result):
-    """What is left at one joint in one stand.
+    """Residual of one joint in one stand.
 
     Attributes:
-        stand: The stand.
-        joint: The joint.
-        off: Measured position less the one by which all other readings agree best (rad).
-        deviations: The same in standard deviations of what noise, and what is not known, make.
+        stand: Stand name.
+        joint: Joint name.
+        off: Measured position minus the position that agrees best with all other readings.
+        deviations: The same difference, in standard deviations of its uncertainty (noise and
+            parameters).
     """
 
     stand: str
@@ -66,19 +72,21 @@ class JointResidual(Result):
 
 @dataclass(frozen=True, eq=False)
 class StandFit(Fit):
-    """A robot's numbers as stands at rest tell them.
+    """Parameters of a robot, estimated from stands at rest.
 
     Attributes:
-        stands: How many there are.
-        total_mass: Of the whole robot (kg).
-        com: Its centre of mass in the base's frame, x, y, z, at the file's nominal joint positions
-            (m).
-        kp_factor: By which kp of all servos is another than stated: their geometric mean; None if
-            kp is known, or no servo was commanded.
-        weight: What a scale says of the robot (kg); None if it was not weighed.
-        residuals: {stand: root mean square of its residuals, in standard deviations}.
-        joint_residuals: Of each joint in each stand, the most surprising before.
-        noise: Standard deviations of measurements, as they were taken to be or were found.
+        stands: Number of stands.
+        total_mass: Mass of the whole robot.
+        com: Centre of mass of the whole robot (x, y, z) in the base frame, at the nominal joint
+            positions of the file.
+        kp_factor: Geometric mean of the ratios of estimated to stated kp; None if kp is known, or
+            no servo was commanded.
+        weight: Mass of the whole robot on a scale; None if it was not weighed.
+        residuals: RMS residual of each stand, in standard deviations.
+        joint_residuals: Residual of each joint in each stand, the largest number of standard
+            deviations first.
+        noise: Standard deviations of the noise, assumed or estimated; ``friction`` is a factor on
+            the stated dry friction.
     """
 
     stands: int
@@ -91,282 +99,332 @@ class StandFit(Fit):
     noise: Mapping[str, float] = field(metadata={"unit": "rad or m"})
 
 
-def _joint_residuals(
+def _list_joint_residuals(
     stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    off, sure = equations.find_contradictions(known)
-    found = [
-        JointResidual(stand, joint, float(off[row, column]), float((off / sure)[row, column]))
+    """Return the residual of each joint in each stand, most significant first."""
+    deviation, std = equations.find_contradictions(known)
+    residuals = [
+        JointResidual(
+            stand, joint, float(deviation[row, column]), float((deviation / std)[row, column])
+        )
         for row, stand in enumerate(stands.names)
         for column, joint in enumerate(stands.joints)
     ]
-    return tuple(sorted(found, key=lambda one: -abs(one.deviations)))
+    return tuple(sorted(residuals, key=lambda residual: -abs(residual.deviations)))
 
 
-def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
-    line = (posterior.kinds == "mass").astype(float)
-    stated = np.array([one.stated for one in posterior.parameters])
-    whole = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
-    mean = robot.total_mass + float(line @ (posterior.mean - stated))
-    return derive_estimate(posterior, whole, mean, line)
+def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
+    """Return the estimate of the robot's total mass."""
+    gradient = (posterior.kinds == "mass").astype(float)
+    stated = np.array([parameter.stated for parameter in posterior.parameters])
+    quantity = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
+    mean = robot.total_mass + float(gradient @ (posterior.mean - stated))
+    return derive_estimate(posterior, quantity, mean, gradient)
 
 
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
-    """Yields x, y, z of the whole robot's com in the base's frame, at nominal joint positions.
+    """Yield the estimates of x, y, z of the robot's CoM, in the base frame.
 
-    With bodies i of mass m_i, whose frames are R_i, p_i and coms c_i, com = sum m_i x_i / M and
-    x_i = R_i c_i + p_i: its derivatives are (x_i - com) / M by m_i, and R_i m_i / M by c_i.
+    Joints are at their nominal positions. Body i has mass m_i, CoM c_i in its own frame, and pose
+    R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
+
+        com = sum m_i x_i / M
+        d com / d m_i = (x_i - com) / M
+        d com / d c_i = R_i m_i / M
     """
     model = robot.structure.model
     data = model.createData()
     pin.forwardKinematics(
         model, data, robot.structure.convention.unit_q(robot.posed(robot.nominal))
     )
-    table, x = ParameterTable(posterior.parameters), posterior.mean
-    masses, places, rates, stated = [], [], np.zeros((3, len(x))), np.zeros(3)
+    table, mean = ParameterTable(posterior.parameters), posterior.mean
+    masses, body_coms, gradients, stated = [], [], np.zeros((3, len(mean))), np.zeros(3)
     for link, number in list_bodies(robot):
-        own, here = model.inertias[number], data.oMi[1].actInv(data.oMi[number])
-        mass, com = table.get_inertial(x, link, own)
+        inertia, base_to_body = model.inertias[number], data.oMi[1].actInv(data.oMi[number])
+        mass, com = table.get_inertial(mean, link, inertia)
         masses.append(mass)
-        places.append(here.act(com))
-        stated += own.mass * here.act(own.lever)
-        for axis, column in zip(AXES, here.rotation.T, strict=True):
-            if (at := table.find_index("com", link, axis)) is not None:
-                rates[:, at] = mass * column
-    whole = np.array(masses) @ np.array(places) / sum(masses)
-    for (link, _), place in zip(list_bodies(robot), places, strict=True):
-        if (at := table.find_index("mass", link)) is not None:
-            rates[:, at] = place - whole
+        body_coms.append(base_to_body.act(com))
+        stated += inertia.mass * base_to_body.act(inertia.lever)
+        for axis, column in zip(AXES, base_to_body.rotation.T, strict=True):
+            if (index := table.find_index("com", link, axis)) is not None:
+                gradients[:, index] = mass * column
+    robot_com = np.array(masses) @ np.array(body_coms) / sum(masses)
+    for (link, _), body_com in zip(list_bodies(robot), body_coms, strict=True):
+        if (index := table.find_index("mass", link)) is not None:
+            gradients[:, index] = body_com - robot_com
     for number, axis in enumerate(AXES):
-        one = Parameter("com", robot.name, axis, float(stated[number] / robot.total_mass), 0.0)
-        yield derive_estimate(posterior, one, float(whole[number]), rates[number] / sum(masses))
+        quantity = Parameter("com", robot.name, axis, float(stated[number] / robot.total_mass), 0.0)
+        yield derive_estimate(
+            posterior, quantity, float(robot_com[number]), gradients[number] / sum(masses)
+        )
 
 
-# What a model does not explain of stands: noise, numbers, and what surrounds the robot.
+# Checks: noise, parameters and surroundings that contradict the model.
 
 
 def check_scale(
     robot: Robot, posterior: Posterior, weight: float | None = None, *, level: bool = True
 ) -> Iterator[Diagnostic]:
-    """Yields that all kp, and the whole mass, are further from the file than files are.
+    """Yield a failure if all kp, the total mass and the load are jointly far from the file.
 
-    Positions tell the ratio of kp and masses, and a scale alone how large both are: whatever grows
-    with the load hides in this factor, and no parameter by itself is far from its file. So these
-    are asked together, before any: z of the mean of log kp, of the logarithm of the total mass, and
-    of what stands there beyond it, which takes a part.
+    Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
+    shifts all parameters a little, and no parameter by itself is far from its stated value.
+    Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly.
 
     Args:
-        robot: The robot.
-        posterior: What is known of the parameters.
-        weight: Of the whole robot by a scale (kg), if it was weighed.
-        level: Whether the ground is as it was said to be: on a slope the load is no sign.
+        robot: Robot.
+        posterior: Distribution of the parameters.
+        weight: Mass of the whole robot on a scale [kg]; None if it was not weighed.
+        level: Whether the ground is level. Otherwise the load is not tested, since a slope changes
+            it.
     """
     from scipy import stats  # slow to import
 
     table, kinds = ParameterTable(posterior.parameters), posterior.kinds
-    masses, asked = kinds == "mass", level and "added" not in kinds  # then it has its own test
-    mass = np.zeros(len(table))
+    masses, tests_load = (
+        kinds == "mass",
+        level and "added" not in kinds,
+    )  # a known mass tests the load by itself
+    mass_gradient = np.zeros(len(table))
     # The width is that of the stated mass again: ``moved`` is of logarithms.
-    mass[masses] = (table.width * table.stated)[masses] / posterior.mean[masses]
-    lines = np.array([kinds == "kp", mass / robot.total_mass, asked & (kinds == "load")])
-    lines = lines[lines.any(axis=1)]
-    if not len(lines):
+    mass_gradient[masses] = (table.width * table.stated)[masses] / posterior.mean[masses]
+    combinations = np.array(
+        [kinds == "kp", mass_gradient / robot.total_mass, tests_load & (kinds == "load")]
+    )
+    combinations = combinations[combinations.any(axis=1)]
+    if not len(combinations):
         return
-    signs, freedom, _ = _surprise(posterior, lines)
-    if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
+    surprise, rank, _ = _compute_surprise(posterior, combinations)
+    if not rank or stats.chi2.sf(surprise, rank) > _SURPRISE_PROBABILITY:
         return
-    stiffer, total = estimate_kp_over_mass(posterior, kp_only=True), _total_mass(robot, posterior)
+    kp_factor, total_mass = (
+        estimate_kp_over_mass(posterior, kp_only=True),
+        _estimate_total_mass(robot, posterior),
+    )
     yield diagnose(
         "scale-far-from-the-file",
         weight=None if weight is None else Quantity(weight, "kg"),
-        kp=None if stiffer is None else stiffer.mean,
-        mass=total.mean / robot.total_mass,
+        kp=None if kp_factor is None else kp_factor.mean,
+        mass=total_mass.mean / robot.total_mass,
     )
 
 
-def _surprise(posterior: Posterior, lines: Array, sure: float = 1.0) -> tuple[float, int, Array]:
-    """Returns how much some combinations of parameters surprise: chi^2, its freedom, and how far.
+def _compute_surprise(
+    posterior: Posterior, combinations: Array, expected_ratio: float = 1.0
+) -> tuple[float, int, Array]:
+    """Compute chi2 of the changes of some parameter combinations, its rank, and the implied change.
 
-    Estimates move from what was said by d. If that is so, d has the covariance S by which prior and
-    posterior differ, and d^T S^-1 d is distributed as chi^2: several weak signs are one together.
-    How far is S^-1 d in the prior's variances, which is not drawn to what was said.
+    If the prior is right, the change d of the estimates has the covariance S = prior covariance
+    minus posterior covariance, and d^T S^-1 d follows a chi2 distribution. Several weak deviations
+    are tested jointly in this way. The third value, prior covariance times S^-1 d, is the change
+    without the shrinkage of the prior.
 
     Args:
-        posterior: What is known of the parameters.
-        lines: (k, n) the combinations, of parameters in their widths.
-        sure: What is no surprise, as a standard deviation in parts of the prior's: of legs' lengths
-            less than the prior, so that intervals are of any leg, and a file's leg is expected.
+        posterior: Distribution of the parameters.
+        combinations: Linear combinations of the parameters, shape (k, n), in units of the widths.
+        expected_ratio: Standard deviation of an expected change over the prior standard deviation.
+            Below 1, the test is stricter than the prior, for example for leg lengths, whose prior
+            allows any leg.
     """
-    width = np.array([one.width for one in posterior.parameters])
-    before = lines @ np.linalg.inv(posterior.precision) @ lines.T
-    sizes = np.sqrt(np.diag(before))
-    message = before - lines @ (posterior.covariance / np.outer(width, width)) @ lines.T
-    values, vectors = np.linalg.eigh(message / np.outer(sizes, sizes))
-    kept = values > _LEAST_DETERMINED
-    moved = vectors[:, kept].T @ (lines @ posterior.moved / sizes)
-    far = (before / sizes) @ vectors[:, kept] @ (moved / values[kept])
-    expected = values[kept] * (1 - (1 - sure**2) * values[kept])
-    return float(np.sum(moved**2 / expected)), int(np.count_nonzero(kept)), far
+    width = np.array([parameter.width for parameter in posterior.parameters])
+    prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
+    sizes = np.sqrt(np.diag(prior_covariance))
+    reduction = (
+        prior_covariance
+        - combinations @ (posterior.covariance / np.outer(width, width)) @ combinations.T
+    )
+    eigenvalues, eigenvectors = np.linalg.eigh(reduction / np.outer(sizes, sizes))
+    kept = eigenvalues > _MIN_VARIANCE_REDUCTION
+    moved = eigenvectors[:, kept].T @ (combinations @ posterior.moved / sizes)
+    innovation = (prior_covariance / sizes) @ eigenvectors[:, kept] @ (moved / eigenvalues[kept])
+    expected = eigenvalues[kept] * (1 - (1 - expected_ratio**2) * eigenvalues[kept])
+    return float(np.sum(moved**2 / expected)), int(np.count_nonzero(kept)), innovation
 
 
-def _findings(posterior: Posterior, stuck: float) -> Iterator[Diagnostic]:
-    """Yields what the stands show of servos, and of loads, that no file can state.
+def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> Iterator[Diagnostic]:
+    """Yield estimates of servos and loads that no file can state.
 
     Args:
-        posterior: What is known of the parameters.
-        stuck: A servo's error that dry friction of one sign takes up (rad): what may be that is
-            no dead band.
+        posterior: Distribution of the parameters.
+        friction_error: Servo error [rad] that balances the mean dry friction; a smaller dead band
+            may be friction.
     """
     loaded = "added" in posterior.kinds
-    for place, one in enumerate(posterior.parameters):
-        mean, half = float(posterior.mean[place]), float(HALF_WIDTH_95 * posterior.std[place])
-        if abs(mean) < half or (one.kind == "load" and not loaded):
+    for index, parameter in enumerate(posterior.parameters):
+        mean, half_width = float(posterior.mean[index]), float(HALF_WIDTH_95 * posterior.std[index])
+        if abs(mean) < half_width or (parameter.kind == "load" and not loaded):
             continue
-        if one.kind == "deadband" and mean - half > stuck:
-            angle, wide = Quantity(mean, "rad"), Quantity(half, "rad")
-            yield diagnose("servos-have-a-dead-band", angle=angle, half=wide)
-        elif one.kind == "load":
-            yield diagnose("more-stands-there", load=100 * mean, half=100 * half)
+        if parameter.kind == "deadband" and mean - half_width > friction_error:
+            angle, interval = Quantity(mean, "rad"), Quantity(half_width, "rad")
+            yield diagnose("servos-have-a-dead-band", angle=angle, half=interval)
+        elif parameter.kind == "load":
+            yield diagnose("more-stands-there", load=100 * mean, half=100 * half_width)
 
 
-_CHANCE = 0.0027
-"""Of three standard deviations: that a kind is found to be otherwise by chance."""
+_SURPRISE_PROBABILITY = 0.0027
+"""Probability of a chance result below which a deviation is reported: that of three standard
+deviations. Chosen, not tuned."""
 
-_LEAST_DETERMINED = 0.02
-"""Of a prior's variance: a direction of which no more is told speaks against nothing."""
+_MIN_VARIANCE_REDUCTION = 0.02
+"""Smallest reduction of the variance, as a fraction of the prior variance, with which a combination
+is tested. Below, the measurements determine too little. Chosen, not tuned."""
 
-_ALSO = 2.0
-"""Standard deviations, where feet sink otherwise: those which do."""
+_MIN_NAMED_STDS = 2.0
+"""Standard deviations from which a foot is named in a failure, besides the foot with the largest
+deviation. Chosen, not tuned."""
 
-_NOISY = 5.0
-"""Times what was expected: noise of which there is so much hides a cause."""
+_MAX_FLATNESS_RATIO = 5.0
+"""Upper bound of the estimated over the expected unevenness of the ground. Larger noise would hide
+an error. Chosen, not tuned."""
 
-_RUBS = 4.0
-"""Likewise, of dry friction: of what is random in it, and what is of one sign. Half as many where
-that of a file is not believed: what is allowed for then, nobody has stated."""
+_MAX_FRICTION_RATIO = 4.0
+"""Upper bound of the estimated over the expected dry friction, random and one-sided parts together.
+Half of it applies if the file's friction is replaced by a default. Chosen, not tuned."""
 
-_FAR = 4.5
-"""Standard deviations: of a hundred numbers that are as was said, none is so far off."""
+_MAX_PARAMETER_STDS = 4.5
+"""Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
+normal numbers one exceeds 4.5 with a probability below 1e-3."""
 
-_SUSPECTED = ("slope", "softness", "length", "load")
-"""Of the surroundings: kinds that somebody says something of."""
+_CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
+"""Kinds of the surroundings that ``check_surroundings`` tests."""
 
-_NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
-"""Kinds of numbers that no robot has none of, and what is none, in parts of the stated value."""
+_NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
+"""Kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of the stated value counts as
+zero, and is a failure. Chosen, not tuned."""
 
-_RESIDUALS_CHANCE = 1e-3
-"""Probability of residuals that are larger by chance."""
+_RESIDUALS_PROBABILITY = 1e-3
+"""Probability of larger residuals by chance below which they are a failure. Chosen, not tuned."""
 
 
 def check_residuals(
-    posterior: Posterior, found: StandNoise, expected: StandNoise, stuck: float
+    posterior: Posterior, estimated: StandNoise, assumed: StandNoise, friction_error: float
 ) -> Iterator[Diagnostic]:
-    """Yields what the model does not explain of the measurements.
+    """Yield failures: parts of the measurements that the model does not explain.
 
     Args:
-        posterior: What is known of the parameters.
-        found: The noise that was found.
-        expected: The noise that was expected.
-        stuck: See ``_findings``.
+        posterior: Distribution of the parameters.
+        estimated: Estimated noise.
+        assumed: Noise that was expected.
+        friction_error: Servo error [rad] that balances the mean dry friction.
     """
     from scipy import stats  # slow to import
 
-    if stats.chi2.sf(posterior.chi2, max(posterior.degrees_of_freedom, 1.0)) < _RESIDUALS_CHANCE:
+    if (
+        stats.chi2.sf(posterior.chi2, max(posterior.degrees_of_freedom, 1.0))
+        < _RESIDUALS_PROBABILITY
+    ):
         ratio = posterior.chi2 / max(posterior.degrees_of_freedom, 1.0)
         yield diagnose("residuals-too-large", times=math.sqrt(ratio))
-    if found.flatness > _NOISY * expected.flatness:
-        yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
+    if estimated.flatness > _MAX_FLATNESS_RATIO * assumed.flatness:
+        yield diagnose("feet-off-the-plane", off=Quantity(estimated.flatness, "m"))
     kinds, stated = posterior.kinds, ParameterTable(posterior.parameters).stated
-    bands = posterior.mean[kinds == "deadband"]
-    one_sign = -float(np.minimum(bands, 0.0).sum()) / max(stuck, _NOTHING**2)
-    most = _RUBS if expected.friction == 1 else _RUBS / 2
-    if (times := found.friction / expected.friction + one_sign) > most:
-        yield diagnose("torques-off", times=times)
-    # What is known before and after differ in variance by what an estimate is surprised by, if the
-    # parameter is as it was said to be: one by poor measurements stays near the stated value, and
-    # tells as much by a smaller step.
-    surprise = np.sqrt(np.maximum(1 - posterior.variance_ratios, _LEAST_DETERMINED))
-    moved = posterior.moved / surprise
-    gone = np.isin(kinds, _NEVER_NOTHING) & (posterior.mean < _NOTHING * stated) & (moved < 0)
-    off = ~np.isin(kinds, SURROUNDINGS_KINDS) & (gone | (np.abs(moved) > _FAR))
-    if len(far := np.flatnonzero(off)):
-        names, widths = [posterior.parameters[place].name for place in far], np.abs(moved[far])
-        yield diagnose("far-from-the-file", names=names, widths=float(widths.max()))
-    flatter = min(1.0, found.flatness / expected.flatness)
-    yield from check_surroundings(posterior, flatter)
+    deadbands = posterior.mean[kinds == "deadband"]
+    one_sided_ratio = -float(np.minimum(deadbands, 0.0).sum()) / max(friction_error, _ZERO_RTOL**2)
+    max_ratio = _MAX_FRICTION_RATIO if assumed.friction == 1 else _MAX_FRICTION_RATIO / 2
+    if (ratio := estimated.friction / assumed.friction + one_sided_ratio) > max_ratio:
+        yield diagnose("torques-off", times=ratio)
+    # If the prior is right, the variance of a change is prior minus posterior variance: a poorly
+    # determined parameter stays near its stated value, and a small change of it is significant.
+    change_std = np.sqrt(np.maximum(1 - posterior.variance_ratios, _MIN_VARIANCE_REDUCTION))
+    moved = posterior.moved / change_std
+    vanished = np.isin(kinds, _NONZERO_KINDS) & (posterior.mean < _ZERO_RTOL * stated) & (moved < 0)
+    is_far = ~np.isin(kinds, SURROUNDINGS_KINDS) & (
+        vanished | (np.abs(moved) > _MAX_PARAMETER_STDS)
+    )
+    if len(far_indices := np.flatnonzero(is_far)):
+        names, deviations = (
+            [posterior.parameters[place].name for place in far_indices],
+            np.abs(moved[far_indices]),
+        )
+        yield diagnose("far-from-the-file", names=names, widths=float(deviations.max()))
+    flatness_ratio = min(1.0, estimated.flatness / assumed.flatness)
+    yield from check_surroundings(posterior, flatness_ratio)
 
 
-def check_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator[Diagnostic]:
-    """Yields what of the surroundings is not as it was said to be, one kind at a time.
+def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
+    """Yield failures of the surroundings: load, slope, softness and leg length, one kind at a time.
 
-    See ``_surprise``: several weak signs of a slope, or of soft soles, are one together.
+    All parameters of a kind are tested jointly; see ``_compute_surprise``.
 
     Args:
-        posterior: What is known of the parameters.
-        flatter: What the ground's unevenness is, in parts of the expected one, 1 at most. Feet that
-            sink look like that: where ground came out flatter, by few stands, signs of the other
-            are worth what they were on the expected one.
+        posterior: Distribution of the parameters.
+        flatness_ratio: Estimated over expected unevenness of the ground, at most 1. Its square
+            scales chi2 of the softness: sinking feet have the same effect as uneven ground, and a
+            small estimate of the unevenness from few stands would exaggerate the softness.
     """
     from scipy import stats  # slow to import
 
     kinds = posterior.kinds
-    for kind in _SUSPECTED:
-        places = np.flatnonzero(kinds == kind)
-        if not len(places) or (kind == "load" and "added" not in kinds):
+    for kind in _CHECKED_SURROUNDINGS:
+        indices = np.flatnonzero(kinds == kind)
+        if not len(indices) or (kind == "load" and "added" not in kinds):
             continue
-        chosen = [posterior.parameters[at] for at in places]
-        width = np.array([one.width for one in chosen])
-        narrow = kind == "length" and (width == KINDS[kind].width).all()  # unless a prior says
-        sure = _SAME_LENGTH / KINDS[kind].width if narrow else 1.0
-        signs, freedom, far = _surprise(posterior, np.eye(len(posterior.parameters))[places], sure)
-        signs *= flatter**2 if kind == "softness" else 1.0
-        if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
+        parameters = [posterior.parameters[index] for index in indices]
+        width = np.array([parameter.width for parameter in parameters])
+        uses_length_std = (
+            kind == "length" and (width == KINDS[kind].width).all()
+        )  # unless a prior says
+        expected_ratio = _LENGTH_STD / KINDS[kind].width if uses_length_std else 1.0
+        surprise, rank, innovation = _compute_surprise(
+            posterior, np.eye(len(posterior.parameters))[indices], expected_ratio
+        )
+        surprise *= flatness_ratio**2 if kind == "softness" else 1.0
+        if not rank or stats.chi2.sf(surprise, rank) > _SURPRISE_PROBABILITY:
             continue
-        free = width * far
-        message = np.maximum(1 - posterior.variance_ratios[places], _LEAST_DETERMINED)
-        message *= 1 - (1 - sure**2) * message
-        each = np.abs(posterior.moved[places]) / np.sqrt(message)
+        changes = width * innovation
+        reduction = np.maximum(1 - posterior.variance_ratios[indices], _MIN_VARIANCE_REDUCTION)
+        reduction *= 1 - (1 - expected_ratio**2) * reduction
+        deviations = np.abs(posterior.moved[indices]) / np.sqrt(reduction)
         if kind == "load":
-            yield diagnose("known-mass-contradicts-the-scale", load=100 * float(free[0]))
+            yield diagnose("known-mass-contradicts-the-scale", load=100 * float(changes[0]))
         elif kind == "slope":
-            most = chosen[int(np.abs(free).argmax())]
-            slope = Quantity(float(math.hypot(*free)), "rad")
-            yield diagnose("ground-slopes", slope=slope, axis=most.component)
+            largest = parameters[int(np.abs(changes).argmax())]
+            slope = Quantity(float(math.hypot(*changes)), "rad")
+            yield diagnose("ground-slopes", slope=slope, axis=largest.component)
         else:
-            for number in np.flatnonzero((each >= _ALSO) | (each == each.max())):
-                foot, off = ("foot", chosen[number].subject), float(free[number])
+            for number in np.flatnonzero(
+                (deviations >= _MIN_NAMED_STDS) | (deviations == deviations.max())
+            ):
+                foot, change = ("foot", parameters[number].subject), float(changes[number])
                 if kind == "length":
-                    yield diagnose("leg-is-longer", subject=foot, longer=100 * off)
+                    yield diagnose("leg-is-longer", subject=foot, longer=100 * change)
                 else:
-                    times = max(0.0, chosen[number].stated + off)
-                    yield diagnose("feet-sink-otherwise", subject=foot, times=times)
+                    factor = max(0.0, parameters[number].stated + change)
+                    yield diagnose("feet-sink-otherwise", subject=foot, times=factor)
 
 
-_SAME_LENGTH = 0.005
-"""Of a leg's last link: standard deviation of parts that are printed and glued by the same file."""
+_LENGTH_STD = 0.005
+"""Expected standard deviation of the length factor of a leg's last link, for parts of one file. The
+prior is wider, since it allows other variants. Chosen, not tuned."""
 
 SCALE_RTOL = 0.002
-"""Of a mass that a scale shows: standard deviation."""
+"""Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
 
 KNOWN_MASS_FRACTION = 0.15
-"""Of the robot's: 500 g on Pupper v3. With 200 g kp is known to 12 to 14 % by it alone."""
+"""Default known mass of a plan, as a fraction of the robot's mass: 500 g on Pupper v3. Measured:
+with 200 g alone kp is known to 12 to 14 %."""
 
 MIN_STANDS = 3
+"""Smallest number of stands of a fit or a plan. Chosen, not tuned."""
 
-_FINE_ENCODER = 2e-4
-"""rad: where no step shows, a position is taken to be as sure as one of 14 bits that shakes."""
+_DEFAULT_ENCODER_STD = 2e-4
+"""Standard deviation [rad] of a joint position if the readings show no encoder step: that of a
+noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned."""
 
 
-_UNMODELLED = 5e-3
-"""Of the weight times the height: dry friction of joints of which files state none, as far as it
-makes torques uncertain. Files that state it have 0.24 % (Pupper v3) to 0.66 % (Go1, B1)."""
+_DEFAULT_FRICTION_RATIO = 5e-3
+"""Dry friction of a joint that replaces a missing or implausible value, divided by weight times
+height. Files that state plausible values have 0.24 % (Pupper v3) to 0.66 % (Go1, B1)."""
 
-_TYPED = 2e-3
-"""Likewise: a file that states less has what somebody typed, and nothing is known. The 0.2 N m of
-Go1 stand in those of Spot, HyQReal2, and Pegasus before it was identified: 0.03 to 0.09 %."""
+_MIN_FRICTION_RATIO = 2e-3
+"""Smallest mean dry friction, divided by weight times height, that is taken from a file. The 0.2 N
+m of Go1 were copied to files of Spot and HyQReal2, and to Pegasus before it was identified;
+there the ratio is 0.03 to 0.09 %."""
 
-_PULLS = 0.02
-"""Of the weight: a foot that would pull so hard does not carry."""
+_MAX_PULL_RATIO = 0.02
+"""Upper bound of the pulling force of a foot, as a fraction of the weight. A foot that pulls more
+does not carry. Chosen, not tuned."""
 
 
 @check_arguments
@@ -379,115 +437,130 @@ def fit_stands(
     kp: ArrayLike | None = None,
     encoder: float | None = None,
 ) -> StandFit:
-    """Fits a robot's numbers to stands at rest.
+    """Estimate a robot's parameters from stands at rest.
 
-    A soft servo is a torque sensor: tau = kp (command - position). What is estimated are masses
-    and coms of all moving bodies, zero offsets of encoders, kp of servos, lengths of the legs' last
-    links; and, of the surroundings, the ground's slope and softness. Equations are in
-    ``StandEquations``; what is known before are normal distributions about the files' values
-    (``parameters.KINDS``). How uneven the ground is, and how much of dry friction is in torques, is
-    found by the evidence.
+    A compliant servo measures torque: tau = kp (command - position). The parameters are masses and
+    CoM positions of all moving bodies, encoder offsets, kp, and lengths of the legs' last links;
+    and of the surroundings for example slope and softness of the ground (``list_parameters``). The
+    equations are those of ``StandEquations``; the priors are normal distributions about the files'
+    values (``parameters.KINDS``). The unevenness of the ground, the moments on feet and the random
+    part of dry friction are estimated by maximum evidence.
+
+    Stands that contradict their own data, for example a carrying foot that would have to pull, are
+    left out with a note: one at a time, at most a quarter.
 
     Args:
-        robot: The robot, with a free base and feet.
-        stands: The measurements.
-        priors: What is known before: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (it is right).
-        weight: Mass of the whole robot by a scale (kg), to 0.2 %.
-        kp: Stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
-        encoder: Standard deviation of a position (rad); from the encoders' step by default.
-
-    A stand whose feet cannot be where they are said to be is left out with a note; up to a quarter.
+        robot: Robot with a free base and feet.
+        stands: Measurements.
+        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
+        weight: Mass of the whole robot on a scale [kg], with a standard deviation of 0.2 %.
+        kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
+        encoder: Standard deviation of a joint position [rad]; derived from the encoder step by
+            default.
 
     Raises:
-        MeasurementError: If they are none of this robot's: joints or feet that it has not, too few
-            stands, one that is not at rest, feet that would have to pull in many.
-        ConfigurationError: If a prior says nothing, a weight is none, or the base is fixed.
-        FitError: If it does not converge.
+        MeasurementError: If the measurements do not belong to this robot: for example too few
+            stands, a robot that moves, missing positions, or too many contradictory stands.
+        UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
+        ConfigurationError: If a prior, the weight or the encoder noise is invalid, or the base is
+            fixed.
+        FitError: If the iteration does not converge.
     """
-    wanted = parse_priors(priors)
+    prior_list = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):
         if value is not None and check_finite(name, value) <= 0:
             raise ConfigurationError(name, diagnose("not-positive", value=value))
     robot.check_floating()
     robot.check_tree("fit")
-    given = stands.order_joints(robot)
+    ordered = stands.order_joints(robot)
 
-    def fit(given: MeasuredStands) -> StandFit:
-        return _Problem.from_stands(robot, given, wanted, weight, kp, encoder).solve()
+    def fit(ordered: MeasuredStands) -> StandFit:
+        return _StandProblem.from_stands(robot, ordered, prior_list, weight, kp, encoder).solve()
 
-    def evidence(given: MeasuredStands) -> float:
-        return _Problem.from_stands(
-            robot, given, wanted, weight, kp, encoder
+    def evidence(ordered: MeasuredStands) -> float:
+        return _StandProblem.from_stands(
+            robot, ordered, prior_list, weight, kp, encoder
         ).compute_log_evidence()
 
     try:
-        found = _without_contradictions(fit, given)
+        result = _fit_without_contradictions(fit, ordered)
     except (MeasurementError, FitError) as error:
         if isinstance(error, FitError) and weight is not None:  # a known mass may tell why
-            bare = fit_stands(robot, stands, priors=priors, kp=kp, encoder=encoder)
-            load = bare.total_mass.mean / weight - 1
-            if abs(load) * weight > _FAR * bare.total_mass.std:
-                said = diagnose("known-mass-contradicts-the-scale", load=100 * load)
-                return replace(bare, weight=weight, failures=(said, *bare.failures))
-        if wiring := find_wiring(robot, given, evidence, fit):
-            raise MeasurementError(given.source, wiring.found) from error
+            unweighed = fit_stands(robot, stands, priors=priors, kp=kp, encoder=encoder)
+            load = unweighed.total_mass.mean / weight - 1
+            if abs(load) * weight > _MAX_PARAMETER_STDS * unweighed.total_mass.std:
+                failure = diagnose("known-mass-contradicts-the-scale", load=100 * load)
+                return replace(unweighed, weight=weight, failures=(failure, *unweighed.failures))
+        if wiring := find_wiring(robot, ordered, evidence, fit):
+            raise MeasurementError(ordered.source, wiring.found) from error
         raise
     # Plugs that are exchanged leave residuals, or a stand out; a wrong scale and a slope do not.
-    left_out = any(one.code == "stand-left-out" for one in found.diagnostics)
-    searched = left_out or any(one.code not in _LEAVE_NONE for one in found.failures)
-    wiring = find_wiring(robot, given, evidence, fit) if searched else None
-    return replace(found, failures=(wiring.found,)) if wiring else found  # it explains the others
+    left_out = any(note.code == "stand-left-out" for note in result.diagnostics)
+    searches_wiring = left_out or any(
+        failure.code not in _UNRELATED_TO_WIRING for failure in result.failures
+    )
+    wiring = find_wiring(robot, ordered, evidence, fit) if searches_wiring else None
+    return replace(result, failures=(wiring.found,)) if wiring else result  # it explains the others
 
 
-_LEAVE_NONE = ("scale-far-from-the-file", "known-mass-contradicts-the-scale", "ground-slopes")
+_UNRELATED_TO_WIRING = (
+    "scale-far-from-the-file",
+    "known-mass-contradicts-the-scale",
+    "ground-slopes",
+)
+"""Failures that exchanged plugs do not cause. If there are no others, the wiring is not tested."""
 
 
-def _without_contradictions(
-    fit: Callable[[MeasuredStands], StandFit], given: MeasuredStands
+def _fit_without_contradictions(
+    fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> StandFit:
-    """Fits stands, without those whose feet are not where they are said to be, one after the other.
+    """Fit stands, leaving out those that contradict their own data one at a time.
 
     Raises:
-        MeasurementError: If there are many of them: something else is wrong.
-        FitError: If it does not converge.
+        MeasurementError: If more than a quarter would be left out; the first contradiction.
+        FitError: If the iteration does not converge.
     """
     notes: list[Diagnostic] = []
     first: MeasurementError | None = None
-    rest = given
+    remaining = stands
     while True:
         try:
-            found = fit(rest)
+            result = fit(remaining)
         except MeasurementError as error:
-            if error.cause.code not in _CONTRADICTIONS:
+            if error.cause.code not in _CONTRADICTION_CODES:
                 raise
             first = first or error
-            if len(notes) + 1 > _LEFT_OUT * len(given):
+            if len(notes) + 1 > _MAX_EXCLUDED_FRACTION * len(stands):
                 raise first from None
             name = error.cause.values["stand"]
             notes.append(diagnose("stand-left-out", why=error.cause))
-            rest = rest.select_rows([row for row, own in enumerate(rest.names) if own != name])
+            remaining = remaining.select_rows(
+                [row for row, stand_name in enumerate(remaining.names) if stand_name != name]
+            )
         else:
-            return replace(found, diagnostics=(*notes, *found.diagnostics))
+            return replace(result, diagnostics=(*notes, *result.diagnostics))
 
 
-_CONTRADICTIONS = ("foot-in-the-air-touches", "foot-would-pull")
+_CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
+"""Errors of ``_check_feet``, which contradict the row of a single stand."""
 
-_LEFT_OUT = 0.25
-"""Of the stands, at most: where more contradict the model, it is no slip of who took them."""
+_MAX_EXCLUDED_FRACTION = 0.25
+"""Largest fraction of stands that is left out. More contradictions have a common cause. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """What is estimated of stands, about what the files and somebody say.
+class _StandProblem:
+    """Robot, stands, parameters and expected noise of a fit.
 
     Attributes:
-        robot: The robot.
-        stands: Its stands, one reading each.
-        stiffness: (nu,) stated kp (N m/rad).
-        friction: (nu,) dry friction that makes torques uncertain (N m).
-        table: The parameters.
-        noise: That is expected.
-        weight: Of the whole robot by a scale (kg).
+        robot: Robot.
+        stands: Stands, repeated readings averaged.
+        stiffness: Stated kp, shape (nu,) [N m/rad].
+        friction: Dry friction, shape (nu,) [N m], with defaults for joints without a stated value.
+        table: Parameters.
+        noise: Expected noise.
+        weight: Mass of the whole robot on a scale [kg]; None if it was not weighed.
     """
 
     robot: Robot
@@ -506,188 +579,230 @@ class _Problem:
         weight: float | None,
         kp: ArrayLike | None,
         encoder: float | None,
-    ) -> _Problem:
-        """Returns that of stands, whose joints are in the robot's order.
+    ) -> _StandProblem:
+        """Prepare the fit of stands whose joints are in actuator order.
 
         Raises:
-            MeasurementError: If they are none of this robot's.
+            MeasurementError: If the stands do not belong to this robot, or are too few.
         """
-        given = stands.check_readings(robot).average_repeats()
-        if len(given) < MIN_STANDS:
-            found = diagnose("too-few-stands", stands=len(given), least=MIN_STANDS)
-            raise MeasurementError(given.source, found)
-        asked = np.isfinite(given.command).sum(axis=0) > 0
-        stiffness = get_stated_stiffness(robot, given.source, asked, kp)
-        noise, friction = predict_noise(robot, given, encoder)
-        table = ParameterTable(apply_priors(list_parameters(robot, given, stiffness), priors))
-        return _Problem(robot, given, stiffness, friction, table, noise, weight)
+        averaged = stands.check_readings(robot).average_repeats()
+        if len(averaged) < MIN_STANDS:
+            finding = diagnose("too-few-stands", stands=len(averaged), least=MIN_STANDS)
+            raise MeasurementError(averaged.source, finding)
+        has_command = np.isfinite(averaged.command).sum(axis=0) > 0
+        stiffness = get_stated_stiffness(robot, averaged.source, has_command, kp)
+        noise, friction = predict_noise(robot, averaged, encoder)
+        table = ParameterTable(apply_priors(list_parameters(robot, averaged, stiffness), priors))
+        return _StandProblem(robot, averaged, stiffness, friction, table, noise, weight)
 
     @property
-    def stuck(self) -> float:
-        """A servo's error that dry friction of one sign takes up (rad), on average."""
-        held = self.stiffness > 0
-        taken = self.friction[held].sum() / max(self.stiffness[held].sum(), _NOTHING)
-        return self.rubs * float(taken)
+    def friction_error(self) -> float:
+        """Servo error [rad] that balances the mean dry friction."""
+        has_servo = self.stiffness > 0
+        mean_error = self.friction[has_servo].sum() / max(
+            self.stiffness[has_servo].sum(), _ZERO_RTOL
+        )
+        return self.friction_ratio * float(mean_error)
 
     @property
-    def rubs(self) -> float:
-        """Dry friction that is expected, in parts of what is stated."""
-        stated = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
-        return 1.0 if stated > _TYPED else _UNMODELLED / stated
+    def friction_ratio(self) -> float:
+        """Expected factor on ``friction``: 1 unless the stated friction is implausibly small.
+
+        If its mean is below ``_MIN_FRICTION_RATIO`` of weight times height, the factor makes the
+        mean equal to the default.
+        """
+        ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
+        return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
 
     def compute_log_evidence(self) -> float:
-        """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
-        message = self.equations()[0].linearise(self.table.stated, self.table.stated)
-        return message.compute_log_evidence(self.table, np.zeros(len(self.table)))
+        """Return the log evidence of the stands, linearised about the stated values."""
+        linearised = self.make_equations()[0].linearise(self.table.stated, self.table.stated)
+        return linearised.compute_log_evidence(self.table, np.zeros(len(self.table)))
 
-    def equations(
-        self, known: Posterior | None = None
+    def make_equations(
+        self, posterior: Posterior | None = None
     ) -> tuple[StandEquations, tuple[Diagnostic, ...]]:
-        """Returns the equations, and which commands they do not use, by what is known of zeros."""
+        """Create the equations, and notes on commands that are not used.
+
+        Args:
+            posterior: Distribution of the encoder offsets; their prior by default.
+        """
         robot, table, kp = self.robot, self.table, self.stiffness
-        used, notes = _used(robot, self.stands, kp, *_zeros(robot, table, known))
-        return StandEquations(robot, used, table, kp, self.friction, self.noise), notes
+        used_stands, notes = _drop_uninformative_commands(
+            robot, self.stands, kp, *_get_encoder_offsets(robot, table, posterior)
+        )
+        return StandEquations(robot, used_stands, table, kp, self.friction, self.noise), notes
 
     def solve(self) -> StandFit:
-        """Returns the fit: with the noise that is expected, then with that which is found."""
+        """Estimate the parameters: with the expected noise, then with the estimated noise."""
         robot, stands, table = self.robot, self.stands, self.table
-        (equations, _), weighed = self.equations(), _weighed(robot, table, self.weight)
-        equations.stuck = sum(one.width for one in table if one.kind == "deadband")
-        known = _estimate(robot, stands, equations, weighed, None)
-        # With what is known of the encoders now, fewer joints may be at a stop.
-        equations, notes = self.equations(known)
+        (equations, _), scale_residual = (
+            self.make_equations(),
+            _make_scale_residual(robot, table, self.weight),
+        )
+        equations.noise_deadband = sum(
+            parameter.width for parameter in table if parameter.kind == "deadband"
+        )
+        posterior = _estimate_from_stands(robot, stands, equations, scale_residual, None)
+        # With estimated encoder offsets, fewer joints may be near a stop.
+        equations, notes = self.make_equations(posterior)
 
-        def by(noise: StandNoise) -> tuple[Posterior, float]:
-            """Returns what is known with a noise, and the logarithm of how likely stands are."""
+        def fit_with_noise(noise: StandNoise) -> tuple[Posterior, float]:
+            """Return the posterior for a noise, and the log evidence."""
             equations.noise, equations.table = noise, scale_common_widths(table, noise, self.noise)
-            found = _estimate(robot, stands, equations, weighed, known.mean)
-            left = equations.linearise(found.mean, found.mean) + weighed(found.mean)
-            return found, left.compute_log_evidence(ParameterTable(found.parameters), found.moved)
+            fitted = _estimate_from_stands(robot, stands, equations, scale_residual, posterior.mean)
+            linearised = equations.linearise(fitted.mean, fitted.mean) + scale_residual(fitted.mean)
+            return fitted, linearised.compute_log_evidence(
+                ParameterTable(fitted.parameters), fitted.moved
+            )
 
-        for _ in range(_PASSES):
-            equations.set_noise_point(before := known.mean)
+        for _ in range(_MAX_FRICTION_PASSES):
+            equations.set_noise_point(previous := posterior.mean)
             equations.noise, equations.table = self.noise, table
-            noise = estimate_noise(equations, known, weighed, self.rubs)
-            known, likely = by(noise)
-            at = table.find_index("deadband", "servos")
-            if at is None or abs(known.mean[at] - before[at]) < known.std[at]:
+            noise = estimate_noise(equations, posterior, scale_residual, self.friction_ratio)
+            posterior, log_evidence = fit_with_noise(noise)
+            index = table.find_index("deadband", "servos")
+            if index is None or abs(posterior.mean[index] - previous[index]) < posterior.std[index]:
                 break
-        _check_feet(robot, stands, equations, known)
-        equations.table = ParameterTable(known.parameters)
-        x, weight = known.mean, self.weight
-        usual = replace(self.noise, friction=self.rubs)
-        doubts = tuple(check_residuals(known, noise, usual, self.stuck))
-        level = all(one.code != "ground-slopes" for one in doubts)
-        scale = check_scale(robot, known, weight, level=level)
+        _check_feet(robot, stands, equations, posterior)
+        equations.table = ParameterTable(posterior.parameters)
+        mean, weight = posterior.mean, self.weight
+        expected_noise = replace(self.noise, friction=self.friction_ratio)
+        failures = tuple(check_residuals(posterior, noise, expected_noise, self.friction_error))
+        level = all(note.code != "ground-slopes" for note in failures)
+        scale_failures = check_scale(robot, posterior, weight, level=level)
         return StandFit(
             name=robot.name,
             source=stands.source,
             stands=len(stands),
-            estimates=tuple(describe_parameters(known)),
-            total_mass=_total_mass(robot, known),
-            com=tuple(estimate_com(robot, known)),
-            kp_factor=estimate_kp_over_mass(known, kp_only=True),
-            kp_over_mass=estimate_kp_over_mass(known),
+            estimates=tuple(describe_parameters(posterior)),
+            total_mass=_estimate_total_mass(robot, posterior),
+            com=tuple(estimate_com(robot, posterior)),
+            kp_factor=estimate_kp_over_mass(posterior, kp_only=True),
+            kp_over_mass=estimate_kp_over_mass(posterior),
             weight=weight,
-            residuals=dict(zip(stands.names, equations.compute_rms_residuals(x), strict=True)),
-            joint_residuals=_joint_residuals(stands, equations, known),
+            residuals=dict(zip(stands.names, equations.compute_rms_residuals(mean), strict=True)),
+            joint_residuals=_list_joint_residuals(stands, equations, posterior),
             noise=dict(vars(noise)),
-            failures=(*scale, *doubts, *self._contradicted(equations, noise, likely, by)),
-            diagnostics=(*notes, *_findings(known, self.stuck)),
-            posterior=known,
+            failures=(
+                *scale_failures,
+                *failures,
+                *self._find_contradicted_reading(equations, noise, log_evidence, fit_with_noise),
+            ),
+            diagnostics=(*notes, *_report_unmodelled_effects(posterior, self.friction_error)),
+            posterior=posterior,
         )
 
-    def _contradicted(
+    def _find_contradicted_reading(
         self,
         equations: StandEquations,
         noise: StandNoise,
-        likely: float,
-        by: Callable[[StandNoise], tuple[Posterior, float]],
+        log_evidence: float,
+        fit_with_noise: Callable[[StandNoise], tuple[Posterior, float]],
     ) -> Iterator[Diagnostic]:
-        """Yields the reading that all others contradict, if that explains more than noise does.
+        """Yield the reading that all others contradict, if noise explains less than its error.
 
-        One that is far off makes noise large, and hides in it. So what is asked is whether noise
-        that is as large as expected, and one reading off by anything, are more likely together.
+        A single wrong reading increases the estimated noise, which then hides the reading. Two
+        explanations are compared by their evidence: the estimated noise; and noise that is at most
+        as large as expected, together with one reading that is wrong by any amount (normal with
+        ``_OUTLIER_STD``).
         """
-        expected = vars(replace(self.noise, friction=self.rubs))
-        less = {name: min(own, expected[name]) for name, own in vars(noise).items()}
+        expected = vars(replace(self.noise, friction=self.friction_ratio))
+        smaller_levels = {name: min(level, expected[name]) for name, level in vars(noise).items()}
         try:
-            known, with_less = by(StandNoise(**less))
+            posterior, smaller_evidence = fit_with_noise(StandNoise(**smaller_levels))
         except (FitError, MeasurementError):  # that noise explains nothing
             return
-        one, *others = _joint_residuals(self.stands, equations, known)
-        off, times = Quantity(one.off, "rad"), abs(one.deviations)
-        wide = math.hypot(1.0, _ELSEWHERE * times / max(abs(one.off), _NOTHING**2))
-        gain = times**2 / 2 - math.log((1 + len(others)) * wide)
-        if times > _FAR and with_less + gain > likely:
-            at, joint = one.stand, one.joint
-            yield diagnose("reading-contradicted", stand=at, joint=joint, off=off, times=times)
+        worst, *other_residuals = _list_joint_residuals(self.stands, equations, posterior)
+        off, deviations = Quantity(worst.off, "rad"), abs(worst.deviations)
+        width_ratio = math.hypot(
+            1.0, _OUTLIER_STD * deviations / max(abs(worst.off), _ZERO_RTOL**2)
+        )
+        gain = deviations**2 / 2 - math.log((1 + len(other_residuals)) * width_ratio)
+        if deviations > _MAX_PARAMETER_STDS and smaller_evidence + gain > log_evidence:
+            stand, joint = worst.stand, worst.joint
+            yield diagnose(
+                "reading-contradicted", stand=stand, joint=joint, off=off, times=deviations
+            )
 
 
-_ELSEWHERE = 0.3
-"""rad: standard deviation of a reading that is of no such stand: of a servo that is stuck."""
+_OUTLIER_STD = 0.3
+"""Prior standard deviation [rad] of the error of a wrong reading, for example of a blocked servo.
+Chosen, not tuned."""
 
-_PASSES = 5
-"""In which friction that holds joints is noise by the last one's: two to four are enough."""
+_MAX_FRICTION_PASSES = 5
+"""Upper bound of the passes in which the dead band of the last pass defines the friction noise. Two
+to four suffice."""
 
 
-def _estimate(
+def _estimate_from_stands(
     robot: Robot,
     stands: MeasuredStands,
     equations: StandEquations,
-    weighed: Callable[[Array], LinearisedResiduals],
+    scale_residual: Callable[[Array], LinearisedResiduals],
     start: Array | None,
 ) -> Posterior:
-    """Returns the parameters that stands and priors make most probable."""
+    """Return the most probable parameters, estimated in ``LogCoordinates``."""
     table = equations.table
     logarithms = LogCoordinates(table)
 
-    def linearise(y: Array, about: Array) -> LinearisedResiduals:
+    def linearise(y: Array, noise_coordinates: Array) -> LinearisedResiduals:
         x = logarithms.to_parameters(y)
-        other = x if y is about else logarithms.to_parameters(about)
-        return logarithms.transform_linearised(equations.linearise(x, other) + weighed(x), y)
+        noise_point = x if y is noise_coordinates else logarithms.to_parameters(noise_coordinates)
+        return logarithms.transform_linearised(
+            equations.linearise(x, noise_point) + scale_residual(x), y
+        )
 
-    begin = logarithms.from_parameters(table.stated if start is None else start)
+    initial = logarithms.from_parameters(table.stated if start is None else start)
     try:
-        found = estimate_parameters(table, linearise, begin, least=logarithms.least, enough=_ENOUGH)
+        posterior = estimate_parameters(
+            table,
+            linearise,
+            initial,
+            lower_bounds=logarithms.lower_bounds,
+            min_decrease=_MIN_DECREASE,
+        )
     except FitError:
         _check_feet(robot, stands, equations)  # which may tell why
         raise
-    return logarithms.transform_posterior(found)
+    return logarithms.transform_posterior(posterior)
 
 
-_ENOUGH = 2e-3
-"""Of the cost: a step that promises no more is one of a twentieth of a standard deviation. What
-noise does depends a little on contact forces, of which no derivative is taken: less is not kept."""
+_MIN_DECREASE = 2e-3
+"""Predicted decrease of the cost below which the iteration has converged: sqrt(2e-3) is a twentieth
+of a standard deviation. The noise depends weakly on contact forces and is not differentiated, so
+that smaller decreases are not realised."""
 
 
 def predict_noise(
     robot: Robot, stands: MeasuredStands, encoder: float | None
 ) -> tuple[StandNoise, Array]:
-    """Returns the noise that is expected, and the dry friction (nu,) that makes torques uncertain.
+    """Return the expected noise, and the dry friction of the joints, shape (nu,) [N m].
 
     Args:
-        robot: The robot.
-        stands: Its stands, whose positions may show the encoders' step.
-        encoder: Standard deviation of a position, if it is known (rad).
+        robot: Robot.
+        stands: Stands, from whose positions the encoder step is estimated.
+        encoder: Standard deviation of a joint position [rad]; None if unknown.
     """
-    scale = robot.weight * robot.stand_height
+    torque_scale = robot.weight * robot.stand_height
     if encoder is None:
-        step = estimate_encoder_step(stands)
-        encoder = step / math.sqrt(12.0) if step else _FINE_ENCODER
-    rubbing = robot.joint_friction
-    return StandNoise(encoder), np.where(rubbing > 0, rubbing, _UNMODELLED * scale)
+        encoder_step = estimate_encoder_step(stands)
+        encoder = encoder_step / math.sqrt(12.0) if encoder_step else _DEFAULT_ENCODER_STD
+    friction = robot.joint_friction
+    return StandNoise(encoder), np.where(
+        friction > 0, friction, _DEFAULT_FRICTION_RATIO * torque_scale
+    )
 
 
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yields kind, subject, component and stated value of what stands may tell.
+    """Yield kind, subject, component and stated value of each parameter of stands.
 
     Args:
-        robot: The robot.
-        stands: Its stands.
-        kp: (nu,) stated stiffness (N m/rad).
+        robot: Robot.
+        stands: Stands.
+        kp: Stated stiffness, shape (nu,) [N m/rad].
     """
     yield from list_inertials(robot)
     for joint, name in enumerate(robot.joint_names):
@@ -713,7 +828,7 @@ def list_parameters(
 
 
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
-    """Yields kind, subject, component and stated value of masses and coms."""
+    """Yield kind, subject, component and stated value of masses and CoM components."""
     for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
         yield "mass", link, "", float(inertia.mass)
@@ -724,99 +839,116 @@ def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
 def get_stated_stiffness(
     robot: Robot, source: str, commanded: NDArray[np.bool_], kp: ArrayLike | None
 ) -> Array:
-    """Returns the servos' stated stiffness (nu,) (N m/rad); 0 without a servo.
+    """Return the stated servo stiffness, shape (nu,) [N m/rad]; 0 without a servo.
 
     Args:
-        robot: The robot.
-        source: From where the commands are.
-        commanded: (nu,) which joints have commands.
-        kp: What a caller says (N m/rad).
+        robot: Robot.
+        source: Source of the commands, for error messages.
+        commanded: Joints that have commands, shape (nu,).
+        kp: Stiffness that replaces the files' [N m/rad].
 
     Raises:
-        MeasurementError: If a joint has commands, and no file states its servo's kp.
+        MeasurementError: If a joint has commands, but no file states its kp.
     """
     if kp is None:
-        own = list_position_servos(robot)
-        made = {servo.joint for servo in robot.description.made_servos}
-        lacking = [
+        gains = list_position_servos(robot)
+        added_servos = {servo.joint for servo in robot.description.made_servos}
+        without_kp = [
             name
-            for name, asked in zip(robot.joint_names, commanded, strict=True)
-            if asked and (name not in own or name in made)
+            for name, has_command in zip(robot.joint_names, commanded, strict=True)
+            if has_command and (name not in gains or name in added_servos)
         ]
-        if lacking:
-            raise MeasurementError(source, diagnose("command-without-kp", joints=lacking))
-        return np.array([own.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
+        if without_kp:
+            raise MeasurementError(source, diagnose("command-without-kp", joints=without_kp))
+        return np.array([gains.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
     return resolve_servo_gains(robot, kp, 0.0).kp
 
 
-_AT_STOP = 2e-3
-"""rad: as near as that to a limit, a stop may carry, and no servo tells what."""
+_STOP_MARGIN = 2e-3
+"""Distance [rad] from a joint limit below which a mechanical stop may carry load, so that the servo
+error does not determine the joint torque. Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
-"""Standard deviations of an encoder's zero: a joint that is so far from a limit is not at it."""
+"""Standard deviations of an encoder offset that are kept between a joint and its limit. Chosen, not
+tuned."""
 
 
-def _zeros(robot: Robot, table: ParameterTable, known: Posterior | None) -> tuple[Array, Array]:
-    """Returns the zeros of encoders (nu,), and how sure: before measurements, or after (rad)."""
-    mean, std = (table.stated, table.width) if known is None else (known.mean, known.std)
-    places = [table.find_index("offset", name) for name in robot.joint_names]
-    found = [(0.0, 0.0) if place is None else (mean[place], std[place]) for place in places]
-    return np.array(found)[:, 0], np.array(found)[:, 1]
+def _get_encoder_offsets(
+    robot: Robot, table: ParameterTable, posterior: Posterior | None
+) -> tuple[Array, Array]:
+    """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad] each.
 
-
-def _used(
-    robot: Robot, stands: MeasuredStands, kp: Array, zeros: Array, sure: Array
-) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Returns stands without the commands that tell no torque, and which these are.
-
-    At a stop it may carry, as far as encoders' zeros are known (nu,); of a motor that gives all it
-    can, nobody knows by how much a command leads.
+    They are those of the prior if ``posterior`` is None.
     """
-    commanded, position = np.isfinite(stands.command), stands.position - zeros
-    lead, margin = (
-        np.nan_to_num(stands.command - stands.position),
-        _AT_STOP + LIMIT_MARGIN_STDS * sure,
+    mean, std = (
+        (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
     )
-    stopped = (position < robot.lower_limits + margin) | (position > robot.upper_limits - margin)
-    full = (np.abs(kp * lead) > _FULL * robot.effort_limits) & ~stopped
+    indices = [table.find_index("offset", name) for name in robot.joint_names]
+    offsets = [(0.0, 0.0) if index is None else (mean[index], std[index]) for index in indices]
+    return np.array(offsets)[:, 0], np.array(offsets)[:, 1]
+
+
+def _drop_uninformative_commands(
+    robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
+) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
+    """Return stands without commands that do not determine a torque, and notes on these commands.
+
+    A joint near its limit may rest on a stop, as far as encoder offsets are known. The command of a
+    motor at its torque limit may lead by any amount.
+    """
+    commanded, position = np.isfinite(stands.command), stands.position - offsets
+    servo_error, margin = (
+        np.nan_to_num(stands.command - stands.position),
+        _STOP_MARGIN + LIMIT_MARGIN_STDS * offset_std,
+    )
+    at_stop = (position < robot.lower_limits + margin) | (position > robot.upper_limits - margin)
+    at_full_torque = (
+        np.abs(kp * servo_error) > _FULL_TORQUE_RATIO * robot.effort_limits
+    ) & ~at_stop
     notes = [] if commanded.any() else [diagnose("stands-without-commands")]
-    for at_stop, found in ((True, stopped & commanded), (False, full)):
-        if found.any():
-            rows, joints = np.nonzero(found)
-            where = [stands.names[row] for row in np.unique(rows)]
-            names = [robot.joint_names[joint] for joint in np.unique(joints)]
-            notes.append(diagnose(_TELLS_NO_TORQUE[at_stop], stands=where, joints=names))
-    return replace(stands, command=np.where(stopped | full, np.nan, stands.command)), tuple(notes)
+    for is_stop, dropped in ((True, at_stop & commanded), (False, at_full_torque)):
+        if dropped.any():
+            rows, joints = np.nonzero(dropped)
+            stand_names = [stands.names[row] for row in np.unique(rows)]
+            joint_names = [robot.joint_names[joint] for joint in np.unique(joints)]
+            notes.append(diagnose(_COMMAND_NOTES[is_stop], stands=stand_names, joints=joint_names))
+    return replace(
+        stands, command=np.where(at_stop | at_full_torque, np.nan, stands.command)
+    ), tuple(notes)
 
 
-_TELLS_NO_TORQUE = {True: "stands-at-stops", False: "stands-with-full-torque"}
-"""{whether a joint is at a stop, or its motor gives all it can: the note}."""
+_COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
+"""{whether a joint is at a stop (otherwise its motor is at its torque limit): code of the note}."""
 
-_FULL = 0.98
-"""Of a motor's limit: what it gives then is cut off."""
+_FULL_TORQUE_RATIO = 0.98
+"""Ratio of torque to torque limit above which a motor's torque is treated as saturated. Chosen, not
+tuned."""
 
 
-def _weighed(
+def _make_scale_residual(
     robot: Robot, table: ParameterTable, weight: float | None
 ) -> Callable[[Array], LinearisedResiduals]:
-    """Returns what a scale says of the masses: one residual, or none."""
-    line = np.array([float(one.kind == "mass") for one in table])
-    rest = robot.total_mass - float(line @ table.stated)  # of what is no parameter
+    """Return a function of the parameters: the residual of the weighed mass, if any."""
+    mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
+    constant_mass = robot.total_mass - float(
+        mass_gradient @ table.stated
+    )  # of what is no parameter
 
     def residuals(x: Array) -> LinearisedResiduals:
         if weight is None:
             return LinearisedResiduals.empty(len(table))
-        sure = SCALE_RTOL * weight
+        std = SCALE_RTOL * weight
         return LinearisedResiduals.from_residuals(
-            np.array([(line @ x + rest - weight) / sure]), line[None] / sure
+            np.array([(mass_gradient @ x + constant_mass - weight) / std]),
+            mass_gradient[None] / std,
         )
 
     return residuals
 
 
-_TOUCHES = 1.0
-"""Standard deviations below the ground: a foot there is hardly in the air. Those of v3 that sag to
-within a millimetre of it may come out a little below."""
+_MAX_DEPTH_STDS = 1.0
+"""Largest depth below the ground of a foot in the air, in standard deviations. Feet of v3 that sag
+to within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
 
 
 def _check_feet(
@@ -825,130 +957,156 @@ def _check_feet(
     equations: StandEquations,
     posterior: Posterior | None = None,
 ) -> None:
-    """Checks that no foot that is said to carry has to pull, and none in the air touches.
+    """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    As far as encoders' zeros are known: by measurements, or before.
+    Encoder offsets are those of ``posterior``, or of the prior if it is None.
+
+    Raises:
+        MeasurementError: If there is one: the worst contradiction, feet in the air first, since a
+            pulling foot may be a consequence of another error.
     """
     table = equations.table
-    x = table.stated if posterior is None else posterior.mean
-    _, offsets = _zeros(robot, table, posterior)
+    mean = table.stated if posterior is None else posterior.mean
+    _, offsets = _get_encoder_offsets(robot, table, posterior)
     weight = robot.weight
-    found: list[tuple[float, Diagnostic]] = []
+    contradictions: list[tuple[float, Diagnostic]] = []
     for row, name in enumerate(stands.names):
-        for foot, (height, off) in equations.compute_swing_heights(row, x, offsets).items():
-            if height < -_TOUCHES * off:
-                at, high = ("foot", foot), Quantity(height, "m")
-                one = diagnose("foot-in-the-air-touches", subject=at, stand=name, height=high)
-                found.append((-height / off, one))
+        for foot, (height, std) in equations.compute_swing_heights(row, mean, offsets).items():
+            if height < -_MAX_DEPTH_STDS * std:
+                subject, height_value = ("foot", foot), Quantity(height, "m")
+                item = diagnose(
+                    "foot-in-the-air-touches", subject=subject, stand=name, height=height_value
+                )
+                contradictions.append((-height / std, item))
         for foot, force in equations.sum_normal_forces(row).items():
-            if force < -_PULLS * weight:
-                at, pull, up = ("foot", foot), Quantity(-force, "N"), list(stands.swing[row])
-                one = diagnose("foot-would-pull", subject=at, stand=name, force=pull, swing=up)
-                found.append((-force / (_PULLS * weight), one))
-    if found:  # the worst one: it may have drawn others; of joints first, which no servo draws
-        worst = max(found, key=lambda one: (one[1].code == _CONTRADICTIONS[0], one[0]))
+            if force < -_MAX_PULL_RATIO * weight:
+                subject, pull_force, swing = (
+                    ("foot", foot),
+                    Quantity(-force, "N"),
+                    list(stands.swing[row]),
+                )
+                item = diagnose(
+                    "foot-would-pull", subject=subject, stand=name, force=pull_force, swing=swing
+                )
+                contradictions.append((-force / (_MAX_PULL_RATIO * weight), item))
+    if (
+        contradictions
+    ):  # the worst one: it may have drawn others; of joints first, which no servo draws
+        worst = max(
+            contradictions,
+            key=lambda finding: (finding[1].code == _CONTRADICTION_CODES[0], finding[0]),
+        )
         raise MeasurementError(stands.source, worst[1])
 
 
-# Coordinates of parameters in which what is known before is normal: logarithms of what scales.
+# Coordinates in which all priors are normal.
 
 
 class LogCoordinates:
-    """A vector of parameters by logarithms of masses and stiffness, and back.
+    """Coordinates in which masses and kp are logarithms, so that their priors are normal.
 
-    Stands tell kp and masses by their ratio. Were each normal, all smaller together would be more
-    probable than all larger: twelve kp that differ by a tenth differ by less if all are halved, and
-    the most probable robot was 13 % too light. Factors are as probable either way.
+    Stands determine the ratio of kp to mass. With normal priors a robot with all of them smaller
+    would be more probable than with all larger: twelve kp that differ by a tenth differ by less if
+    all are halved, and the most probable robot was 13 % too light. With logarithms a factor and its
+    inverse are equally probable.
 
-    In place of x there stands x0 + x0 log(x / x0), x0 being the stated value: in the parameter's
-    unit, the same near x0, and with the same width before.
+    The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: it has the parameter's
+    unit, and agrees with x to first order about x0, so that the prior width is unchanged.
 
     Args:
-        table: The parameters.
+        table: Parameters.
 
     Attributes:
-        least: (n,) below which coordinates mean nothing.
+        lower_bounds: Lower bounds of the coordinates, shape (n,).
     """
 
     def __init__(self, table: ParameterTable) -> None:
-        kinds = [KINDS[one.kind] for one in table]
+        kinds = [KINDS[parameter.kind] for parameter in table]
         self._factors = np.array([kind.factor for kind in kinds], dtype=bool)
         self._stated = table.stated
-        above = np.array([kind.positive for kind in kinds], dtype=bool) & ~self._factors
-        self.least: Array = np.where(above, 0.0, -np.inf)
+        is_bounded = np.array([kind.positive for kind in kinds], dtype=bool) & ~self._factors
+        self.lower_bounds: Array = np.where(is_bounded, 0.0, -np.inf)
 
-    def to_parameters(self, logarithms: Array) -> Array:
-        """Returns parameters (n,) of coordinates (n,)."""
-        return np.where(self._factors, self._stated * self.compute_rates(logarithms), logarithms)
+    def to_parameters(self, coordinates: Array) -> Array:
+        """Return the parameters, shape (n,), for coordinates, shape (n,)."""
+        return np.where(self._factors, self._stated * self.compute_rates(coordinates), coordinates)
 
     def from_parameters(self, vector: Array) -> Array:
-        """Returns coordinates (n,) of parameters (n,)."""
-        found, stated = vector.copy(), self._stated[self._factors]
-        found[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
-        return found
+        """Return the coordinates, shape (n,), for parameters, shape (n,)."""
+        coordinates, stated = vector.copy(), self._stated[self._factors]
+        coordinates[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
+        return coordinates
 
-    def compute_rates(self, logarithms: Array) -> Array:
-        """Returns how fast parameters change with coordinates (n,): x / x0 of what scales."""
-        found = np.ones(len(logarithms))
+    def compute_rates(self, coordinates: Array) -> Array:
+        """Return dx/dy, shape (n,): x / x0 for logarithms, otherwise 1."""
+        rates = np.ones(len(coordinates))
         stated = self._stated[self._factors]
-        found[self._factors] = np.exp(logarithms[self._factors] / stated - 1)
-        return found
+        rates[self._factors] = np.exp(coordinates[self._factors] / stated - 1)
+        return rates
 
     def transform_linearised(
-        self, linearised: LinearisedResiduals, logarithms: Array
+        self, linearised: LinearisedResiduals, coordinates: Array
     ) -> LinearisedResiduals:
-        """Returns measurements about coordinates, of those about the parameters that they are."""
-        rates = self.compute_rates(logarithms)
+        """Return residuals linearised by coordinates, from those linearised by parameters."""
+        rates = self.compute_rates(coordinates)
         information = rates[:, None] * linearised.information * rates
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
     def transform_posterior(self, posterior: Posterior) -> Posterior:
-        """Returns what is known of parameters, as it is of coordinates, linear about the best.
+        """Return the distribution of the parameters, linearised about the mean of the coordinates.
 
-        What was known before is as wide as it is there: of a robot twice as heavy, twice as wide.
+        The prior widths are scaled as well: twice the mass has twice the width.
         """
         rates = self.compute_rates(posterior.mean)
         return replace(
             posterior,
             parameters=tuple(
-                replace(one, width=float(rate) * one.width)
-                for one, rate in zip(posterior.parameters, rates, strict=True)
+                replace(parameter, width=float(rate) * parameter.width)
+                for parameter, rate in zip(posterior.parameters, rates, strict=True)
             ),
             mean=self.to_parameters(posterior.mean),
             covariance=rates[:, None] * posterior.covariance * rates,
         )
 
 
-# How large noise is that nobody states: what the measurements themselves make most likely.
+# Noise levels, estimated by maximum evidence.
 
 
-_SPREAD = 1.5
-"""Standard deviation of a level's logarithm before: a factor of 4.5 either way."""
+_LEVEL_LOG_STD = 1.5
+"""Prior standard deviation of the logarithm of a noise level: a factor of 4.5 either way. Chosen,
+not tuned."""
 
-_FLATTEST = 1e-4
-"""m: links and floors are no better; simulated ones are, but feet sink by more than is modelled."""
+_MIN_FLATNESS = 1e-4
+"""Lower bound [m] of the unevenness of the ground, with which links are as accurate. Simulated
+ground is flatter, but the penetration of feet is modelled to about this accuracy."""
 
-_LEAST_MOMENT = 1e-4
-"""m: what feet keep alike in all stands, which are come to alike, hides in the zeros of encoders.
-No evidence tells of it. Feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
+_MIN_MOMENT = 1e-4
+"""Lower bound [m] of the moment on a contact point over its normal force. Moments that are equal in
+similar stands appear as encoder offsets, and not in the evidence. Measured: feet of v3 in MuJoCo
+keep 2e-5 to 1e-3 after 12 s."""
 
-_ALIKE = 0.5
-"""Of friction as files state it, at least: what stands keep alike parameters take up, and little is
-left to be found: a fifth on MEVIUS, which sinks without a bounce, and 88 % of intervals held."""
+_MIN_FRICTION_LEVEL = 0.5
+"""Lower bound of the random dry friction over the expected friction. Parameters absorb the part
+that is equal in all stands, so that the estimate is too small: a fifth on MEVIUS, with which
+only 88 % of the intervals contained the truth."""
 
-_SETTLES = 4
-"""Steps after which stands' own unknowns change no evidence that is told."""
+_UNKNOWN_STEPS = 4
+"""Steps of each stand's own unknowns before the noise is estimated. More do not change the
+evidence."""
 
-_EVALUATIONS = 40
-"""Of the evidence, in search of three levels: they are wanted to some ten per cent."""
+_MAX_EVALUATIONS = 40
+"""Upper bound of the evaluations of the evidence in the search for three levels, which are needed
+to about 10 %. Chosen, not tuned."""
 
 
 def scale_common_widths(
     table: ParameterTable, noise: StandNoise, expected: StandNoise
 ) -> ParameterTable:
-    """Returns parameters with what stands keep alike as large as what each keeps by itself.
+    """Return parameters whose widths of moments and settling follow the noise levels.
 
-    Friction of one sign no evidence shows: it is what the files state at least.
+    These parameters are the parts that are equal in all stands. The width of moments is
+    proportional to the noise of moments. The width of settling is at least that of the stated
+    friction, since the evidence does not show one-sided friction.
     """
     moments = table.with_scaled_widths("moment", noise.moment / expected.moment)
     return moments.with_scaled_widths("settling", max(1.0, noise.friction / expected.friction))
@@ -956,47 +1114,47 @@ def scale_common_widths(
 
 def estimate_noise(
     equations: StandEquations,
-    known: Posterior,
-    more: Callable[[Array], LinearisedResiduals],
-    rubs: float,
+    posterior: Posterior,
+    scale_residual: Callable[[Array], LinearisedResiduals],
+    friction_ratio: float,
 ) -> StandNoise:
-    """Returns the noise with moments on feet, flatness and joints' friction that are most likely.
+    """Estimate the noise levels by maximum evidence: moments, flatness and friction.
 
-    The greatest evidence: probability of the measurements, whatever the parameters are, times that
-    of the levels, which are log-normal about those that are expected.
+    Maximises the evidence of the measurements, with the parameters integrated out, times a
+    log-normal prior of the levels about their expected values (Nelder-Mead simplex).
 
     Args:
-        equations: Of the stands, with the noise that is expected.
-        known: With that noise; about its parameters residuals are taken.
-        more: Returns further residuals.
-        rubs: Factor on the stated friction that is expected.
+        equations: Equations of the stands, with the expected noise.
+        posterior: Distribution with the expected noise; the residuals are linearised at its mean.
+        scale_residual: Function of the parameters that returns further residuals.
+        friction_ratio: Expected factor on the stated dry friction.
     """
     from scipy import optimize  # slow to import
 
-    expected, x, table = equations.noise, known.mean, ParameterTable(known.parameters)
-    equations.linearise(x, x, _SETTLES)  # finds stands' own unknowns
-    stands, others = equations.evaluate_rows(x), more(x)
+    expected, mean, table = equations.noise, posterior.mean, ParameterTable(posterior.parameters)
+    equations.linearise(mean, mean, _UNKNOWN_STEPS)  # finds stands' own unknowns
+    stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
-    def at(levels: Array) -> StandNoise:
-        moment, flatness, friction = np.exp(levels)
+    def make_noise(log_levels: Array) -> StandNoise:
+        moment, flatness, friction = np.exp(log_levels)
         return replace(
             expected,
-            moment=max(_LEAST_MOMENT, expected.moment * moment),
-            flatness=max(_FLATTEST, expected.flatness * flatness),
-            friction=expected.friction * rubs * max(_ALIKE, friction),
+            moment=max(_MIN_MOMENT, expected.moment * moment),
+            flatness=max(_MIN_FLATNESS, expected.flatness * flatness),
+            friction=expected.friction * friction_ratio * max(_MIN_FRICTION_LEVEL, friction),
         )
 
-    def unlikely(levels: Array) -> float:
-        noise, finding = at(levels), others
+    def compute_cost(log_levels: Array) -> float:
+        noise, linearised = make_noise(log_levels), other_residuals
         for stand in stands:
             stand.set_noise(noise)
-            finding += stand.eliminate_own_unknowns()[0]
-        evidence = finding.compute_log_evidence(
-            scale_common_widths(table, noise, expected), known.moved
+            linearised += stand.eliminate_own_unknowns()[0]
+        evidence = linearised.compute_log_evidence(
+            scale_common_widths(table, noise, expected), posterior.moved
         )
-        return float(levels @ levels) / (2 * _SPREAD**2) - evidence
+        return float(log_levels @ log_levels) / (2 * _LEVEL_LOG_STD**2) - evidence
 
     simplex = np.vstack([np.zeros(3), -np.eye(3)])
-    options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 0.02}
-    found = optimize.minimize(unlikely, np.zeros(3), method="Nelder-Mead", options=options)
-    return at(found.x)
+    options = {"initial_simplex": simplex, "maxfev": _MAX_EVALUATIONS, "xatol": 0.05, "fatol": 0.02}
+    optimum = optimize.minimize(compute_cost, np.zeros(3), method="Nelder-Mead", options=options)
+    return make_noise(optimum.x)

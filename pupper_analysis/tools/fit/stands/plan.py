@@ -1,4 +1,8 @@
-"""Which stands to take: those that tell most of a robot's numbers, in reach and in balance."""
+"""Plan of stands: choose the stands whose measurements determine the parameters best.
+
+Candidates are random stands that are reachable, balanced and held by the servos (`RandomStands`).
+`choose_stands` selects a D-optimal subset.
+"""
 
 from __future__ import annotations
 
@@ -44,25 +48,25 @@ from pupper_analysis.tools.fit.stands.fit import (
 
 Array = NDArray[np.float64]
 
-_MOST_STANDS = 1000
-"""A day's work, and more."""
+_MAX_STANDS = 1000
+"""Upper bound of the number of planned stands. Chosen, not tuned: more than a day of work."""
 
-_CANDIDATES = 6
-"""Per stand that is wanted: among so many the best are found that a hundred more hardly better."""
+_CANDIDATES_PER_STAND = 6
+"""Number of candidates per planned stand. More hardly improve the plan."""
 
 
 @dataclass(frozen=True)
 class PlannedStand(Result):
-    """A stand to be taken.
+    """Stand of a plan.
 
     Attributes:
-        name: Its name.
-        swing: The feet in the air.
-        command: {joint: command of its servo (rad)}.
-        utilisation: Of the motor that gives most of what it can; None if none has a limit.
-        heading: How the robot is to be turned about the vertical (rad): the slope of the ground
-            changes with it, and a com does not.
-        added: Known mass that is to be put on (kg).
+        name: Stand name.
+        swing: Feet in the air.
+        command: Command of each joint's servo.
+        utilisation: Largest ratio of motor torque to torque limit; None if no motor has a limit.
+        heading: Rotation of the robot about the vertical. It changes the effect of the ground's
+            slope, and not that of a CoM.
+        added: Known mass that is attached.
     """
 
     name: str
@@ -75,14 +79,14 @@ class PlannedStand(Result):
 
 @dataclass(frozen=True, eq=False)
 class StandPlan(Result):
-    """Stands that tell most of a robot's numbers, and what they will tell.
+    """Planned stands, and the intervals that they are expected to give.
 
     Attributes:
-        name: The robot's name.
-        stands: The stands.
-        expected: Each parameter as the file has it, with the interval that these stands leave.
-        candidates: Among how many they were chosen.
-        place: Where a known mass is to be put on; None if no stand has one.
+        name: Robot name.
+        stands: Stands.
+        expected: Parameters with their stated values and the expected intervals.
+        candidates: Number of candidates from which the stands were chosen.
+        place: Link and position of the known mass; None if there is none.
     """
 
     name: str
@@ -103,105 +107,125 @@ def plan_stands(
     added_at: Place | None = None,
     seed: int = 0,
 ) -> StandPlan:
-    """Chooses the stands whose measurement tells most of a robot's numbers.
+    """Choose the stands whose measurement determines the parameters best (D-optimal design).
 
-    D-optimal: of random stands that the robot can hold, those are taken, one after the other, that
-    make the determinant of what is known largest, and each is then exchanged as long as that
-    betters it. They are in reach and balance, clear of themselves, within 60 % of the motors'
-    limits, and their servos hold them with the feed-forward of the file's own masses. At most a
-    third is on three feet, half of the candidates is turned by 180 degrees, and half has the known
-    mass on, if there is one.
+    The candidates are random stands; ``choose_stands`` maximises the determinant of the information
+    greedily, then by exchanges. Candidates are reachable, balanced, free of self-collision and
+    within 60 % of the torque limits; the servos hold them with feed-forward for the file's masses.
+    If possible at most a third of the stands is on three feet. Half of the candidates is rotated by
+    180 deg. If there is a known mass, half of the candidates carries it.
 
     Args:
-        robot: The robot, with a free base and feet.
-        count: How many stands.
-        priors: What is known before; as for ``fit_stands``.
-        kp: Stiffness of the servos (N m/rad); the model's own by default.
-        added: Known mass to be put on for some of the stands (kg); by default 15 % of the robot's,
-            to two digits.
-        added_at: Where, in the base's frame or in that of a link (m); by default on top of it.
-        seed: Of the random stands.
+        robot: Robot with a free base and feet.
+        count: Number of stands.
+        priors: Prior standard deviations; as for ``fit_stands``.
+        kp: Servo stiffness [N m/rad]; the model's by default.
+        added: Known mass [kg], 0 for none; by default 15 % of the robot's mass, rounded to two
+            digits.
+        added_at: Position of the known mass in the frame of the base or of a link [m]; by default
+            on top of the base.
+        seed: Seed of the random stands.
 
     Raises:
-        ConfigurationError: If the count is none, or the base is fixed.
-        MeasurementError: If the robot's servos hold too few stands.
+        ConfigurationError: If the count, the seed, the mass or its place is invalid, or the base is
+            fixed.
+        MeasurementError: If the servos hold too few candidates.
     """
     robot.check_floating()
     robot.check_tree("fit")
-    if not MIN_STANDS <= count <= _MOST_STANDS:
+    if not MIN_STANDS <= count <= _MAX_STANDS:
         raise ConfigurationError("count", diagnose("no-count", count=count, least=MIN_STANDS))
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     stiffness = get_stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
     rng = np.random.default_rng(seed)
-    known = parse_priors(priors)
+    prior_list = parse_priors(priors)
     if added is None:
         added = float(f"{KNOWN_MASS_FRACTION * robot.total_mass:.2g}")
-    place = find_place(robot, (0.0, 0.0, _top(robot)) if added_at is None else added_at)
-    loaded = with_payload(robot, added, (place.link, *place.offset))
-    found: list[_Candidate] = []
-    for one in [robot] if loaded is robot else [robot, loaded]:
-        candidates = RandomStands(one, rng, kp, known)
-        share = _CANDIDATES * count if loaded is robot else -(-_CANDIDATES * count // 2)
-        drawn = candidates.draw_stands(share)
-        mass = 0.0 if one is robot else added
-        found += [
-            _candidate(robot, stand, sagged, stiffness, math.pi * (at % 2), mass)
-            for at, (stand, sagged) in enumerate(drawn)
+    place = find_place(
+        robot, (0.0, 0.0, _compute_base_top(robot)) if added_at is None else added_at
+    )
+    loaded_robot = with_payload(robot, added, (place.link, *place.offset))
+    candidates: list[_Candidate] = []
+    for variant in [robot] if loaded_robot is robot else [robot, loaded_robot]:
+        generator = RandomStands(variant, rng, kp, prior_list)
+        num_draws = (
+            _CANDIDATES_PER_STAND * count
+            if loaded_robot is robot
+            else -(-_CANDIDATES_PER_STAND * count // 2)
+        )
+        draws = generator.draw_stands(num_draws)
+        added_mass = 0.0 if variant is robot else added
+        candidates += [
+            _make_candidate(robot, stand, sagged, stiffness, math.pi * (index % 2), added_mass)
+            for index, (stand, sagged) in enumerate(draws)
         ]
-        if len(drawn) < min(count, share):
-            raise MeasurementError(robot.name, candidates.explain_shortage(count))
-    stands = _as_measured(robot.name, [one.planned for one in found], place)
-    stands = replace(stands, position=np.array([one.position for one in found]))
-    table = ParameterTable(apply_priors(list_parameters(robot, stands, stiffness), known))
+        if len(draws) < min(count, num_draws):
+            raise MeasurementError(robot.name, generator.explain_shortage(count))
+    stands = _make_measured_stands(
+        robot.name, [candidate.planned for candidate in candidates], place
+    )
+    stands = replace(stands, position=np.array([candidate.position for candidate in candidates]))
+    table = ParameterTable(apply_priors(list_parameters(robot, stands, stiffness), prior_list))
     noise, friction = predict_noise(robot, stands, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
-    each = equations.compute_informations(table.stated)
-    lifted = [bool(one.planned.swing) for one in found]
-    chosen = choose_stands(each, table.precision, count, lifted, count // _ON_THREE_AT_MOST)
-    whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
-    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    informations = equations.compute_informations(table.stated)
+    lifted = [bool(candidate.planned.swing) for candidate in candidates]
+    chosen = choose_stands(
+        informations, table.precision, count, lifted, count // _STANDS_PER_LIFTED_FOOT
+    )
+    information = table.precision + np.sum([informations[place] for place in chosen], axis=0)
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
     return StandPlan(
         name=robot.name,
         stands=tuple(
-            replace(one.planned, name=f"s{number:02d}")
-            for number, one in enumerate(
-                sorted((found[at] for at in chosen), key=lambda one: one.effort), 1
+            replace(candidate.planned, name=f"s{number:02d}")
+            for number, candidate in enumerate(
+                sorted(
+                    (candidates[index] for index in chosen), key=lambda candidate: candidate.effort
+                ),
+                1,
             )
         ),
         expected=tuple(
             describe_parameter(
-                one, one.stated, one.width * float(after), classify_determination(float(after) ** 2)
+                parameter,
+                parameter.stated,
+                parameter.width * float(ratio),
+                classify_determination(float(ratio) ** 2),
             )
-            for one, after in zip(table.parameters, deviation, strict=True)
+            for parameter, ratio in zip(table.parameters, deviation, strict=True)
         ),
-        candidates=len(found),
-        place=place if loaded is not robot else None,
+        candidates=len(candidates),
+        place=place if loaded_robot is not robot else None,
     )
 
 
-def _top(robot: Robot) -> float:
-    """Returns how high shapes of the base reach above its frame's origin (m)."""
+def _compute_base_top(robot: Robot) -> float:
+    """Return the height [m] of the base's geoms above the origin of its frame, at least 0."""
     model, config = robot.mj_model, Configuration(robot, robot.home)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
     mujoco.mj_kinematics(model, data)
     geoms = np.flatnonzero(model.geom_bodyid == model.body(robot.mj_base).id)
-    turns = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
     middle, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
-    up = config.frame_rotation(robot.base)[:, 2]
-    along = np.einsum("gji,j->gi", turns, up)
-    high = data.geom_xpos[geoms] @ up + (along * middle + np.abs(along) * half).sum(axis=1)
-    return float((high - config.frame_position(robot.base) @ up).max(initial=0.0))
+    normal = config.frame_rotation(robot.base)[:, 2]
+    projections = np.einsum("gji,j->gi", rotations, normal)
+    heights = data.geom_xpos[geoms] @ normal + (
+        projections * middle + np.abs(projections) * half
+    ).sum(axis=1)
+    return float((heights - config.frame_position(robot.base) @ normal).max(initial=0.0))
 
 
-_ON_THREE_AT_MOST = 3
-"""One in so many stands is on three feet: which foot carries then, a person must see."""
+_STANDS_PER_LIFTED_FOOT = 3
+"""Reciprocal of the largest fraction of stands with a foot in the air. A person has to observe the
+feet in such stands. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A stand that may be taken, where its joints are then (nu,), and how high the base (m)."""
+    """Candidate: planned stand, joint positions, shape (nu,) [rad], and base height [m]."""
 
     planned: PlannedStand
     position: Array
@@ -209,23 +233,23 @@ class _Candidate:
 
     @property
     def effort(self) -> tuple[float, int, float, float]:
-        """With least to do between two of them: stands with the same mass and feet, in height."""
-        one = self.planned
-        return one.added, len(one.swing), one.heading, self.height
+        """Sort key that groups stands by known mass, number of swing feet and heading."""
+        stand = self.planned
+        return stand.added, len(stand.swing), stand.heading, self.height
 
 
-def _candidate(
+def _make_candidate(
     robot: Robot, stand: Stand, sagged: SteadyState, kp: Array, heading: float, added: float
 ) -> _Candidate:
-    """Returns a stand with what servos are commanded to hold it where it is clear of itself."""
+    """Create a candidate whose servos hold the sagged joint positions of a stand."""
     torque, position = sagged.joint_torques, sagged.qpos[7:]
-    share = float((np.abs(torque) / robot.effort_limits).max())
+    utilisation = float((np.abs(torque) / robot.effort_limits).max())
     command = (position + compute_command_lead(torque, kp)).tolist()
     planned = PlannedStand(
         name="",
         swing=tuple(stand.task.swing),
         command=dict(zip(robot.joint_names, command, strict=True)),
-        utilisation=share if np.isfinite(robot.effort_limits).any() else None,
+        utilisation=utilisation if np.isfinite(robot.effort_limits).any() else None,
         heading=heading,
         added=added,
     )
@@ -233,149 +257,165 @@ def _candidate(
 
 
 def choose_stands(
-    each: Sequence[Array],
-    before: Array,
+    informations: Sequence[Array],
+    prior_information: Array,
     count: int,
-    rare: Sequence[bool] = (),
-    most: int = 0,
+    is_rare: Sequence[bool] = (),
+    max_rare: int = 0,
 ) -> tuple[int, ...]:
-    """Returns which of some measurements make the determinant of all information largest.
+    """Choose measurements that maximise the determinant of the total information.
 
-    Taken greedily, then exchanged one by one: Fedorov's algorithm, which ends where no exchange
-    betters it. (V. V. Fedorov, Theory of Optimal Experiments, 1972.)
+    Greedy selection, followed by single exchanges (Fedorov's algorithm) until no exchange improves
+    the determinant, or for five rounds. (V. V. Fedorov, Theory of Optimal Experiments, 1972.)
 
     Args:
-        each: Information (n, n) of each.
-        before: (n, n) what is known without them.
-        count: How many are taken.
-        rare: Of each, whether no more than ``most`` are taken, as long as there are others.
-        most: How many.
+        informations: Information of each measurement, shape (n, n).
+        prior_information: Information without measurements, shape (n, n).
+        count: Number of measurements to choose.
+        is_rare: Whether a measurement counts towards ``max_rare``.
+        max_rare: Largest number of rare measurements, as long as others are available.
     """
     chosen: list[int] = []
-    scarce = set(np.flatnonzero(rare).tolist())
+    rare_indices = set(np.flatnonzero(is_rare).tolist())
 
-    def open_ones(had: Sequence[int]) -> list[int]:
-        left = [place for place in range(len(each)) if place not in had]
-        full = len(scarce & set(had)) >= most
-        return [place for place in left if not full or place not in scarce] or left
+    def open_ones(chosen_indices: Sequence[int]) -> list[int]:
+        candidates = [index for index in range(len(informations)) if index not in chosen_indices]
+        full = len(rare_indices & set(chosen_indices)) >= max_rare
+        return [
+            index for index in candidates if not full or index not in rare_indices
+        ] or candidates
 
-    whole = before.copy()
+    information = prior_information.copy()
     for _ in range(count):
-        best = max(open_ones(chosen), key=lambda place: _volume(whole + each[place]))
-        chosen.append(best)
-        whole = whole + each[best]
-    for _ in range(_EXCHANGES):
-        had = list(chosen)
-        for slot, place in enumerate(had):
-            without = whole - each[place]
-            others = [*chosen[:slot], *chosen[slot + 1 :]]
-            allowed = dict.fromkeys([*open_ones(others), place])
-            best = max(allowed, key=lambda one: _volume(without + each[one]))
-            chosen[slot], whole = best, without + each[best]
-        if chosen == had:
+        best_index = max(
+            open_ones(chosen), key=lambda index: _log_determinant(information + informations[index])
+        )
+        chosen.append(best_index)
+        information = information + informations[best_index]
+    for _ in range(_MAX_EXCHANGE_ROUNDS):
+        chosen_indices = list(chosen)
+        for slot, index in enumerate(chosen_indices):
+            information_without = information - informations[index]
+            other_indices = [*chosen[:slot], *chosen[slot + 1 :]]
+            allowed = dict.fromkeys([*open_ones(other_indices), index])
+            best_index = max(
+                allowed,
+                key=lambda candidate: _log_determinant(
+                    information_without + informations[candidate]
+                ),
+            )
+            chosen[slot], information = best_index, information_without + informations[best_index]
+        if chosen == chosen_indices:
             break
     return tuple(sorted(chosen))
 
 
-_EXCHANGES = 5
-"""Rounds of exchanges; two or three are enough."""
+_MAX_EXCHANGE_ROUNDS = 5
+"""Upper bound of the exchange rounds. Two or three suffice."""
 
 
-def _volume(information: Array) -> float:
+def _log_determinant(information: Array) -> float:
+    """Return the logarithm of the absolute determinant."""
     return float(np.linalg.slogdet(information)[1])
 
 
-def _as_measured(
-    source: str, planned: Sequence[PlannedStand], place: Tool | None
+def _make_measured_stands(
+    source: str, planned: Sequence[PlannedStand], tool: Tool | None
 ) -> MeasuredStands:
-    """Returns planned stands as they are measured, positions to be filled in."""
-    command = np.array([list(one.command.values()) for one in planned])
+    """Return planned stands as measured stands with missing positions."""
+    command = np.array([list(stand.command.values()) for stand in planned])
     loads = {}
-    if place is not None and any(one.added for one in planned):
-        on = [[one.added, *place.offset] if one.added else [0.0] * 4 for one in planned]
-        loads = {place.link: np.array(on)}
+    if tool is not None and any(stand.added for stand in planned):
+        load_rows = [[stand.added, *tool.offset] if stand.added else [0.0] * 4 for stand in planned]
+        loads = {tool.link: np.array(load_rows)}
     return MeasuredStands(
         source=source,
-        names=tuple(one.name for one in planned),
+        names=tuple(stand.name for stand in planned),
         joints=tuple(planned[0].command),
         command=command,
         position=np.full(command.shape, np.nan),
-        swing=tuple(one.swing for one in planned),
-        heading=np.array([one.heading for one in planned]),
+        swing=tuple(stand.swing for stand in planned),
+        heading=np.array([stand.heading for stand in planned]),
         added=loads,
     )
 
 
 @check_arguments
 def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> None:
-    """Writes stands as a CSV file that ``read_stands`` reads, once positions are filled in.
+    """Write a plan as CSV for ``read_stands``; the positions are empty until they are measured.
 
     Args:
-        plan: The stands.
-        path: The file.
-        force: Replace what is no plan, too; but never a plan with readings, which no computer can
-            make again.
+        plan: Plan.
+        path: Output file.
+        force: Whether to replace a file that is not a plan. Plans with measured positions are never
+            replaced.
 
     Raises:
-        OutputError: If it cannot be written, or what is there must not be replaced.
+        OutputError: If the file cannot be written or must not be replaced.
     """
     with write_atomically(Path(path), PLAN_KIND, force=force) as file:
-        text = format_stands(_as_measured(plan.name, plan.stands, plan.place))
-        file.write(text.encode())
+        content = format_stands(_make_measured_stands(plan.name, plan.stands, plan.place))
+        file.write(content.encode())
 
 
-# Random stands that a robot's servos hold, with numbers that are not known yet.
+# Random stands that the servos hold in spite of uncertain parameters.
 
-_TRIES = 8
-"""Per stand: one in two to four is in reach, in balance and lasts."""
+_TRIES_PER_STAND = 8
+"""Upper bound of the tries per requested stand. One try in two to four gives a stand."""
 
-_IN_VAIN = 24
-"""Tries, of which none is a stand: even the nominal one, nearly, was tried then."""
+_MAX_FAILED_TRIES = 24
+"""Number of tries after which the search ends if none gave a stand. By then the range has shrunk
+nearly to the nominal stand. Chosen, not tuned."""
 
-_NARROWER, _WIDER = 0.85, 1.2
-"""After a stand that the robot does not come to, the next one is drawn nearer to the nominal one,
-after one that it holds further away: one in two is held, from robots with much reach and little."""
+_SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
+"""Factors on the range of random stands after a refused and after an accepted stand. They balance
+at about one accepted stand in two, for robots with large and small workspaces."""
 
-_UTILISED = 0.6
-"""Of a motor's limit, at most: what is measured is a robot that stands for minutes."""
+_MAX_UTILISATION = 0.6
+"""Upper bound of motor torque over torque limit, since stands last minutes. Chosen, not tuned."""
 
-_LOWEST, _HIGHEST = 0.75, 1.1
-"""Of the nominal stand's height."""
+_MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.75, 1.1
+"""Bounds of the base height, as fractions of the nominal height. Chosen, not tuned."""
 
-_TILT = 0.25
-"""rad: roll and pitch, either way."""
+_MAX_TILT = 0.25
+"""Upper bound [rad] of roll and pitch, in both directions. Chosen, not tuned."""
 
-_STEP = 0.15
-"""Of the height: how far a foot stands from its nominal place, either way."""
+_MAX_STEP_RATIO = 0.15
+"""Upper bound of a foot's displacement along x and y, in both directions, as a fraction of the
+nominal height. Chosen, not tuned."""
 
-_LIFTED = 0.15
-"""Of the height: how high a foot is swung, at least."""
+_MIN_LIFT_RATIO = 0.15
+"""Lower bound of a swing foot's height, as a fraction of the nominal height. Chosen, not tuned."""
 
-_ON_THREE = 0.4
-"""Share of candidates with a foot in the air, of robots with four feet and more."""
+_LIFTED_PROBABILITY = 0.4
+"""Probability of a candidate with a foot in the air, for robots with at least four feet. Chosen,
+not tuned."""
 
-_CLEAR = 0.005
-"""m: between links, in a stand that a robot comes to: by so much knees of v3 are off with encoders
-that are by 3 deg."""
+_MIN_CLEARANCE = 0.005
+"""Clearance [m] between links. Knees of v3 are displaced by this distance with an encoder offset of
+3 deg."""
 
-_PASSES = 0.5
-"""Of what is between links in the nominal stand, where that is little: thighs pass by bodies."""
+_CLEARANCE_FRACTION = 0.5
+"""Clearance between links as a fraction of that in the nominal stand, if this is smaller: thighs
+are close to the body. Chosen, not tuned."""
 
-_MARGIN = 0.05
-"""Of the height: how far the com is from the polygon's edge, at least."""
+_COM_MARGIN_RATIO = 0.05
+"""Lower bound of the CoM margin, as a fraction of the nominal height. Chosen, not tuned."""
 
 
 class RandomStands:
-    """Draws stands within 60 % of the motors' limits, in reach, in balance, clear of themselves.
+    """Generator of random stands that the servos hold.
 
-    Joints keep off their limits: one whose encoder is off may be at a stop that nobody sees. The
-    com keeps off the polygon's edge by as much as it may be aside, where that leaves it any place.
+    Stands are reachable, balanced, free of self-collision, and within 60 % of the torque limits.
+    Joints keep three standard deviations of an encoder offset from their limits, since a joint may
+    rest on a stop unnoticed. The CoM margin is the larger of one standard deviation of the
+    horizontal CoM position and 5 % of the height, or 5 % if the former is not reachable.
 
     Args:
-        robot: The robot, with a free base and feet.
-        rng: Of the stands.
-        kp: Stiffness of the servos (N m/rad); the model's own by default.
-        priors: What is known of the robot before.
+        robot: Robot with a free base and feet.
+        rng: Random generator.
+        kp: Servo stiffness [N m/rad]; the model's by default.
+        priors: Priors of the robot's parameters.
     """
 
     def __init__(
@@ -386,89 +426,97 @@ class RandomStands:
         priors: Sequence[Prior] = (),
     ) -> None:
         self._robot, self._rng, self._kp = robot, rng, kp
-        self._off_limits = LIMIT_MARGIN_STDS * _offset_width(robot, priors)
-        self._off_edge = compute_com_std(robot, priors)
-        self._clear = _clearance(robot)
-        # A foot stays in the air though servos give way, and zeros of encoders are off.
-        lowered = _sag(robot, kp) + self._off_limits * robot.stand_height
-        self._lifted = max(_LIFTED * robot.stand_height, lowered)
-        self._far, self._found = 1.0, 0
-        self._refused: Counter[str] = Counter()
+        self._joint_margin = LIMIT_MARGIN_STDS * _get_offset_std(robot, priors)
+        self._com_margin = compute_com_std(robot, priors)
+        self._clearance = _compute_clearance(robot)
+        # The swing foot must stay in the air in spite of servo sag and encoder offsets.
+        lowered = _compute_sag(robot, kp) + self._joint_margin * robot.stand_height
+        self._swing_height = max(_MIN_LIFT_RATIO * robot.stand_height, lowered)
+        self._range_scale, self._num_found = 1.0, 0
+        self._refusal_counts: Counter[str] = Counter()
 
     def draw_stands(self, count: int) -> list[tuple[Stand, SteadyState]]:
-        """Returns stands, and where the servos let them sag to; fewer if there are too few."""
-        found: list[tuple[Stand, SteadyState]] = []
-        for tries in range(_TRIES * count):
-            if len(found) == count or (tries == _IN_VAIN and not found):
+        """Return stands, and the steady states to which the servos let them sag.
+
+        Fewer than ``count`` are returned if the tries do not suffice.
+        """
+        stands: list[tuple[Stand, SteadyState]] = []
+        for num_tries in range(_TRIES_PER_STAND * count):
+            if len(stands) == count or (num_tries == _MAX_FAILED_TRIES and not stands):
                 break
-            stand = self._held(self._task())
-            self._far = min(1.0, self._far * (_NARROWER if stand is None else _WIDER))
-            found += [] if stand is None else [stand]
-        self._found = len(found)
-        return found
+            stand = self._solve_task(self._draw_task())
+            self._range_scale = min(
+                1.0, self._range_scale * (_SHRINK_FACTOR if stand is None else _GROW_FACTOR)
+            )
+            stands += [] if stand is None else [stand]
+        self._num_found = len(stands)
+        return stands
 
-    def explain_shortage(self, wanted: int) -> Diagnostic:
-        """Returns why there are fewer than that: what most stands failed in."""
-        code = max(self._refused, key=lambda one: self._refused[one])
+    def explain_shortage(self, requested: int) -> Diagnostic:
+        """Return a message with the most frequent reason for fewer stands than requested."""
+        code = max(self._refusal_counts, key=lambda code_name: self._refusal_counts[code_name])
         if code == "too-few-in-reach":
-            off = Quantity(self._off_limits, "rad")
-            return diagnose("too-few-in-reach", found=self._found, wanted=wanted, off=off)
+            offset_margin = Quantity(self._joint_margin, "rad")
+            return diagnose(
+                "too-few-in-reach", found=self._num_found, wanted=requested, off=offset_margin
+            )
         if code == "too-few-within-limits":
-            return diagnose("too-few-within-limits", found=self._found, wanted=wanted)
-        return diagnose("too-few-are-held", found=self._found, wanted=wanted)
+            return diagnose("too-few-within-limits", found=self._num_found, wanted=requested)
+        return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
-    def _task(self) -> StandTask:
-        rng, size, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
+    def _draw_task(self) -> StandTask:
+        """Draw a random stand task."""
+        rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
-        if len(feet) > 3 and rng.random() < _ON_THREE:
-            swing = {feet[rng.integers(len(feet))]: self._lifted}
+        if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
+            swing = {feet[rng.integers(len(feet))]: self._swing_height}
 
-        def either(most: float) -> tuple[float, float]:
-            one, two = self._far * rng.uniform(-most, most, 2)
-            return float(one), float(two)
+        def draw_pair(limit: float) -> tuple[float, float]:
+            first, second = self._range_scale * rng.uniform(-limit, limit, 2)
+            return float(first), float(second)
 
-        higher = rng.uniform(_LOWEST - 1, _HIGHEST - 1)
-        roll, pitch = either(_TILT)
+        height_change = rng.uniform(_MIN_HEIGHT_RATIO - 1, _MAX_HEIGHT_RATIO - 1)
+        roll, pitch = draw_pair(_MAX_TILT)
         return StandTask(
-            height=size * (1 + self._far * higher),
+            height=height * (1 + self._range_scale * height_change),
             roll=roll,
             pitch=pitch,
             swing=swing,
-            foot_offsets={foot: either(_STEP * size) for foot in feet},
+            foot_offsets={foot: draw_pair(_MAX_STEP_RATIO * height) for foot in feet},
             com="inside",
-            com_margin=max(self._off_edge, _MARGIN * size),
-            self_clearance=self._clear,
-            joint_margin=self._off_limits,
+            com_margin=max(self._com_margin, _COM_MARGIN_RATIO * height),
+            self_clearance=self._clearance,
+            joint_margin=self._joint_margin,
         )
 
-    def _held(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
-        """Returns the stand and where it sags to; None, and counts why, if it is not held."""
-        robot, nearer = self._robot, _MARGIN * self._robot.stand_height
+    def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
+        """Return the stand and its steady state; None, counting the reason, if it is not held."""
+        robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
             try:
                 stand = solve_stand(robot, task, explain=False)
             except PupperAnalysisError:
-                stand = solve_stand(robot, replace(task, com_margin=nearer), explain=False)
+                stand = solve_stand(robot, replace(task, com_margin=smaller_margin), explain=False)
         except PupperAnalysisError:
-            self._refused["too-few-in-reach"] += 1
+            self._refusal_counts["too-few-in-reach"] += 1
             return None
         try:
             sagged = steady_state(robot, stand, kp=self._kp, feedforward=True)
         except PupperAnalysisError:
-            self._refused["too-few-are-held"] += 1
+            self._refusal_counts["too-few-are-held"] += 1
             return None
-        carries = set(sagged.stance_feet) == set(stand.stance_feet)
-        if sagged.failures or not carries:
-            self._refused["too-few-are-held"] += 1
+        same_feet = set(sagged.stance_feet) == set(stand.stance_feet)
+        if sagged.failures or not same_feet:
+            self._refusal_counts["too-few-are-held"] += 1
             return None
-        if (np.abs(sagged.joint_torques) > _UTILISED * robot.effort_limits).any():
-            self._refused["too-few-within-limits"] += 1
+        if (np.abs(sagged.joint_torques) > _MAX_UTILISATION * robot.effort_limits).any():
+            self._refusal_counts["too-few-within-limits"] += 1
             return None
         return stand, sagged
 
 
-def _sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Returns by how much servos alone let the nominal stand sink (m); 0 where they hold none."""
+def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
+    """Return the sag [m] of the nominal stand without feed-forward; 0 if it is not held."""
     try:
         stand = solve_stand(robot, explain=False)
         return float(max(0.0, stand.qpos[2] - steady_state(robot, stand, kp=kp).qpos[2]))
@@ -476,27 +524,31 @@ def _sag(robot: Robot, kp: ArrayLike | None) -> float:
         return 0.0
 
 
-def _clearance(robot: Robot) -> float | None:
-    """Returns how far links are to be from each other (m); None if they touch as it is."""
+def _compute_clearance(robot: Robot) -> float | None:
+    """Return the required clearance [m] between links; None if links touch in the nominal stand."""
     try:
-        near = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
-    except PupperAnalysisError:  # of its shapes none are apart
+        clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
+    except PupperAnalysisError:  # overlapping shapes
         return None
-    return None if near is None else min(_CLEAR, _PASSES * near.distance)
+    return (
+        None if clearance is None else min(_MIN_CLEARANCE, _CLEARANCE_FRACTION * clearance.distance)
+    )
 
 
-def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Returns how far an encoder's zero may be off (rad), as a standard deviation."""
+def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
+    """Return the largest prior standard deviation of an encoder offset [rad]."""
     offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
-    named = [prior for prior in priors if prior.kind == "offset"]
-    return max((one.width for one in apply_priors(offsets, named)), default=0.0)
+    offset_priors = [prior for prior in priors if prior.kind == "offset"]
+    return max((parameter.width for parameter in apply_priors(offsets, offset_priors)), default=0.0)
 
 
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Returns how far aside the com of the whole robot may be (m), as a standard deviation.
+    """Return the prior standard deviation of the robot's CoM [m], the larger one of x and y.
 
-    In the nominal stand, along the worse of x and y, by what is known of masses and coms.
+    It belongs to the nominal stand, and follows from the priors of masses and CoM positions.
     """
-    given = [one for one in priors if one.kind in ("mass", "com")]
-    before = Posterior.from_prior(ParameterTable(apply_priors(list_inertials(robot), given)))
-    return max(one.std for one in list(estimate_com(robot, before))[:2])
+    inertial_priors = [prior for prior in priors if prior.kind in ("mass", "com")]
+    prior_posterior = Posterior.from_prior(
+        ParameterTable(apply_priors(list_inertials(robot), inertial_priors))
+    )
+    return max(estimate.std for estimate in list(estimate_com(robot, prior_posterior))[:2])

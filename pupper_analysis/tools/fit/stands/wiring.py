@@ -1,4 +1,4 @@
-"""Which servos answer to another's name, or turn the other way: plugs and signs that are wrong."""
+"""Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from pupper_analysis.tools.fit.result import Fit
 
 Array = NDArray[np.float64]
 
-_TRIED = 3
-"""Wirings that are fitted whole: the true one is the first as a rule, and the second where a knee's
-zero is far off, too."""
+_MAX_FITTED_WIRINGS = 3
+"""Number of wirings that are fitted. Usually the first one is the true one; it is the second one if
+an encoder offset is large as well."""
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """Joints whose columns of measurements are exchanged, or have the other sign.
+    """Assignment of measured columns to joints, with signs.
 
     Attributes:
-        order: (nu,) from which column each joint's numbers are taken.
-        signs: (nu,) 1, or -1 of a joint that turns the other way.
-        found: What is said of it.
+        order: Column from which each joint's values are taken, shape (nu,).
+        signs: 1, or -1 for a joint that rotates in the opposite direction, shape (nu,).
+        found: Message that describes the wiring.
     """
 
     order: tuple[int, ...]
@@ -39,7 +39,7 @@ class Wiring:
     found: Diagnostic
 
     def apply(self, stands: MeasuredStands) -> MeasuredStands:
-        """Returns stands, with a robot's joints in its order, as this wiring has them."""
+        """Return the stands with this wiring; joints are in actuator order."""
         order, signs = list(self.order), np.array(self.signs)
         return replace(
             stands,
@@ -49,31 +49,37 @@ class Wiring:
 
 
 def generate_wirings(robot: Robot) -> Iterator[Wiring]:
-    """Yields one sign that is wrong, two plugs or two legs that are exchanged: each alone."""
-    names, same, plain = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
+    """Yield wirings with one error: a wrong sign, two exchanged joints, or two exchanged legs."""
+    names, identity, positive = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
-        signs = tuple(-1.0 if other == joint else 1.0 for other in same)
-        yield Wiring(same, signs, diagnose("joint-turns-the-other-way", joint=name))
-    for one, other in itertools.combinations(same, 2):
-        found = diagnose("joints-exchanged", joints=[names[one]], others=[names[other]])
-        yield Wiring(_exchange(same, [one], [other]), plain, found)
+        signs = tuple(-1.0 if other == joint else 1.0 for other in identity)
+        yield Wiring(identity, signs, diagnose("joint-turns-the-other-way", joint=name))
+    for one, other in itertools.combinations(identity, 2):
+        message = diagnose("joints-exchanged", joints=[names[one]], others=[names[other]])
+        yield Wiring(_exchange_entries(identity, [one], [other]), positive, message)
     legs = [[names.index(name) for name in leg_joints(robot, p)] for p in robot.contact_points]
     legs = [leg for number, leg in enumerate(legs) if leg not in legs[:number]]
     for first, second in itertools.combinations(legs, 2):
         if len(first) == len(second) > 1 and not set(first) & set(second):
-            found = diagnose(
+            message = diagnose(
                 "joints-exchanged",
                 joints=[names[joint] for joint in first],
                 others=[names[joint] for joint in second],
             )
-            yield Wiring(_exchange(same, first, second), plain, found)
+            yield Wiring(_exchange_entries(identity, first, second), positive, message)
 
 
-def _exchange(order: tuple[int, ...], first: list[int], second: list[int]) -> tuple[int, ...]:
-    found = list(order)
-    for one, other in zip(first, second, strict=True):
-        found[one], found[other] = found[other], found[one]
-    return tuple(found)
+def _exchange_entries(
+    order: tuple[int, ...], first: list[int], second: list[int]
+) -> tuple[int, ...]:
+    """Return an order in which the entries of two lists are exchanged pairwise."""
+    exchanged = list(order)
+    for first_entry, second_entry in zip(first, second, strict=True):
+        exchanged[first_entry], exchanged[second_entry] = (
+            exchanged[second_entry],
+            exchanged[first_entry],
+        )
+    return tuple(exchanged)
 
 
 def find_wiring(
@@ -82,30 +88,31 @@ def find_wiring(
     evidence: Callable[[MeasuredStands], float],
     fit: Callable[[MeasuredStands], Fit],
 ) -> Wiring | None:
-    """Returns the wiring with which the model explains stands that it does not explain as they are.
+    """Return the wiring with which the model explains the stands; None if there is none.
 
-    Wirings are ranked by the evidence of the measurements, linear about the file's numbers. Those
-    that are more likely than the stands as they are, the first ones, are fitted whole: what is
-    otherwise with the robot may leave less with plugs exchanged, and hardly anything leaves none.
-    None is named that leaves anything unexplained.
+    Wirings are ranked by the log evidence of the measurements, linearised about the stated values.
+    The first three of those that are more probable than the present wiring are fitted, and the
+    first one with which the model explains everything is returned.
 
     Args:
-        robot: The robot.
-        stands: Its stands, with its joints in its order.
-        evidence: Returns the logarithm of how likely stands are; raises where they cannot be.
-        fit: Fits them.
+        robot: Robot.
+        stands: Stands, joints in actuator order.
+        evidence: Function that returns the log evidence of stands.
+        fit: Function that fits stands.
     """
 
-    def likely(given: MeasuredStands) -> float:
+    def evaluate(candidate: MeasuredStands) -> float:
         try:
-            return evidence(given)
-        except (PupperAnalysisError, np.linalg.LinAlgError):  # out of reach, or of balance
+            return evidence(candidate)
+        except (PupperAnalysisError, np.linalg.LinAlgError):  # unreachable or not balanced
             return -math.inf
 
-    as_is = likely(stands)
-    ranked = [(likely(wiring.apply(stands)), wiring) for wiring in generate_wirings(robot)]
-    ranked = sorted((one for one in ranked if one[0] > as_is), key=lambda one: -one[0])
-    for _, wiring in ranked[:_TRIED]:
+    current_evidence = evaluate(stands)
+    ranked = [(evaluate(wiring.apply(stands)), wiring) for wiring in generate_wirings(robot)]
+    ranked = sorted(
+        (item for item in ranked if item[0] > current_evidence), key=lambda item: -item[0]
+    )
+    for _, wiring in ranked[:_MAX_FITTED_WIRINGS]:
         try:
             if fit(wiring.apply(stands)).explained:
                 return wiring
