@@ -1,8 +1,8 @@
-"""The table of what can be asked of a stand: one entry a wish, with its facts and its words.
+"""Table of the requirements of a stand: one `Field` per requirement, read from ``fields.toml``.
 
-``StandTask``'s checks and words, the command line's options, the live page's sliders and exports,
-and the numbers that a study varies are derived from it. It loads no engine, so that ``--help`` need
-not wait for one.
+The checks and texts of `StandTask`, the command-line options, the sliders and exports of the live
+page, and the variables of a study are derived from this table. The module imports no engine, so
+that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ UNIT_BY_KIND = {
     "damping": "N m s/rad",
     "contact": "m",
 }
-"""{kind of a field: unit of its numbers}."""
+"""{kind of a field: SI unit of its numbers}."""
 
-_AXES = {"point": "xy", "point3": "xyz"}
+_AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
+"""{kind of a field: axes of its point}; other kinds have none."""
 
 
 @dataclass(frozen=True)
 class Slider:
-    """How far a slider goes; see ``live.sliders``.
+    """Range of a slider of the live page.
 
     Attributes:
-        folder: Under which heading it is.
-        low: Where it begins: deg, or a part of the nominal stand's height for lengths.
-        high: Where it ends, likewise.
-        step: From notch to notch; what suits its length by default.
-        start: Where it is on a page just opened (SI units); the nominal value by default.
+        folder: Heading of the group that contains the slider.
+        low: Lower end: deg for angles, stand heights for lengths, else SI units.
+        high: Upper end, in the unit of ``low``.
+        step: Step of the slider, in the unit of ``low``. None: derived from the range.
+        start: Initial value on a new page, in SI units. None: the nominal value.
     """
 
     folder: str
@@ -59,13 +60,13 @@ class Slider:
 
 @dataclass(frozen=True)
 class Words:
-    """What a field is called in one language.
+    """Texts of a field in one language.
 
     Attributes:
-        label: Its name on a slider, without a unit.
-        hint: What it is about; ``{axis}`` is where a number of a point goes.
-        said: The template of a task's text, with ``{value}``, ``{of}`` (a foot or joint) and
-            all other fields.
+        label: Name on a slider, without unit.
+        hint: Explanation; ``{axis}`` is replaced by the axis of a point's component.
+        said: Template of the field's part in a task text, with ``{value}``, ``{of}`` (a foot or
+            joint) and all other fields. Empty if the field is not part of the text.
     """
 
     label: str
@@ -75,36 +76,36 @@ class Words:
 
 @dataclass(frozen=True)
 class Field:
-    """One wish.
+    """One requirement of a stand.
 
     Attributes:
-        name: Of the attribute that has it.
-        kind: ``"length"``, ``"angle"``, ``"position"`` (of a joint: an angle, or a length of one
-            that slides), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or one of
-            ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``, ``"contact"``
-            (what is touched, and where).
-        en: Its words in English.
-        zh: Those in Simplified Chinese.
-        part: Whose attribute it is: the ``"task"``'s, or its ``"ground"``'s.
-        frame: Whether its point may be in another frame than the base's: (frame, x, y, z).
-        per: Of what it is a mapping to such values: ``"foot"``, ``"joint"``, ``"link"``; empty if
-            it is none.
-        optional: Whether nothing may be asked, by None; else it is 0.
-        nominal: What the nominal stand has: ``"zero"``, an attribute of the robot, the ``"centre"``
-            of the feet that carry, ``"foot_places"``, or what is the robot's ``"own"``.
-        low: The least that makes sense (SI units).
-        high: The greatest.
-        open: Whether ``low`` itself makes no sense.
-        choices: Words that are values, too.
-        constraint: What it sets of the problem that a stand solves.
-        gives: Which way it gives where a stance is out of reach: ``"either"``, ``"less"`` (towards
+        name: Name of the attribute.
+        kind: ``"length"``, ``"angle"``, ``"position"`` (of a joint: an angle, or the length of a
+            slide), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or one of ``choices``),
+            ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"`` or ``"contact"`` (contact
+            surface and position).
+        en: English texts.
+        zh: Texts in Simplified Chinese.
+        part: Owner of the attribute: the ``"task"``, or its ``"ground"``.
+        frame: Whether the point may refer to another frame than the base's: (frame, x, y, z).
+        per: Key of a mapping to such values: ``"foot"``, ``"joint"`` or ``"link"``; empty if the
+            field is no mapping.
+        optional: Whether the default is None; otherwise it is 0.
+        nominal: Value of the nominal stand: ``"zero"``, an attribute of the robot, the ``"centre"``
+            of the stance feet, ``"foot_places"``, or the robot's ``"own"``.
+        low: Lower bound (SI units).
+        high: Upper bound (SI units).
+        open: Whether ``low`` itself is invalid.
+        choices: Words that are valid values as well.
+        constraint: Constraint that the field defines.
+        gives: Direction in which a refusal may relax the value: ``"either"``, ``"less"`` (towards
             0) or ``"no"``.
-        always_said: Whether a task's text has it where it is 0, too.
-        option: Of the command line, without its dashes; there is none without ``help``.
-        help: What ``--help`` says of it.
-        example: A value as one types it, which ``--help`` shows.
-        address: What the page's address calls it.
-        slider: How far the page's goes; None if it has none.
+        always_said: Whether a task text contains the field if its value is the default.
+        option: Command-line option without dashes; there is no option if ``help`` is empty.
+        help: Text in ``--help``.
+        example: Value in command-line syntax, for ``--help``.
+        address: Key in the address of the live page.
+        slider: Slider of the live page; None if there is none.
     """
 
     name: str
@@ -131,48 +132,50 @@ class Field:
 
     @property
     def unit(self) -> str:
-        """Of its numbers, in SI units."""
+        """SI unit of the numbers."""
         return UNIT_BY_KIND[self.kind]
 
     @property
     def axes(self) -> str:
-        """The axes of a point; empty for a number."""
-        return _AXES.get(self.kind, "")
+        """Axes of a point, as ``"xy"`` or ``"xyz"``; empty for a number."""
+        return _AXES_BY_KIND.get(self.kind, "")
 
     @property
     def attribute(self) -> str:
-        """The attribute of the task in which it is: its own, or the ``ground``."""
+        """Attribute of the task that contains the field: the field itself, or ``ground``."""
         return self.name if self.part == "task" else self.part
 
     @property
     def default_value(self) -> Any:
-        """Its value where nothing is asked."""
+        """Value of a default task: an empty mapping, None or 0."""
         if self.per:
             return FrozenDict()
         return None if self.optional else 0.0
 
     def words(self, language: str) -> Words:
-        """Returns what it is called in a language, ``"en"`` or ``"zh"``."""
+        """Return the texts in a language, ``"en"`` or ``"zh"``."""
         return self.zh if language == "zh" else self.en
 
     def check_value(self, value: Any) -> Any:
-        """Returns a value as a task has it: numbers in range, points as tuples, frozen mappings.
+        """Check a value and convert it: points to tuples, mappings to frozen mappings.
 
         Raises:
-            ConfigurationError: If it is none; of a foot's the field is ``swing[FL]``.
+            ConfigurationError: If the value is invalid. The field of the error is, for example,
+                ``swing[FL]``.
         """
         if value is None and self.optional:
             return None
         if self.per:
             return FrozenDict(
                 {
-                    of: self._check_single_value(f"{self.name}[{of}]", one)
-                    for of, one in value.items()
+                    of: self._check_single_value(f"{self.name}[{of}]", item)
+                    for of, item in value.items()
                 }
             )
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
+        """Check one value of a mapping, or the only value."""
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)
@@ -197,16 +200,16 @@ class Field:
         return number
 
     def check_range(self, name: str, number: float, unit: str = "", factor: float = 1.0) -> None:
-        """Refuses a number that is out of range.
+        """Reject a number out of range.
 
         Args:
-            name: What the error calls it.
-            number: In ``unit``.
-            unit: Whoever reads the error is shown this one; the SI unit by default.
-            factor: Of this unit's numbers, over SI ones.
+            name: Name of the field in the error.
+            number: Number in ``unit``.
+            unit: Unit that the error prints. Default: the SI unit.
+            factor: Number of ``unit`` per SI unit.
 
         Raises:
-            ConfigurationError: If it is.
+            ConfigurationError: If the number is out of range.
         """
         low, high = factor * self.low, factor * self.high
         if low < number <= high or (number == low and not self.open):
@@ -225,7 +228,7 @@ class Field:
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:
-        """Returns a value with its unit; a contact says its own."""
+        """Return a value with its unit, for a message; a contact is unchanged."""
         if self.kind == "contact":
             return value
         if isinstance(value, tuple):
@@ -234,13 +237,13 @@ class Field:
 
 
 def read_table(package: str, file: str) -> Mapping[str, Field]:
-    """Returns {name: field} of a TOML file of a package, in its order."""
+    """Read the fields of a TOML file of a package, {name: field} in the order of the file."""
     stated = tomllib.loads(files(package).joinpath(file).read_text(encoding="utf-8"))
-    return MappingProxyType({name: _field(name, facts) for name, facts in stated.items()})
+    return MappingProxyType({name: _make_field(name, facts) for name, facts in stated.items()})
 
 
-def _field(name: str, facts: dict[str, Any]) -> Field:
-    """Returns an entry's field; its angles are in degrees."""
+def _make_field(name: str, facts: dict[str, Any]) -> Field:
+    """Create the field of a table entry. Angles of the entry are in degrees."""
     scale = math.radians(1.0) if facts["kind"] == "angle" else 1.0
     bounds: dict[str, Any] = {
         key: scale * facts.pop(key) for key in ("low", "high") if key in facts
@@ -253,7 +256,7 @@ def _field(name: str, facts: dict[str, Any]) -> Field:
 
 
 FIELDS = read_table("pupper_analysis.stance", "fields.toml")
-"""{name: field} of all that can be asked of a stand."""
+"""{name: field} of all requirements of a stand."""
 
 ROBOT_FIELDS = read_table("pupper_analysis.stance", "robot_fields.toml")
-"""{name: field} of what can be asked of the robot that shall stand: its load, its servos."""
+"""{name: field} of the properties of the robot that a command can change: payload, servos."""

@@ -1,4 +1,9 @@
-"""A stand task in numbers: where one robot's feet, base and com shall be."""
+"""Numerical goal of a stand task: targets of the feet, base pose, CoM position and joint limits.
+
+`make_goal` combines a robot and a `StandTask` into a `Goal`. It places the contact points on the
+ground, determines the support region, and rejects tasks that no stand can satisfy, for example a
+CoM outside the support region. Positions are in the world frame.
+"""
 
 from __future__ import annotations
 
@@ -29,79 +34,81 @@ from pupper_analysis.statics.support_polygon import Corner, margin_of_place, sup
 Array = NDArray[np.float64]
 
 
-_LINE = 1e-3
-"""Contact points that are no further from a line, taken together, are on it (m): no polygon of that
-width holds anything."""
+_MIN_SUPPORT_WIDTH = 1e-3
+"""Extent of the support region [m] below which the contacts count as collinear: such a stand would
+tip. Chosen, not tuned."""
 
 
-_FIXED = {1: 3, 2: 5}
-"""Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
+_FIXED_COORDINATES = {1: 3, 2: 5}
+"""{number of contact points of a foot: coordinates that they fix}; three or more fix all 6. A line
+of two points may rotate about itself."""
 
 
-_POSES = 3
-"""How many random poses are looked at: the first may be singular."""
+_NUM_RANDOM_POSES = 3
+"""Number of random poses at which the mobility of the CoM is tested; the first may be singular."""
 
-_LEAST_COM_RATE = 1e-6
-"""A com that moves by less against the base, per unit of joint rates, does not move (m/rad)."""
+_MIN_COM_RATE = 1e-6
+"""Smallest CoM displacement per joint displacement that counts as mobility [m/rad]."""
 
-_SIDEWAYS = 1e-3
-"""Nor does one that moves by less of how it moves the other way: soles that are a microradian off
-level let it."""
+_MIN_COM_RATE_RATIO = 1e-3
+"""Smallest ratio of CoM mobility between the two horizontal directions that counts: soles that are
+a microradian off level permit less."""
 
 
 def has_spare_joints(robot: Robot) -> bool:
-    """Tells whether joints are left to move where base and feet are in their places.
+    """Return True if joints can move while the base and all feet keep their poses.
 
-    Given are the base's turn, height and place, and of each foot what its points fix: a line may
-    still turn about itself.
+    Each foot fixes as many coordinates as `_FIXED_COORDINATES` states for its number of contact
+    points.
     """
-    return 6 + sum(_FIXED.get(len(points), 6) for points in robot.feet.values()) < robot.nv
+    fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
+    return 6 + fixed < robot.nv
 
 
 def can_move_com(robot: Robot) -> bool:
-    """Tells whether a robot can move its com in x and in y with its feet where they are.
+    """Return True if the robot can move its CoM in x and y with planted feet.
 
-    The base keeps its height and orientation. Legs of three joints or more can do it; legs of two,
-    that swing in a plane, cannot move it sideways, unless arms or a waist do.
+    The base keeps its height and orientation. Legs with three joints suffice; legs with two joints
+    in one plane cannot move the CoM sideways, unless arms or a waist do.
     """
-    return robot.once(_moves_com)
+    return robot.once(_compute_com_mobility)
 
 
-def _moves_com(robot: Robot) -> bool:
+def _compute_com_mobility(robot: Robot) -> bool:
+    """Evaluate `can_move_com`, without its cache."""
     if not robot.contact_points:
         return True
     if len(robot.feet) < len(robot.contact_points):
-        # Soles and wheels lie on the ground: in other poses other motions are free.
-        return any(
-            _com_freedom(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :])
-        )
+        # In random poses soles and wheels would not lie on the ground.
+        poses = robot.nominal, robot.home[-robot.nu :]
+        return any(_count_com_directions(robot, pose) == 2 for pose in poses)
     random = np.random.default_rng(0)
     low, high = np.maximum(robot.lower_limits, -np.pi), np.minimum(robot.upper_limits, np.pi)
-    return any(
-        _com_freedom(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES)
-    )
+    random_poses = (random.uniform(low, np.maximum(low, high)) for _ in range(_NUM_RANDOM_POSES))
+    return any(_count_com_directions(robot, pose) == 2 for pose in random_poses)
 
 
-def _com_freedom(robot: Robot, joints: Array) -> int:
-    """Returns in how many directions the com can move, seen from above, at positions (nu,)."""
+def _count_com_directions(robot: Robot, joints: Array) -> int:
+    """Count the horizontal directions in which the CoM can move at joint positions (nu,)."""
     config = Configuration(robot, robot.posed(joints))
-    held = np.eye(4, robot.nv, k=2)  # the base's height and its three turns
+    held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
     free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
     moved = config.com_jacobian()[:2] @ free
     sizes = np.linalg.svd(moved, compute_uv=False)
-    return int((sizes > max(_LEAST_COM_RATE, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())
+    smallest = max(_MIN_COM_RATE, _MIN_COM_RATE_RATIO * float(sizes.max(initial=0.0)))
+    return int((sizes > smallest).sum())
 
 
 class Support:
-    """Where a com is in balance on contacts: found when it is asked for, and shared by goals.
+    """Support region of contacts, computed at first access and shared by goals.
 
     Args:
-        contacts: (n, 3) points (m).
-        normals: (n, 3) out of the ground.
-        friction: (n,) coefficients, if they are known.
-        stated: Forces that contacts are to press with; see ``support_corners``.
-        grips: Where something is gripped, and up to which force, likewise.
+        contacts: Contact points, shape (n, 3) [m].
+        normals: Unit normals out of the ground, shape (n, 3).
+        friction: Friction coefficients, shape (n,); empty if unknown.
+        stated: Stated contact forces, as for `support_corners`.
+        grips: Positions and force limits of grips, as for `support_corners`.
     """
 
     def __init__(
@@ -112,36 +119,38 @@ class Support:
         stated: tuple[Array, Array] | None = None,
         grips: Array | None = None,
     ) -> None:
-        self._given = contacts, normals, friction, stated, grips
+        self._arguments = contacts, normals, friction, stated, grips
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
-        """Its corners, seen from above."""
-        return support_corners(*self._given)
+        """Corners (x, y) of the support region [m]."""
+        return support_corners(*self._arguments)
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A task in numbers, for one robot. Goals may share arrays, which nobody changes.
+    """Numerical goal of a stand task for one robot. Goals may share arrays, which are read-only.
 
     Attributes:
-        task: The task, with its height and com filled in.
-        targets: {foot: (3,)} of the feet's centres.
-        depths: {foot that carries: m} how deep these are in the ground.
-        stance_feet: The feet that carry.
-        contacts: (n, 3) contact points of these.
-        contact_by_foot: {foot that carries: (3,) its contact point}.
-        normals: {foot that carries: (3,) out of the ground}.
-        support: Where the com is in balance.
-        centre: (3,) the mean of the feet's contact points, without hands and feet on walls; its
-            height that of those on no slope or plane of their own, if there are any.
-        height: z of the base frame.
-        base_quaternion: Its orientation, a unit quaternion (w, x, y, z).
-        place: (2,) of the com, or of the base frame.
-        by_base: Whether ``place`` is the base frame's.
-        lower: (nu,) joint limits, less the margin; a joint in a posture has no room between them.
-        upper: (nu,) likewise.
-        give: (m,) by how much closed loops are open, where they give way; None if they do not.
+        task: Task, with its height and CoM filled in.
+        targets: {contact point: target of the sphere centre, shape (3,) [m]}.
+        depths: {stance point: penetration of the ground at the target [m]}.
+        stance_feet: Contact points that carry load.
+        contacts: Positions of their contacts, shape (n, 3) [m].
+        contact_by_foot: {stance point: position of its contact, shape (3,) [m]}.
+        normals: {stance point: unit normal out of the ground, shape (3,)}.
+        support: Support region.
+        centre: Mean of the contacts, shape (3,) [m]. Hands and steep planes are left out of the
+            mean, and planes of single feet are left out of its height, unless nothing remains.
+        height: Height of the base frame [m].
+        base_quaternion: Orientation of the base (w, x, y, z).
+        place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
+        by_base: Whether ``place`` is the target of the base.
+        lower: Lower joint limits plus margin, shape (nu,) [rad, m]. For joints in a posture, lower
+            and upper limits are equal.
+        upper: Upper joint limits minus margin, shape (nu,) [rad, m].
+        give: Opening of closed loops by static deflection, one value per equation [m, rad]; None if
+            loops are closed exactly.
     """
 
     task: StandTask
@@ -163,17 +172,17 @@ class Goal:
 
     @property
     def corners(self) -> tuple[Corner, ...]:
-        """Between which the com is in balance, seen from above: (x, y) of each."""
+        """Corners (x, y) of the support region [m]."""
         return self.support.corners
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
+        """Targets of the sphere centres on rigid ground, shape (3,) each [m]."""
         return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
-        """Whether the com may be anywhere inside the support polygon."""
+        """Whether the CoM may be at any place inside the support region."""
         return self.task.com == "inside" and not self.by_base
 
 
@@ -185,25 +194,25 @@ def make_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Works out what a task means for a robot.
+    """Convert a task to numbers for a robot.
 
     Args:
-        robot: The robot.
-        task: How to stand; the nominal stand if None.
-        depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given.
-        like: Another goal of the robot, as it is, with these depths: if its feet are to be in the
-            same places, they are not worked out again; nor are equal limits. By default the nominal
-            stand, if there are no depths.
-        checked: Refuse what leaves nothing at once, such as a com outside the support polygon.
+        robot: Robot.
+        task: Stand task. Default: the nominal stand.
+        depths: {stance point: penetration of the ground [m]}; 0 for points that are not included.
+        like: Goal of the same robot with the same depths. Its foot targets and joint limits are
+            reused if the task requires equal ones. Default: the nominal stand if ``depths`` is
+            empty and the joint limits have not changed.
+        checked: Reject tasks that no stand can satisfy, for example with a CoM outside the support
+            region.
 
     Raises:
-        ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
-            nothing.
-        UnknownNameError: If the task names a foot that the robot does not have.
+        ConfigurationError: If the base is fixed, the robot has no feet, or the task is rejected.
+        UnknownNameError: If the task contains an unknown foot.
     """
-    com, nominal, limits = robot.once(_usual)
-    # Who wants other limits of its joints may change those of its model.
-    if like is None and not depths and limits == _limits(robot):
+    com, nominal, limits = robot.once(_make_defaults)
+    # A caller may have changed the limits of the model.
+    if like is None and not depths and limits == _list_limits(robot):
         like = nominal
         if task is None and like is not None:
             return like
@@ -211,33 +220,40 @@ def make_goal(
         task = StandTask()
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", diagnose("seed-length-wrong", joints=robot.nu))
-    return _goal_of(robot, task, com, depths, like, checked=checked)
+    return _build_goal(robot, task, com, depths, like, checked=checked)
 
 
-def _limits(robot: Robot) -> list[list[float]]:
-    """Returns Pinocchio's limits; in lists, which are compared in no time."""
+def _list_limits(robot: Robot) -> list[list[float]]:
+    """Return Pinocchio's position limits as lists, which compare faster than arrays."""
     model = robot.pin_model
     return [model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()]
 
 
-class _Usual(NamedTuple):
-    """What a robot's tasks have by default: the com's place, the nominal stand, joint limits."""
+class _Defaults(NamedTuple):
+    """Defaults of the tasks of a robot.
+
+    Attributes:
+        com: CoM requirement: ``centre`` or ``inside``.
+        goal: Goal of the nominal stand; None if the robot has no such stand.
+        limits: Pinocchio's position limits when the goal was made.
+    """
 
     com: str
     goal: Goal | None
     limits: list[list[float]]
 
 
-def _usual(robot: Robot) -> _Usual:
+def _make_defaults(robot: Robot) -> _Defaults:
+    """Determine the defaults of the tasks of a robot."""
     com = "centre" if not robot.floating or can_move_com(robot) else "inside"
-    limits = _limits(robot)
+    limits = _list_limits(robot)
     try:
-        return _Usual(com, _goal_of(robot, StandTask(), com, {}, None), limits)
+        return _Defaults(com, _build_goal(robot, StandTask(), com, {}, None), limits)
     except ConfigurationError:
-        return _Usual(com, None, limits)
+        return _Defaults(com, None, limits)
 
 
-def _goal_of(
+def _build_goal(
     robot: Robot,
     task: StandTask,
     com: str,
@@ -246,14 +262,15 @@ def _goal_of(
     *,
     checked: bool = True,
 ) -> Goal:
+    """Build the goal of a task; the arguments are those of `make_goal`, ``com`` is the default."""
     if task.contacts:
-        task = _with_planes(robot, task)
-    if like is not None and _same_feet(like.task, task):
+        task = _add_planes(robot, task)
+    if like is not None and _have_equal_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
         contact_by_foot, normals, deep = like.contact_by_foot, like.normals, like.depths
         support, centre = like.support, like.centre
     else:
-        stance_feet = _stance_feet(robot, task)
+        stance_feet = _select_stance_feet(robot, task)
         out = ground_normals(robot, task.ground)
         places = compute_foot_targets(robot, task)
         contacts = np.array(
@@ -267,26 +284,26 @@ def _goal_of(
         stated = stated_forces(robot, stance_feet)
         held = gripped_places(robot, targets) if robot.grips else None
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
-        if checked and not robot.welded:  # which hold any com
-            _check_area(robot, np.array(support.corners), stance_feet)
+        if checked and not robot.welded:  # a weld holds any CoM
+            _check_support_area(robot, np.array(support.corners), stance_feet)
         centre = feet_centre(robot, task.ground, contact_by_foot, targets)
-    task = _filled(robot, task, com)
+    task = _fill_task(robot, task, com)
     assert task.height is not None
     assert task.com is not None
-    if like is not None and _limited_alike(like.task, task):
+    if like is not None and _have_equal_limits(like.task, task):
         lower, upper = like.lower, like.upper
     else:
-        lower, upper = _joint_limits(robot, task, checked=checked)
-    armed = len(robot.hands) == len(robot.feet)  # an arm's base is where it is bolted
+        lower, upper = _compute_joint_limits(robot, task, checked=checked)
+    armed = len(robot.hands) == len(robot.feet)  # the base of an arm has a fixed position
     place, by_base = centre[:2], armed and isinstance(task.com, str)
     if task.offset is not None:
         place, by_base = place + task.offset, True
     elif not isinstance(task.com, str):
         place = np.array(task.com)
-    # The centre, of which no margin is asked, always is inside.
+    # The centre is inside the support region.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
     if checked and not at_centre and not robot.welded:
-        _check_inside(task, place, support.corners)
+        _check_com_place(task, place, support.corners)
     return Goal(
         task=task,
         targets=targets,
@@ -309,9 +326,10 @@ def _goal_of(
 def feet_centre(
     robot: Robot, ground: Ground, contact_by_foot: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> Array:
-    """Returns the centre (3,) of the feet that carry, without hands or walls; see ``Goal`` (m).
+    """Compute the centre of the stance feet, shape (3,) [m]; see `Goal.centre`.
 
-    Of an arm, below where its file has its base.
+    If only arms touch or are welded: the point below the base of the home pose. Welded feet count
+    as contacts.
     """
     if robot.welds:
         if len(robot.hands) == len(robot.feet):
@@ -320,7 +338,7 @@ def feet_centre(
         radius = robot.contact_radius
         contact_by_foot = {
             **contact_by_foot,
-            **{one: targets[one] - radius[one] * UP for one in held},
+            **{point: targets[point] - radius[point] * UP for point in held},
         }
     stance_feet, contacts = [*contact_by_foot], np.array([*contact_by_foot.values()])
     if not contact_by_foot:  # all feet are lifted
@@ -329,13 +347,13 @@ def feet_centre(
     steep = [foot for foot in ground.planes if ground.normal(foot)[2] < MIN_SUPPORT_NORMAL_Z]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
         kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
-        if any(kept) and not all(kept):  # a foot high on a wall lifts no base
+        if any(kept) and not all(kept):  # a foot high on a wall does not raise the base
             centre[parts] = contacts[kept, parts].mean(axis=0)
     return centre
 
 
-def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
-    """Returns between which positions (nu,) joints may be; both are the same in a posture."""
+def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
+    """Compute joint limits with margin, shape (nu,) [rad, m]; equal for joints of a posture."""
     lower = robot.lower_limits + task.joint_margin
     upper = robot.upper_limits - task.joint_margin
     if checked and (lower > upper).any():
@@ -352,19 +370,20 @@ def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Arra
     return lower, upper
 
 
-_INSIDE = 1e-4
-"""How far inside of where a com is in balance a place is that is proposed (m)."""
+_PROPOSED_INSET = 1e-4
+"""Distance [m] of a proposed CoM position from the edge of the support region. Chosen, not
+tuned."""
 
 
-def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
-    """Checks that the com shall be inside the support polygon, with the task's margin."""
+def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
+    """Reject a horizontal CoM target with less margin than the task requires."""
     inside = margin_of_place((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
         import shapely.ops  # slow to import
 
         hull = shapely.MultiPoint(corners).convex_hull
-        kept = hull.buffer(-max(task.com_margin, 0.0) - _INSIDE)
+        kept = hull.buffer(-max(task.com_margin, 0.0) - _PROPOSED_INSET)
         near, _ = shapely.ops.nearest_points(
             hull.centroid if kept.is_empty else kept, shapely.Point(place[:2])
         )
@@ -377,8 +396,8 @@ def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) ->
         raise ConfigurationError("com_margin", problem)
 
 
-def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Returns a task with the robot's own height and com, where it leaves them open, and units."""
+def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
+    """Fill in the robot's default height and CoM, and the units of the posture."""
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture)).replace_unchecked(
             ground=task.ground
@@ -390,14 +409,14 @@ def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     )
 
 
-def _limited_alike(one: StandTask, other: StandTask) -> bool:
-    """Whether the same is asked of joints; of patterns the last counts, so their order does."""
+def _have_equal_limits(one: StandTask, other: StandTask) -> bool:
+    """Return True if two tasks require equal joint limits. The order of patterns counts."""
     postures = [*one.posture.items()] == [*other.posture.items()]
     return one.joint_margin == other.joint_margin and postures
 
 
-def _same_feet(one: StandTask, other: StandTask) -> bool:
-    """Whether two tasks have the feet in the same places, and the same ones carry."""
+def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
+    """Return True if two tasks have equal ground, contacts and foot placement."""
     return (one.ground, one.feet, one.foot_offsets, one.swing, one.contacts) == (
         other.ground,
         other.feet,
@@ -407,18 +426,18 @@ def _same_feet(one: StandTask, other: StandTask) -> bool:
     )
 
 
-def _check_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
-    """Refuses corners (n, 2) of balance that are on one line, seen from above."""
+def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
+    """Reject a support region, corners (n, 2) [m], that is a line."""
     seen = corners - corners.mean(axis=0)
-    if np.linalg.svd(seen, compute_uv=False)[1] < _LINE:
+    if np.linalg.svd(seen, compute_uv=False)[1] < _MIN_SUPPORT_WIDTH:
         raise ConfigurationError(
             "swing" if len(stance_feet) < len(robot.contact_points) else "robot",
             diagnose("touches-along-line", robot=robot.name, feet=stance_feet),
         )
 
 
-def _stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Returns the contact points that carry, if a task is one for this robot; see ``make_goal``."""
+def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
+    """Check a task against the robot, and return the contact points that carry load."""
     robot.check_floating()
     if not (robot.contact_points or robot.welds):
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
@@ -448,29 +467,34 @@ def _stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     return stance_feet
 
 
-_MAX_ITERATIONS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
+_MAX_ITERATIONS = 4
+"""Iterations of fitting a plane to spheres of unequal radius, whose contact points depend on the
+normal."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Vertical part of the normal of a plane that bears no weight: friction holds nothing on 60 deg."""
+"""Vertical component of a plane normal below which the plane does not count for the centre of the
+feet: 60 deg."""
 
-_COINCIDENT = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
+_COLLINEAR_TOLERANCE = 1e-9
+"""Extent of contact points [m] across a line up to which they count as collinear."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Returns the contact points' centres, {point: (3,)}, where they are by default (m).
+    """Return the default sphere centres of the contact points, shape (3,) each [m].
 
-    Seen from above they stand there; the base is at the origin, upright.
+    The base is upright at the origin, with the nominal joint positions.
     """
-    return {point: place.copy() for point, place in robot.once(_nominal)}
+    return {point: place.copy() for point, place in robot.once(_compute_nominal_points)}
 
 
-def _nominal(robot: Robot) -> tuple[tuple[str, Array], ...]:
+def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
+    """Compute the sphere centres at the nominal joint positions."""
     qpos = robot.posed(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
 
 def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
-    """Returns each foot's place, {foot: (2,)}: the middle of its contact points (m)."""
+    """Return the default position of each foot, shape (2,) [m]: the mean of its contact points."""
     places = nominal_point_positions(robot)
     return {
         foot: (
@@ -483,7 +507,7 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 
 
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Returns where a task has each foot, seen from above, {foot: (2,)} (m)."""
+    """Return the horizontal position of each foot in a task, shape (2,) [m]."""
     nominal = nominal_foot_positions(robot)
     return {
         foot: np.array(task.feet.get(foot, place)) + task.foot_offsets.get(foot, 0.0)
@@ -492,27 +516,27 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Returns where the contact points' centres shall be, {point: (3,)}, on rigid ground (m).
+    """Compute the targets of the sphere centres on rigid ground, shape (3,) each [m].
 
-    A sole lies flat on the slope, turned out of its default orientation by the shortest way; a foot
-    that swings is higher, and otherwise likewise.
+    A sole lies flat on the slope, rotated from its default orientation by the shortest rotation. A
+    swing foot is translated upward by its height.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         points = robot.feet[foot]
         if foot in ground.planes:
-            targets |= _on_plane(robot, task, foot, place)
+            targets |= _place_on_plane(robot, task, foot, place)
             continue
-        if foot in robot.hands and foot in task.contacts:  # it is welded
-            targets[points[0]] = _asked_place(robot, task, foot, place)
+        if foot in robot.hands and foot in task.contacts:  # welded
+            targets[points[0]] = _requested_position(robot, task, foot, place)
         elif len(points) == 1:
             targets[points[0]] = ground.centre(foot, place, robot.contact_radius[points[0]])
         else:
             sole = np.array([nominal[point] for point in points])
             radii = np.array([robot.contact_radius[point] for point in points])
             out = ground.normal(foot)
-            laid = _laid(sole, radii, out)
+            laid = _lay_sole(sole, radii, out)
             on = laid.mean(axis=0)
             shift = np.array([*(place - on[:2]), ground.height(place, foot) - ground.height(on)])
             targets |= dict(zip(points, laid + shift, strict=True))
@@ -521,28 +545,33 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     return {point: targets[point] for point in robot.contact_points}
 
 
-def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
-    """Returns the centres {point: (3,)} of a foot, or a hand, on a plane of its own (m).
+def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
+    """Compute the sphere centres of a foot or hand on a plane of its own, shape (3,) each [m].
 
-    It touches in the plane's point that is nearest to where it is asked to be, or stands by
-    default; of a hand nearest to where it is in the home pose.
+    The contact is the point of the plane nearest to the requested position.
     """
     points = robot.feet[foot]
-    on = task.ground.planes[foot].nearest(_asked_place(robot, task, foot, place))
-    out, radii = task.ground.normal(foot), np.array([robot.contact_radius[one] for one in points])
+    on = task.ground.planes[foot].nearest(_requested_position(robot, task, foot, place))
+    out = task.ground.normal(foot)
+    radii = np.array([robot.contact_radius[point] for point in points])
     on += task.swing.get(foot, 0.0) * out
     if len(points) == 1:
         return {points[0]: on + radii[0] * out}
     nominal = nominal_point_positions(robot)
-    laid = _laid(np.array([nominal[point] for point in points]), radii, out)
+    laid = _lay_sole(np.array([nominal[point] for point in points]), radii, out)
     middle: Array = (laid - radii[:, None] * out).mean(axis=0)
     return dict(zip(points, laid + on - middle, strict=True))
 
 
-def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
-    """Returns next to where (3,) a foot, or a hand, shall touch a plane of its own (m).
+def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
+    """Return the position, shape (3,) [m], near which a foot or hand is to touch its plane.
 
-    A foot that is at a place (2,), or a hand that is moved as far from where it is by default.
+    Args:
+        robot: Robot.
+        task: Task.
+        foot: Foot or hand.
+        place: Horizontal position of the foot, shape (2,) [m]. For a hand, its offset from the
+            nominal position counts.
     """
     if task.contacts[foot].place is not None or foot in robot.hands:
         near = np.array(task.contacts[foot].place or default_contact_position(robot, foot).tolist())
@@ -553,35 +582,38 @@ def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Arra
     return np.array((*place, task.ground.height(place, foot)))
 
 
-def _with_planes(robot: Robot, task: StandTask) -> StandTask:
-    """Returns a task whose ground has the planes that feet touch, or that slopes are there."""
+def _add_planes(robot: Robot, task: StandTask) -> StandTask:
+    """Add the planes of the task's contacts to its ground."""
     planes = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None
         if plane is not None:
-            planes[foot] = plane.through(_asked_place(robot, task, foot, place).tolist())
+            planes[foot] = plane.through(_requested_position(robot, task, foot, place).tolist())
     return task.replace_unchecked(ground=task.ground.with_planes(planes))
 
 
 def default_contact_position(robot: Robot, foot: str) -> Array:
-    """Returns where a foot touches the ground by default, or a hand is in the home pose (3,)."""
+    """Return the default contact of a foot, or the home position of a hand, shape (3,) [m]."""
     if foot in robot.hands:
-        return robot.once(_home_places)[robot.feet[foot][0]].copy()
+        return robot.once(_compute_home_points)[robot.feet[foot][0]].copy()
     return np.array((*nominal_foot_positions(robot)[foot], 0.0))
 
 
-def _home_places(robot: Robot) -> dict[str, Array]:
-    """Returns the contact points' centres, {point: (3,)}, of a robot that stands at home (m)."""
+def _compute_home_points(robot: Robot) -> dict[str, Array]:
+    """Compute the sphere centres of the home pose at the default base height."""
     qpos = robot.posed(robot.home[robot.nq - robot.nu :])
     qpos[2] = robot.base_height
     return Configuration(robot, qpos).foot_positions()
 
 
-def _laid(sole: Array, radii: Array, normal: Array) -> Array:
-    """Turns a sole's centres (n, 3) so that it rests on the plane through the origin."""
+def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
+    """Rotate and translate sphere centres (n, 3) [m] so that the sole rests on a plane.
+
+    The plane passes through the origin and has the given normal.
+    """
     out = UP
     for _ in range(_MAX_ITERATIONS):
-        out = _upwards(sole - radii[:, None] * out)
+        out = _fit_upward_normal(sole - radii[:, None] * out)
     turn = pin.Quaternion.FromTwoVectors(out, normal).matrix()
     middle = sole.mean(axis=0)
     turned: Array = (sole - middle) @ turn.T
@@ -589,10 +621,10 @@ def _laid(sole: Array, radii: Array, normal: Array) -> Array:
     return lifted
 
 
-def _upwards(points: Array) -> Array:
-    """Returns the upward normal (3,) of the plane, or of the line, on which points (n, 3) are."""
+def _fit_upward_normal(points: Array) -> Array:
+    """Fit a plane, or a line, to points (n, 3), and return its upward unit normal (3,)."""
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0))
-    if sizes[1] < _COINCIDENT:  # a line: as upright as its direction lets it be
+    if sizes[1] < _COLLINEAR_TOLERANCE:  # a line: the upward normal nearest to vertical
         normal = UP - (UP @ axes[0]) * axes[0]
     else:
         normal = axes[2] * np.sign(axes[2][2] or 1.0)
@@ -601,7 +633,7 @@ def _upwards(points: Array) -> Array:
 
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
-    """Returns the direction {contact point: (3,)} out of the ground under each."""
+    """Return the unit normal of the ground under each contact point, shape (3,), outward."""
     if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
@@ -614,9 +646,9 @@ def sink_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Returns the targets (3,) of contact points that are in the ground by some depths (m).
+    """Move targets of contact points into the ground by their depths [m].
 
-    A sole sinks as a whole and tilts: by the depths' best fit.
+    A sole moves as a rigid body, by the best fit to the depths of its points.
     """
     sunk = {point: targets[point] - depths.get(point, 0.0) * normals[point] for point in targets}
     for points in robot.feet.values():
@@ -633,9 +665,10 @@ def raise_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Returns where sunk feet would be on rigid ground; as they are, if no step has a slope.
+    """Return the targets of sunk feet on rigid ground.
 
-    (Level steps are under them at any depth. Of a sole the middle is where it would be.)
+    Unchanged if no foot has a plane of its own, since the horizontal position of a level step does
+    not depend on depth.
     """
     if not ground.planes:
         return targets
@@ -646,7 +679,7 @@ def raise_feet(
 
 
 def move_rigidly(before: Array, after: Array) -> Array:
-    """Moves points (n, 3) as one body, as near to others (n, 3) as that goes.
+    """Move points (n, 3) as a rigid body to the least-squares fit of other points (n, 3).
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """

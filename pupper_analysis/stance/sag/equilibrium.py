@@ -1,4 +1,13 @@
-"""The equations of a servo-driven robot at rest on soft ground, and Newton's iteration on them."""
+"""Equations of a servo-driven robot at rest on soft ground, and their solution by Newton's method.
+
+`SagEquilibrium` contains the balance of generalised forces, one slip law and one depth law per
+contact. The unknowns are the configuration and the contact forces; the set of touching contacts is
+given and can be changed by `switch`. `stance.sag.steady_state` follows a solution while
+feed-forward is removed and feet creep.
+
+The "ground frame" of a contact has its z axis along the ground normal. "Height" as a unit is
+`EquilibriumScales.length`.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +30,16 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, resolve_servo_gains
 from pupper_analysis.stance.problem import can_move_com, ground_normals
 from pupper_analysis.stance.stand import Stand, stand_contacts
+from pupper_analysis.statics.cone_program import split_force
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Where a foot touched the ground first: if it is pinned, it has rolled from there.
+    """Pose of a foot at its first contact. A pinned foot rolls from there.
 
     Attributes:
-        position: (3,) of the sphere's centre (m).
-        rotation: (3, 3) of the foot's frame.
+        position: Centre of the contact sphere, shape (3,) [m], in the world frame.
+        rotation: Orientation of the foot's frame, shape (3, 3).
     """
 
     position: Array
@@ -38,12 +48,12 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solution of the equations.
+    """Solution of the equilibrium equations, or an initial guess.
 
     Attributes:
-        qpos: (nq,).
-        forces: {foot that touches: (3,)} in the ground's frame there, whose z is its normal (N).
-        residual: The largest element left of them (N, N m, m).
+        qpos: Configuration, shape (nq,).
+        forces: {touching contact: force of the ground, shape (3,) [N]}, in the ground frame.
+        residual: Largest element of the residual (N, N m and m mixed).
     """
 
     qpos: Array
@@ -51,12 +61,17 @@ class Solution:
     residual: float = math.inf
 
     def force(self, foot: str) -> Array:
-        """Returns the force (3,) on a foot, zero if it does not touch (N)."""
+        """Return the force on a contact point, shape (3,) [N]; zero without contact."""
         return self.forces.get(foot, np.zeros(3))
 
 
 def integrate_step(qpos: Array, step: Array) -> Array:
-    """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
+    """Integrate a step in the directions of qvel.
+
+    Args:
+        qpos: Configuration, shape (nq,).
+        step: Shape (nv,); linear base part in the world frame, angular part in the base frame.
+    """
     if len(qpos) == len(step):  # the base is fixed
         return qpos + step
     moved = qpos.copy()
@@ -68,24 +83,24 @@ def integrate_step(qpos: Array, step: Array) -> Array:
 
 
 class ContactKinematics:
-    """The feet that touch, at a configuration.
+    """Positions and Jacobians of the touching contacts at a configuration.
 
     Args:
-        config: The configuration.
-        anchors: {foot that touches: where it did so first}.
-        centres: (n, 3) where they are (m).
-        frames: (n, 3, 3) rotations from the world to the frame of the ground under each, whose z is
-            out of it.
-        crosses: (n, 3, 3) what takes x to z x x, of these z in the world.
-        depths: {foot: how deep it is in the ground (m)}, of those that do not touch as well.
+        config: Configuration.
+        anchors: {touching contact: pose at its first contact}.
+        centres: Centres of the contact spheres, shape (n, 3) [m], in the world frame.
+        frames: Rotations from the world to the ground frame of each contact, shape (n, 3, 3).
+        crosses: Cross-product matrices of the ground normals, shape (n, 3, 3), in the world frame.
+        depths: {contact: penetration [m]} of all contacts, also of those that do not touch.
 
     Attributes:
-        config: The configuration.
-        depths: As given.
-        places: (n, 3) slips along the ground's two tangents, less what the sphere has rolled, and
-            depths (m).
-        jacobians: (n, 3, nv) of the material point at each contact, in the ground's frame.
-        turning: (n, 3, nv) of each foot's rotation, in the world.
+        config: Configuration.
+        depths: Penetrations as passed [m].
+        places: Shape (n, 3) [m]; slips along the two ground tangents, without the rolling of the
+            sphere, and the penetration.
+        jacobians: Jacobians of the material point at each contact, shape (n, 3, nv), in the ground
+            frame.
+        turning: Rotational Jacobians of the feet, shape (n, 3, nv), in the world frame.
     """
 
     def __init__(
@@ -101,51 +116,52 @@ class ContactKinematics:
         self.depths, self._crosses = depths, crosses
         radius, feet, held = config.robot.contact_radius, tuple(anchors), anchors.values()
         deep = np.array([depths[foot] for foot in feet])
-        # MuJoCo has the contact half way into the penetration.
+        # MuJoCo places the contact point at half the penetration.
         self._reach = (np.array([radius[foot] for foot in feet]) - deep / 2)[:, None]
         self._offsets = self._reach[:, None] * crosses  # arms from the contact to the centre
         self._twists = config.foot_twists(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
         before = np.array([anchor.rotation for anchor in held]).reshape(-1, 3, 3)
-        self._turned = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
-        self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
+        rotations = self._rotations_since = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
+        turns = np.array([pin.log3(rotation) for rotation in rotations])
+        self._rotation_vectors = turns.reshape(-1, 3)
         begun = np.array([anchor.position for anchor in held]).reshape(-1, 3)
-        self._leant = crosses @ self._turns[:, :, None]  # normal x turn
-        rolled = self._reach * self._leant[:, :, 0]
+        self._normal_cross_turn = crosses @ self._rotation_vectors[:, :, None]  # normal x turn
+        rolled = self._reach * self._normal_cross_turn[:, :, 0]
         self.places = (frames @ (centres - begun + rolled)[:, :, None])[:, :, 0]
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
-        """Returns the derivative (n, 3, nv) of ``places`` by a step in the directions of qvel."""
-        deeper = self._deeper
-        # What rotates a foot changes its rotation vector by the inverse of the left Jacobian.
-        logs = np.array([pin.Jlog3(turned) for turned in self._turned]).reshape(-1, 3, 3)
+        """Compute the derivative of ``places`` by a step (directions of qvel), shape (n, 3, nv)."""
+        deeper = self._depth_rates
+        # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.
+        logs = np.array([pin.Jlog3(turned) for turned in self._rotations_since]).reshape(-1, 3, 3)
         turns = logs.transpose(0, 2, 1) @ self.turning
         rates: Array = self._centre + self._offsets @ turns
-        # The arm gets shorter by half of what the foot goes deeper.
-        rates -= self._leant / 2 * deeper[:, None, :]
+        # The lever arm shortens by half of the change in penetration.
+        rates -= self._normal_cross_turn / 2 * deeper[:, None, :]
         rates = self._frames @ rates
         rates[:, 2] = deeper
         return rates
 
     @cached_property
-    def _deeper(self) -> Array:
-        """The derivative (n, nv) of the depths."""
+    def _depth_rates(self) -> Array:
+        """Derivative of the penetrations by a step, shape (n, nv) [m/rad, m/m]."""
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
     def push(self, forces: Array) -> Array:
-        """Returns the generalised force (nv,) of forces (n, 3), in the ground's frame."""
+        """Compute the generalised force, shape (nv,), of contact forces (n, 3) [N]."""
         pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, self.config.robot.nv)
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Returns the derivative (nv, nv) of gravity less ``push`` by a step.
+        """Compute the derivative of load minus ``push`` by a step, shape (nv, nv).
 
         Args:
-            forces: (n, 3) in the ground's frame (N), which keep their direction.
-            held: Jacobians (w, 6, nv) and wrenches (w, 6) of welds, which do so too.
+            forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in direction.
+            held: Jacobians (w, 6, nv) and constant wrenches (w, 6) of welds.
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
@@ -159,28 +175,39 @@ class ContactKinematics:
                 np.concatenate([wrenches, held[1]]),
             )
         rates = self.config.pushed_rates(twists, wrenches)
-        # As a foot goes deeper its contact comes nearer to the centre.
+        # The contact approaches the centre as the penetration increases.
         moved = (across[:, None] @ self.turning)[:, 0]
-        change: Array = rates + moved.T @ (self._deeper / 2)
+        change: Array = rates + moved.T @ (self._depth_rates / 2)
         return change
 
 
 Array = NDArray[np.float64]
 
-_TRUST = 0.5, 4.0  # rad, heights: a longer Newton step has left the branch
-_WEAK = 4e-6  # weights per height: holds a sliding robot in its place as creep does
-_RHO = 4.0  # weights per height: weighs slip against force in telling which way a foot slips
+GROUND_NORMAL = (0.0, 0.0, 1.0)
+"""Ground normal in the ground frame."""
+
+_MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
+"""Upper bound of a base displacement in a Newton step [heights], and `_MAX_STEP_ANGLE` of a
+rotation [rad]. A longer step has left the branch. Chosen, not tuned."""
+
+_SLIP_STIFFNESS_RATIO = 4e-6
+"""Stiffness of the spring that holds a sliding robot in its place, as creep does [weights per
+height]. Chosen, not tuned."""
+
+_FRICTION_PENALTY_RATIO = 4.0
+"""Penalty parameter of the slip law [weights per height]. It does not change the solution. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True)
 class EquilibriumScales:
-    """A robot's weight, and the height at which it carries that.
+    """Weight and height of a robot, as units of residuals and steps.
 
     Attributes:
-        weight: N.
-        length: Of its com above the lowest foot that carries, in its stand (m); of one that is
-            fixed a scale of it.
-        moves: How many of its coordinates move its base along an axis: three, or none.
+        weight: Weight [N].
+        length: Height [m] of the CoM above the lowest stance foot. For a fixed or welded base: the
+            stand height, or the extent of the model if that is zero.
+        moves: Number of coordinates that translate the base: 3, or 0 for a fixed base.
     """
 
     weight: float
@@ -189,7 +216,7 @@ class EquilibriumScales:
 
     @staticmethod
     def of(robot: Robot, stand: Stand) -> EquilibriumScales:
-        """Returns those of a robot in a stand."""
+        """Return the scales of a robot in a stand."""
         weight = robot.usual_weight
         if robot.bolted or robot.welds:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
@@ -200,26 +227,26 @@ class EquilibriumScales:
 
     @property
     def stiffness(self) -> float:
-        """Of a servo that gives the weight at a lever of the height for a turn of 1 (N m/rad)."""
+        """Servo stiffness [N m/rad] that gives weight x height of torque at 1 rad."""
         return self.weight * self.length
 
     @property
     def slip_stiffness(self) -> float:
-        """N/m: holds a sliding robot in its place."""
-        return _WEAK * self.weight / self.length
+        """Stiffness [N/m] that keeps a sliding robot in its place."""
+        return _SLIP_STIFFNESS_RATIO * self.weight / self.length
 
     @property
     def friction_penalty(self) -> float:
-        """N/m: weighs slip against force; any would do."""
-        return _RHO * self.weight / self.length
+        """Penalty parameter rho of the slip law [N/m]. The solution does not depend on it."""
+        return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
-        """Returns the largest element of a residual of the equations, in these units.
+        """Return the largest element of a residual in units of weight, weight x height and height.
 
         Args:
-            residual: nv of balance, and three of each foot that touches.
-            nv: Of the robot.
-            forces: The feet whose equations of slip are of forces.
+            residual: Shape (nv + 3 n,); balance, then three equations per touching contact.
+            nv: Number of velocity coordinates.
+            forces: Contacts whose slip equations are forces [N] instead of distances [m].
         """
         units = np.full(len(residual), self.length)
         units[: self.moves], units[self.moves : nv] = self.weight, self.weight * self.length
@@ -227,41 +254,64 @@ class EquilibriumScales:
         return float(np.abs(residual / units).max())
 
     def is_too_far(self, step: Array) -> bool:
-        """Tells whether a step (nv,) leaves the branch that it begins on."""
+        """Return True if a Newton step, shape (nv,), is too long to stay on the branch.
+
+        The bounds are `_MAX_STEP_ANGLE` and `_MAX_STEP_LENGTH`. Also True if the step is not
+        finite.
+        """
         moved, turned = np.abs(step[: self.moves]), np.abs(step[self.moves :]).max()
-        return not (turned < _TRUST[0] and moved.max(initial=0.0) < _TRUST[1] * self.length)
+        return not (
+            turned < _MAX_STEP_ANGLE and moved.max(initial=0.0) < _MAX_STEP_LENGTH * self.length
+        )
 
 
 Feet = Literal["pinned", "sliding"]
 RESIDUAL_TOLERANCE = 3e-12
-"""What the equations of an equilibrium may leave over, in weights and in heights of the stand."""
+"""Largest residual of a solution [weights, weights x heights, heights]."""
 
-_ROUNDING = 3e-16
-"""What of that is no more than rounding."""
+_ROUNDING_RESIDUAL = 3e-16
+"""Residual at rounding level, in the same units as `RESIDUAL_TOLERANCE`."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""A foot this deep in the ground, or less, does not touch it yet (heights): 1e-6 N under v3."""
+"""Penetration up to which a contact does not count as touching [heights]: 1e-6 N for v3."""
 
-_SOFTER = (1e3, 1e2, 1e1, 1.0)
-"""Parts of what a sole gives, by which it is solved where Newton's iteration fails at once."""
+_SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
+"""Factors of the sole compliance, in order, of the solves after a failure of Newton's method."""
 
 _MAX_ITERATIONS = 16
-"""Of 5,148 solutions that were found all took 12 or fewer."""
+"""Upper bound of Newton iterations. All of 5,148 measured solutions took 12 or fewer."""
 
-_NOWHERE = np.zeros(2)  # m: where a foot sticks that has not crept
+_ZERO_SLIP = np.zeros(2)
+"""Slip [m] of a contact that has not crept."""
 
 
 class SagEquilibrium:
-    """The equations of the equilibrium, for a servo ``target`` (nu,) and the feet that touch.
+    """Equilibrium equations for a servo ``target`` (nu,) and a set of touching contacts.
 
         g(q) - S^T tau - sum J_i^T f_i = 0,  depth_i(q) = depth of f_i
 
-    for the feet in ``anchors``, J_i the Jacobian of the material point at the contact. Pinned,
-    that point has not slipped, but for what it crept,
-    as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
-    f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
-    Sliding, f_t = 0. What is welded stays, and its wrenches are whatever that takes: of the balance
-    only the part along motions that leave it is asked; see ``apply_welds``.
+    for the contacts in ``anchors``. J_i is the Jacobian of the material point at the contact, tau =
+    clip(kp (target - q), limits). Slip law with ``feet="pinned"``: the slip s is zero, apart from
+    creep and compliance, if |f_t| <= mu f_n; otherwise f_t = -mu f_n s / |s|. Both cases are one
+    equation: f_t is f_t - rho s, projected onto the disc of radius mu f_n, for any rho > 0 (Alart
+    and Curnier 1991). With ``feet="sliding"``: f_t = 0, apart from a weak spring that makes the
+    position unique.
+
+    Welded bodies keep their pose. Of the balance, only the part along motions that the welds permit
+    is an equation (``apply_welds``); the weld wrenches follow from the rest. Dry friction of joints
+    is ignored.
+
+    Args:
+        robot: Robot.
+        stand: Stand that defines contacts, ground and initial target.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        feet: Slip law.
+
+    Attributes:
+        anchors: {touching contact: pose at its first contact}. `switch` changes it.
+        target: Commanded joint positions, shape (nu,) [rad, m], set by `command`.
+        crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
+        yielding: {contact: compliance [m/N] of the creep step}.
     """
 
     def __init__(
@@ -296,97 +346,112 @@ class SagEquilibrium:
             for foot in stand.stance_feet
         }
         self.units = EquilibriumScales.of(robot, stand)
-        self._in_newtons: slice | list[int] = []
-        self._pliancy, self._give = contact_compliance(robot, self.units)
-        self._giving, self._softer = any(self._give.values()), 1.0
-        self._touch: tuple[object, Array, ContactKinematics] | None = None
-        self._rigid: tuple[tuple[str, ...], Array | None] = (), None
-        nothing = np.zeros((0, 3, 3))
-        self._under: tuple[tuple[str, ...], list[int], Array, Array] = (), [], nothing, nothing
-        self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
-        self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
-        self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
-        self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
+        self._force_rows: slice | list[int] = []
+        self._sole_compliance, self._compliance = contact_compliance(robot, self.units)
+        self._is_compliant, self._compliance_factor = any(self._compliance.values()), 1.0
+        self._contact_cache: tuple[object, Array, ContactKinematics] | None = None
+        self._sole_projection_cache: tuple[tuple[str, ...], Array | None] = (), None
+        no_frames = np.zeros((0, 3, 3))
+        self._ground_frame_cache: tuple[tuple[str, ...], list[int], Array, Array]
+        self._ground_frame_cache = (), [], no_frames, no_frames
+        self._depth_cache: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
+        # The no-slip solver prevents creep.
+        self._has_creep = robot.mj_model.opt.noslip_iterations == 0
+        self.crept: dict[str, Array] = {}
+        self.yielding: dict[str, float] = {}
         self.sliding_friction = {
             foot: contact.sliding_friction for foot, contact in robot.contacts.items()
         }
         self._joints = np.arange(robot.nv - robot.nu, robot.nv)
-        # Of a base alone that is welded the equations are left out.
-        self._still = 6 if [*robot.welds.values()] == [None] else 0
-        self._welds = Welds(robot, stand) if robot.welds and not self._still else None
+        # If only the base is welded, its six equations are replaced by identities.
+        self._num_welded_rows = 6 if [*robot.welds.values()] == [None] else 0
+        self._welds = Welds(robot, stand) if robot.welds and not self._num_welded_rows else None
 
     def depths(self, places: Array) -> dict[str, float]:
-        """Returns how deep every foot is in the ground or its step; negative: above it (m).
+        """Compute the penetration of each contact point [m]; negative above the ground.
 
         Args:
-            places: (k, 3) the centres of all feet (m).
+            places: Centres of all contact spheres, shape (k, 3) [m], in the world frame.
         """
-        seen = zip(self.frames, self._planes, places.tolist(), strict=True)
+        contacts = zip(self.frames, self._planes, places.tolist(), strict=True)
         return {
             foot: radius - ((x - on[0]) * a + (y - on[1]) * b + (z - on[2]) * c)
-            for foot, (radius, a, b, c, on), (x, y, z) in seen
+            for foot, (radius, a, b, c, on), (x, y, z) in contacts
         }
 
     def equilibrium_depths(self, forces: Array) -> Array:
-        """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
-        asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
-        if asked != self._sunk[0]:
-            # By the last step, or the last place, or another foot's, they are known nearly.
-            known = {foot: depth for (foot, _), depth in zip(*self._sunk, strict=True)}
+        """Return the penetrations of touching contacts, shape (n,) [m], under forces (n, 3)."""
+        normal_forces = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
+        if normal_forces != self._depth_cache[0]:
+            # Initial guesses: the previous depth of the contact, or the depth of another contact.
+            known = {foot: depth for (foot, _), depth in zip(*self._depth_cache, strict=True)}
             depth, depths = None, []
-            for foot, force in asked:
+            for foot, force in normal_forces:
                 depth = self.laws[foot].depth(force, known.get(foot, depth))
                 depths.append(depth)
-            self._sunk = asked, np.array(depths)
-        return self._sunk[1].copy()
+            self._depth_cache = normal_forces, np.array(depths)
+        return self._depth_cache[1].copy()
 
     def command(self, target: Array) -> None:
-        """Commands the servos joint positions (nu,), which are cut off where the file has it so."""
+        """Set the servo target, shape (nu,) [rad, m], clipped to the command ranges."""
         low, high = self._commands
         self.target: Array = np.minimum(np.maximum(target, low), high)
 
     def torques(self, qpos: Array) -> Array:
-        """Returns the servos' torques (nu,)."""
-        asked = self.kp * (self.target - qpos[-len(self.kp) :])
-        torques: Array = np.minimum(np.maximum(asked, self.lower), self.upper)
+        """Compute the servo torques, shape (nu,) [N m], clipped to the effort limits."""
+        unlimited = self.kp * (self.target - qpos[-len(self.kp) :])
+        torques: Array = np.minimum(np.maximum(unlimited, self.lower), self.upper)
         return torques
 
     def contacts_at(self, qpos: Array) -> ContactKinematics:
-        """Looks at the feet that touch, or has looked at them just now."""
-        anchors, seen = tuple(self.anchors.items()), self._touch
+        """Return the kinematics of touching contacts at a configuration; the last is cached."""
+        anchors, seen = tuple(self.anchors.items()), self._contact_cache
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self._points
             places = config.foot_places(feet)
-            if self._under[0] != (held := tuple(self.anchors)):
+            if self._ground_frame_cache[0] != (held := tuple(self.anchors)):
                 frames = np.array([self.frames[foot] for foot in held]).reshape(-1, 3, 3)
                 rows = [feet.index(foot) for foot in held]
-                self._under = held, rows, frames, cross_matrices(frames[:, 2])
-            _, rows, frames, crosses = self._under
+                self._ground_frame_cache = held, rows, frames, cross_matrices(frames[:, 2])
+            _, rows, frames, crosses = self._ground_frame_cache
             touch = ContactKinematics(
                 config, self.anchors, places[rows], frames, crosses, self.depths(places)
             )
-            seen = self._touch = anchors, qpos.copy(), touch
+            seen = self._contact_cache = anchors, qpos.copy(), touch
         return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
-        """Returns slips from where feet stick, less what they give, and depths (n, 3)."""
+        """Return slip and penetration of the touching contacts, shape (n, 3) [m].
+
+        For pinned feet, the slip at the start of the creep step is subtracted, and the product of
+        compliance and tangential force is added.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            forces: Contact forces, shape (n, 3) [N], in the ground frames.
+        """
         places: Array = self.contacts_at(qpos).places.copy()
-        if self.feet == "pinned" and (self.crept or self.yielding or self._giving):
-            begun = np.array([self.crept.get(foot, _NOWHERE) for foot in self.anchors])
+        if self.feet == "pinned" and (self.crept or self.yielding or self._is_compliant):
+            begun = np.array([self.crept.get(foot, _ZERO_SLIP) for foot in self.anchors])
             places[:, :2] = self.project_soles(places[:, :2] - begun.reshape(-1, 2))
-            places[:, :2] += self._yields()[:, None] * forces[:, :2]
+            places[:, :2] += self._slip_compliances()[:, None] * forces[:, :2]
         return places
 
     def project_soles(self, slips: Array) -> Array:
-        """Returns the slips (n, 2, ...) of the feet that touch, those of each sole as one body."""
+        """Project slips, shape (n, 2, ...), onto rigid motions of each sole."""
         feet = tuple(self.anchors)
-        if self._rigid[0] != feet:
-            self._rigid = feet, rigid_slips(self.anchors, self._sole, self.frames)
-        whole = self._rigid[1]
+        if self._sole_projection_cache[0] != feet:
+            self._sole_projection_cache = feet, rigid_slips(self.anchors, self._sole, self.frames)
+        whole = self._sole_projection_cache[1]
         return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
 
     def residual(self, qpos: Array, forces: Array) -> Array:
-        """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
+        """Compute the residual, shape (nv + 3 n,).
+
+        The first nv elements are the balance [N, N m]; then two slip equations and one depth
+        equation per contact. A slip equation is in N if the contact slips or ``feet="sliding"``,
+        else in m.
+        """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.load() - touch.push(forces)
         balance[self._joints] -= self.torques(qpos)
@@ -395,23 +460,23 @@ class SagEquilibrium:
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + self.units.slip_stiffness * places[:, :2]
         slipping = self.find_slipping_contacts(forces, places)
-        self._in_newtons = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
-        for row, mu, tried in slipping:
-            along = tried / np.linalg.norm(tried)
+        self._force_rows = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
+        for row, mu, augmented in slipping:
+            along = augmented / np.linalg.norm(augmented)
             places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
         sole, depths = self.is_sole_point(), places[:, 2].copy()
         places[:, 2] -= self.equilibrium_depths(forces)
         if sole.any():
-            away = self._pressed(depths)[:, 0] - forces[:, 2]
-            places[sole, 2] = (away / self._scales())[sole]
+            away = self._normal_forces(depths)[:, 0] - forces[:, 2]
+            places[sole, 2] = (away / self._force_scales())[sole]
         return np.concatenate([balance, places.ravel()])
 
     def is_sole_point(self) -> NDArray[np.bool_]:
-        """Tells which of the points that touch (n,) belong to a flat foot."""
-        return np.array([self._pliancy[point] > 0 for point in self.anchors], dtype=bool)
+        """Return a mask, shape (n,): points of soles among the touching contacts."""
+        return np.array([self._sole_compliance[point] > 0 for point in self.anchors], dtype=bool)
 
-    def _pressed(self, depths: Array) -> Array:
-        """Returns normal force (N) and stiffness (N/m), (n, 2), at depths (n,): no pull."""
+    def _normal_forces(self, depths: Array) -> Array:
+        """Return normal force [N] and stiffness [N/m] at penetrations (n,); shape (n, 2)."""
         laws = [self.laws[point] for point in self.anchors]
         return np.array(
             [
@@ -420,12 +485,12 @@ class SagEquilibrium:
             ]
         ).reshape(-1, 2)
 
-    def _scales(self) -> Array:
-        """Returns the stiffness (n,) by which a force's equation becomes one of depth (N/m)."""
+    def _force_scales(self) -> Array:
+        """Return stiffnesses (n,) [N/m] that convert force equations to depth equations."""
         return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Returns the residual's derivative, in closed form."""
+        """Compute the derivative of `residual` by step and forces, in closed form."""
         n, touch, size = self.robot.nv, self.contacts_at(qpos), len(forces)
         whole = np.zeros((n + 3 * size, n + 3 * size))
         by_qpos, by_force = whole[:, :n], whole[n:, n:]
@@ -447,7 +512,7 @@ class SagEquilibrium:
         else:
             rates[:, :2] = self.project_soles(rates[:, :2])
         diagonal = np.zeros((size, 3))
-        diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
+        diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._slip_compliances()[:, None]
         diagonal[:, 2] = [
             -1 / self.laws[foot].rate(depth)
             for foot, depth in zip(
@@ -455,13 +520,13 @@ class SagEquilibrium:
             )
         ]
         if (sole := self.is_sole_point()).any():
-            harder, scales = self._pressed(touch.places[:, 2])[:, 1], self._scales()
+            harder, scales = self._normal_forces(touch.places[:, 2])[:, 1], self._force_scales()
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
-        for row, mu, tried in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
-            length = float(np.linalg.norm(tried))
-            along, tangents = tried / length, slice(3 * row, 3 * row + 2)
+        for row, mu, augmented in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
+            length = float(np.linalg.norm(augmented))
+            along, tangents = augmented / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
             rates[row, :2] = self.units.friction_penalty * turn @ rates[row, :2]
             kept = 1 - self.units.friction_penalty * diagonal[row, 0]
@@ -469,10 +534,11 @@ class SagEquilibrium:
             by_force[tangents, 3 * row + 2] = -mu * along
         return whole
 
-    def _yields(self) -> Array:
+    def _slip_compliances(self) -> Array:
+        """Return slip per tangential force, shape (n,) [m/N]: creep and compliance."""
         return np.array(
             [
-                self.yielding.get(foot, 0.0) + self._softer * self._give[foot]
+                self.yielding.get(foot, 0.0) + self._compliance_factor * self._compliance[foot]
                 for foot in self.anchors
             ]
         )
@@ -480,74 +546,88 @@ class SagEquilibrium:
     def find_slipping_contacts(
         self, forces: Array, places: Array
     ) -> list[tuple[int, float, Array]]:
-        """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
+        """Find pinned contacts whose augmented force f_t - rho s leaves the friction disc.
 
         Args:
-            forces: (n, 3).
-            places: (n, 3) with s in its first two columns.
+            forces: Contact forces, shape (n, 3) [N], in the ground frames.
+            places: Slips in the first two columns, shape (n, 3) [m].
+
+        Returns:
+            Index, friction coefficient and augmented tangential force, shape (2,) [N], of each such
+            contact.
         """
         if self.feet == "sliding":
             return []
-        found = []
+        slipping = []
         rows = zip(self.anchors, forces.tolist(), places.tolist(), strict=True)
         for row, (foot, force, place) in enumerate(rows):
             (x, y, pressing), (slip_x, slip_y, _) = force, place
-            tried = (
+            augmented = (
                 x - self.units.friction_penalty * slip_x,
                 y - self.units.friction_penalty * slip_y,
             )
-            # Without friction where it pulls: so nothing jumps when it is let go of there.
+            # No friction under pull: the solution is continuous if the contact is released.
             mu = self.sliding_friction[foot] if pressing > 0 else 0.0
-            if math.hypot(*tried) > mu * pressing:
-                found.append((row, mu, np.array(tried)))
-        return found
+            _, tangential = split_force((*augmented, pressing), GROUND_NORMAL)
+            if tangential > mu * pressing:
+                slipping.append((row, mu, np.array(augmented)))
+        return slipping
 
     def solve(self, guess: Solution, *, exact: bool = True) -> Solution | None:
-        """Solves the equations for the feet that touch; None if it fails.
+        """Solve the equations for the touching contacts.
 
         Args:
-            guess: Where to begin.
-            exact: To rounding, where that takes one step more; else to ``RESIDUAL_TOLERANCE``.
+            guess: Initial guess.
+            exact: Converge to rounding if this takes at most one more step; else to
+                `RESIDUAL_TOLERANCE`.
+
+        Returns:
+            The solution; None if Newton's method fails.
         """
-        found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
+        found = self._iterate_newton(guess, _ROUNDING_RESIDUAL if exact else RESIDUAL_TOLERANCE / 4)
         if found is None and self.is_sole_point().any() and self.feet == "pinned":
-            found = self._by_softer_soles(guess)
+            found = self._solve_with_softer_soles(guess)
         return found
 
-    def _by_softer_soles(self, guess: Solution) -> Solution | None:
-        """Solves with soles that give more than they do, and then less and less.
+    def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
+        """Solve with a larger compliance of the soles first, which is reduced in steps.
 
-        Where all points of a sole slip, which way each does depends on the others', and Newton's
-        iteration may go to and fro between two ways; on what gives they change little by little.
+        If all points of a sole slip, their slip directions depend on each other, and Newton's
+        method may alternate between two solutions. With compliance the directions change gradually.
         """
         try:
-            for self._softer in _SOFTER:
-                found = self._newton(guess)
+            for self._compliance_factor in _SOLE_COMPLIANCE_FACTORS:
+                found = self._iterate_newton(guess)
                 if found is None:
                     return None
                 guess = found
         finally:
-            self._softer = 1.0
+            self._compliance_factor = 1.0
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Returns the forces (n, 3) on the feet that touch."""
+        """Return the forces on the touching contacts, shape (n, 3) [N]."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
-    def _newton(self, guess: Solution, left: float = _ROUNDING) -> Solution | None:
-        """Returns where Newton's iteration ends; ``left`` is what a kept derivative may leave."""
+    def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
+        """Iterate Newton's method until the scaled residual is below `RESIDUAL_TOLERANCE`.
+
+        A derivative is reused if the predicted residual e[k]^2 / e[k-1] is at most ``left``. Stops
+        without result after `_MAX_ITERATIONS`, if the derivative is singular, or if a step is too
+        long.
+        """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
-        left_over: list[float] = []  # the same in the robot's units
+        residuals: list[float] = []  # the same in the robot's units
         for _ in range(_MAX_ITERATIONS):
             residual = self.apply_welds(qpos, self.residual(qpos, forces))
-            left_over.append(self.units.max_residual(residual, n, self._in_newtons))
-            if left_over[-1] < RESIDUAL_TOLERANCE:
+            residuals.append(self.units.max_residual(residual, n, self._force_rows))
+            if residuals[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, float(np.abs(residual).max()))
-            if derivative is None or left_over[-1] ** 2 > left * left_over[-2]:
+            if derivative is None or residuals[-1] ** 2 > left * residuals[-2]:
                 derivative = self.apply_welds(qpos, self.derivative(qpos, forces))
-            # Otherwise the last one leaves no more: it errs by twice the share that its step left.
+            # Otherwise the previous derivative suffices: its relative error is e[k] / e[k-1].
             *_, step, singular = lapack.dgesv(derivative, -residual)
             if singular or self.units.is_too_far(step[:n]):
                 return None
@@ -555,43 +635,47 @@ class SagEquilibrium:
         return None
 
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
-        """Returns equations (nv + 3 n,), or their derivative, with those of welds among balance."""
+        """Replace constrained rows of residual or derivative by the weld constraints."""
         if self._welds is not None:
             return self._welds.insert(self.contacts_at(qpos).config, equations, self.units.weight)
-        if self._still:
+        if self._num_welded_rows:
             equations = equations.copy()
-            equations[: self._still] = 0.0
+            equations[: self._num_welded_rows] = 0.0
             if equations.ndim > 1:
-                np.fill_diagonal(equations[: self._still], 1.0)
+                np.fill_diagonal(equations[: self._num_welded_rows], 1.0)
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Returns the Jacobian (6 w, nv) of what is welded."""
+        """Return the Jacobian of the welds, shape (6 w + 3 g, nv)."""
         if self._welds is None:
-            return np.eye(self._still, self.robot.nv)
+            return np.eye(self._num_welded_rows, self.robot.nv)
         return self._welds.jacobian(self.contacts_at(qpos).config)
 
     def find_violations(self, solution: Solution) -> dict[str, float]:
-        """Returns the feet that a solution has wrong, and by how much.
+        """Return the contacts that contradict a solution, with the violation.
 
-        They pull (N), or are in the ground without touching it (m).
+        A touching contact must not pull [N]; another contact must not penetrate the ground [m].
         """
         feet = self.robot.bearing
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
     def violation_of(self, foot: str, solution: Solution) -> float:
-        """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
+        """Return the pull of a touching contact [N], or the penetration of another contact [m].
+
+        Positive values are violations. Zero for touching points of a sole, whose own equations
+        exclude pull.
+        """
         if foot in self.anchors:
-            # A flat foot's points let go of the ground in their own equations.
-            return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
+            # The depth equation of a sole point has no pull.
+            return 0.0 if self._sole_compliance[foot] else -float(solution.forces[foot][2])
         depth = self.contacts_at(solution.qpos).depths[foot]
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch(self, foot: str, solution: Solution) -> Solution:
-        """Lets go of a foot that touches, or lets another one touch where it is.
+        """Release a touching contact, or add a contact at its current pose.
 
         Returns:
-            What to begin the next iteration with.
+            Initial guess of the next solve.
         """
         forces = dict(solution.forces)
         if foot in self.anchors:
@@ -608,7 +692,7 @@ class SagEquilibrium:
         return Solution(solution.qpos, forces, solution.residual)
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
-        """Begins a step of creep, with the viscosities of where it begins."""
+        """Start a backward Euler step of creep, with the viscosities at its start."""
         places = self.contacts_at(solution.qpos).places
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
@@ -617,9 +701,12 @@ class SagEquilibrium:
         }
 
     def viscosity(self, foot: str, depth: float) -> float:
-        """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""
+        """Return tangential force per slip velocity [N s/m].
+
+        Infinite if the contact does not press, or if MuJoCo's no-slip solver is active.
+        """
         law = self.laws[foot]
-        return law.viscosity(depth) if self._creeps and depth > -law.margin else math.inf
+        return law.viscosity(depth) if self._has_creep and depth > -law.margin else math.inf
 
 
 class Welds:
@@ -717,13 +804,13 @@ def independent_rows(rows: Array) -> NDArray[np.intp]:
     return np.sort(order[: np.count_nonzero(sizes > tolerance)])
 
 
-_PLIANT = 2.5e-6
-"""How far contact points, pinned, give under a tangential force of the robot's weight (heights): a
-biped of 10 kg by some micrometre."""
+_TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
+"""Slip of compliant contact points under a tangential force of one weight [heights]: some
+micrometres for a biped of 10 kg. Chosen, not tuned."""
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Returns a point {contact point: (3,)} of the ground under each (m)."""
+    """Return a point on the ground below each contact point, shape (3,) [m], in the world frame."""
     ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
         if foot in ground.planes:
@@ -738,17 +825,17 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
 def contact_compliance(
     robot: Robot, units: EquilibriumScales
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns how far the points of soles give, and all contact points, {point: m/N}.
+    """Return tangential compliances {contact point: m/N}: of soles, and of all points.
 
-    A sole's move as one body: if none gave, the equations would say the same several times. A foot
-    with one point gives nothing, but where legs cannot place feet in all directions: the two of a
-    pair of legs that swing in planes keep their distance as the points of a sole do.
+    The points of a sole move as one body; without compliance their slip equations would be linearly
+    dependent. A foot with one point has none, unless the legs cannot place feet in all directions
+    (`can_move_com`): two legs that swing in planes keep their distance like the points of a sole.
 
     Args:
-        robot: The robot.
-        units: Its weight, and its height.
+        robot: Robot.
+        units: Weight and height of the robot.
     """
-    give = _PLIANT * units.length / units.weight
+    give = _TANGENTIAL_COMPLIANCE_RATIO * units.length / units.weight
     flat: dict[str, float] = {}
     for points in robot.feet.values():
         flat |= dict.fromkeys(points, give if len(points) > 1 else 0.0)
@@ -758,16 +845,19 @@ def contact_compliance(
 def rigid_slips(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
-    """Returns the projection (n, 2, n, 2) of slips on those of rigid soles; None without soles.
+    """Return the projection of slips onto rigid motions of the soles, shape (n, 2, n, 2).
 
-    A sole is rigid: its points slip along the ground by what moves and turns it. What is left of
-    their slips, micrometres by which it tilts, would have them rub against each other as hard as
-    friction lets them, which creeps away at once.
+    The points of a sole slip along the ground by its translation and rotation. The rest of their
+    slips, micrometres by tilt, would saturate friction between the points, which creeps away at
+    once.
 
     Args:
-        anchors: {point that touches: where it did so first}.
-        soles: {point: the foot that has it}.
-        frames: {point: (3, 3) rotation from the world to the frame of the ground under it}.
+        anchors: {touching point: pose at its first contact}.
+        soles: {point: foot that has the point}.
+        frames: {point: rotation from the world to the ground frame, shape (3, 3)}.
+
+    Returns:
+        The projection; None if no foot touches with several points.
     """
     rows: dict[str, list[int]] = {}
     for row, point in enumerate(anchors):

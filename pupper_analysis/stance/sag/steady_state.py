@@ -1,7 +1,11 @@
-"""How far a standing robot sags: where its servos let it come to rest on soft ground.
+"""Rest position of a standing robot on position servos and soft ground, without feed-forward.
 
-A homotopy leads there: the feed-forward is taken away, then feet creep. The equilibrium at its end
-lasts where it is stiff in every motion that the feet leave.
+`steady_state` follows the equilibrium from the stand (`HomotopyPath`): the feed-forward is removed
+in steps, then pinned feet creep for a given time. The result contains the height loss, torques,
+contact forces, and the reasons for which the robot does not stay there. `minimum_stiffness` finds
+the smallest kp without such reasons.
+
+An equilibrium is stable if its stiffness is positive in each motion that the feet permit.
 """
 
 from __future__ import annotations
@@ -32,30 +36,37 @@ from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.posture import LIMIT_TOLERANCE
-from pupper_analysis.stance.sag.equilibrium import EquilibriumScales, Feet, SagEquilibrium, Solution
+from pupper_analysis.stance.sag.equilibrium import (
+    GROUND_NORMAL,
+    EquilibriumScales,
+    Feet,
+    SagEquilibrium,
+    Solution,
+)
 from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.cone_program import split_force
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
 MAX_PIVOT_RATIO = 0.01
-"""A sole that has slipped by less, in parts of the height at which the robot stands, rests where it
-has come to: some 3 mm of a biped of 0.3 m. MuJoCo's pivoted by 0.1 to 0.4 mm."""
+"""Largest slip [stand heights] of a sole that counts as at rest: 3 mm for a biped of 0.3 m. Soles
+in MuJoCo pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Returns the pinned feet that slide: what presses of them slips, and it is no small way.
+    """Find the pinned feet that slide: all pressed points slip, by more than a short distance.
 
-    A foot of one point slides where that point slips. A sole may pivot by a fraction of a
-    millimetre, all its points at their friction, until its leg is no longer twisted: where
-    there is an equilibrium so near, the sole rests in it.
+    A foot with one point slides if the point slips. A sole may pivot by a fraction of a millimetre,
+    with all points at the friction limit, until its leg is no longer twisted. If the slip is at
+    most `MAX_PIVOT_RATIO` stand heights, such a sole counts as at rest.
     """
     loose, names = set(find_slipping_feet(system, solution)), tuple(system.anchors)
     if not loose:
         return ()
     small = MAX_PIVOT_RATIO * system.robot.stand_height
     slips = np.linalg.norm(measure_slips(system, solution), axis=1)
-    found = []
+    sliding = []
     for foot in system.robot.feet_with(system.stand.stance_feet):
         points = [point for point in system.robot.feet[foot] if point in names]
         pressed = [point for point in points if solution.forces[point][2] > 0]
@@ -63,54 +74,60 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
             continue
         way = max(float(slips[names.index(point)]) for point in pressed)
         if len(system.robot.feet[foot]) == 1 or way > small:
-            found.append(foot)
-    return tuple(found)
+            sliding.append(foot)
+    return tuple(sliding)
 
 
 def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Returns the pinned feet that slip."""
+    """Find the pinned contact points whose friction is saturated."""
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
 
 
 def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
-    """Returns how far the pinned feet that touch have slipped (n, 2), soles as one body (m)."""
+    """Measure the slip of touching points, shape (n, 2) [m]; soles move as rigid bodies.
+
+    The slip starts at the first contact, or at the start of the present creep step.
+    """
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.contacts_at(solution.qpos).places[:, :2]
     return system.project_soles(places - begun.reshape(-1, 2))
 
 
 def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
-    """Returns the least eigenvalue of the energy's Hessian, relative to the mass matrix (1/s^2).
+    """Compute the smallest eigenvalue of the energy's Hessian relative to the mass matrix [1/s^2].
 
-    Of motions that the feet allow; the Hessian is not symmetric where feet slip.
+    The Hessian is restricted to motions that the feet permit. It is not symmetric if feet slip.
 
     Args:
-        system: The equations.
-        solution: The solution.
-        derivative: Of the equations there; see ``Equilibrium.derivative``.
+        system: Equations.
+        solution: Solution of the equations.
+        derivative: Derivative of the equations there (`SagEquilibrium.derivative`).
+
+    Returns:
+        The eigenvalue; infinite if the feet permit no motion.
     """
     n, feet, forces = system.robot.nv, tuple(system.anchors), system.stack_forces(solution)
     touch = system.contacts_at(solution.qpos)
     config, depths, jacobian = touch.config, touch.places[:, 2], touch.jacobians
     laws, normal = [system.laws[foot] for foot in feet], jacobian[:, 2]
     moving, slips = find_slipping_feet(system, solution), measure_slips(system, solution)
-    # Points of soles that touch may not be pressed.
+    # Touching points of soles may be without load.
     idle = system.is_sole_point() & np.array(
         [depth <= -law.margin for law, depth in zip(laws, depths, strict=True)], dtype=bool
     )
     rates = np.array([law.rate(depth) for law, depth in zip(laws, depths, strict=True)])
     rates[idle] = 0.0
-    pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
+    pushed = normal.copy()  # direction of a contact force, including saturated friction
     slipping = [row for row, foot in enumerate(feet) if foot in moving]
     for row in slipping:
         if not idle[row]:
             pushed[row] += forces[row, :2] / forces[row, 2] @ jacobian[row, :2]
     hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
     across = system.project_soles(jacobian[:, :2])
-    # Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it the
-    # force, by mu f_n / |s| to the side; along s nothing holds it.
+    # Saturated friction is f_t = -mu f_n s / |s|. A displacement perpendicular to the slip s turns
+    # the force: stiffness mu f_n / |s|. Along s the stiffness is zero.
     for row in slipping:
         way, pressing = float(np.linalg.norm(slips[row])), forces[row, 2]
         if way > 0 and pressing > 0:
@@ -119,104 +136,117 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
             hessian += across[row].T @ stiff @ across[row]
     sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
-    if system.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
+    if system.feet == "sliding":  # translations and yaw of the whole robot are ignored
         held = np.eye(3, n)
         held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
     if system.robot.welds:
         held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
     least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
-    free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
+    free = rows[np.count_nonzero(lengths > least) :].T  # basis of the permitted motions
     if not free.shape[1]:
         return math.inf
-    both = (free.T @ one @ free for one in (hessian, config.mass_matrix()))
+    both = (free.T @ matrix @ free for matrix in (hessian, config.mass_matrix()))
     real, _, scale, *_ = lapack.dggev(*both, compute_vl=0, compute_vr=0)
     values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
     return float(values.min())
 
 
-_LEAST_STEP = 1 / 64  # of the feed-forward, in one step
-_CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
-_SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
-_MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
-_FRICTION_SHARE_OF_SLIDING = 0.95
-"""Share of the friction limit above which a foot is reported as about to slide where no equilibrium
-follows. Chosen: the last equilibrium is up to `_LEAST_STEP` of the feed-forward before the end."""
-CREEP_STEPS = 20
-"""Backward Euler steps in which feet creep: with 20 a robot that falls after 15 s does after 14."""
+_MIN_SHARE_STEP = 1 / 64
+"""Smallest step of the removed share of the feed-forward. Chosen, not tuned."""
 
-_LEAST_EULER = 1 / 4096
-"""Part of such a step that is tried at least: 0.1 ms of 12 s, in which contacts move less than what
-they give."""
+_MAX_UNCHECKED_STEP = 1 / 64
+"""Largest step of the share after which the stability of the equilibrium is not checked: a longer
+step may end on another, unstable branch. Chosen, not tuned."""
+
+_SHARE_TOLERANCE = 1e-7
+"""Tolerance of the share at which a contact changes: nanometres of motion."""
+
+_MAX_EVENTS = 24
+"""Largest number of contact changes along a path; more are chatter. For robots with more than six
+contact points, four per point."""
+
+_FRICTION_SHARE_OF_SLIDING = 0.95
+"""Share of the friction limit above which a foot is reported as about to slide if the equilibrium
+ends. Chosen: the last equilibrium is up to `_MIN_SHARE_STEP` of the feed-forward before the end."""
+
+CREEP_STEPS = 20
+"""Number of backward Euler steps of a creep. With 20, a robot that falls after 15 s is predicted to
+fall after 14 s."""
+
+_MIN_EULER_STEP = 1 / 4096
+"""Smallest part of a creep step that is tried. Of a step of 0.6 s (12 s in 20 steps) this is 0.15
+ms, in which contacts move less than their compliance."""
 
 
 class HomotopyPath:
-    """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
+    """Path of an equilibrium from the stand: feed-forward is removed, then the feet creep.
 
     Args:
-        system: The equations.
-        end: (nu,) what the servos are commanded at its end (rad); by default the stand's joint
-            positions, without any feed-forward.
-        exact: Whether its beginning is to be so to rounding; where it is only gone on from, not.
+        system: Equations.
+        end: Servo target at the end of the path, shape (nu,) [rad, m]. Default: the joint positions
+            of the stand, without feed-forward.
+        exact: Converge the first equilibrium to rounding.
 
     Attributes:
-        system: The equations; their feet touch as they do where the way has come to.
-        balance: What holds the stand itself.
-        share: Of the feed-forward, how much is taken away.
-        solution: The equilibrium there.
-        crept: For how long feet have crept (s).
+        system: Equations, with the touching contacts at the current point of the path.
+        balance: Statics of the stand.
+        share: Removed share of the feed-forward, 0 to 1.
+        solution: Current equilibrium.
+        crept: Creep time so far [s].
 
     Raises:
-        StaticsInfeasibleError: If no contact forces balance the stand itself.
-        NoEquilibriumError: If it is no equilibrium on soft ground.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoEquilibriumError: If the stand has no equilibrium on soft ground.
     """
 
     def __init__(
         self, system: SagEquilibrium, end: Array | None = None, *, exact: bool = True
     ) -> None:
         self.system, stand = system, system.stand
-        self._looked_at: tuple[Solution, Array, float] | None = None
+        self._linearisation: tuple[Solution, Array, float] | None = None
         self.end: Array = stand.joint_positions(system.robot) if end is None else end
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
         self.share, self._events, self.crept = 0.0, 0, 0.0
-        self._euler = math.inf
+        self._euler_step = math.inf
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.equilibrium_depths(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
         if not (system.robot.bolted or system.robot.welds):
             qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
-        self._command(0.0)
-        self.solution = self._settled(Solution(qpos, forces), diagnose("as-it-stands-fed"), exact)
+        self._set_command(0.0)
+        when = diagnose("as-it-stands-fed")
+        self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
     def follow(self, goal: float) -> None:
-        """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
+        """Remove the share ``goal`` of the feed-forward, with an adaptive step.
 
         Raises:
-            NoEquilibriumError: If the equilibrium ends before.
+            NoEquilibriumError: If the equilibrium ends before that share.
         """
         step = 1.0
         while self.share < goal:
             wanted = min(self.share + step, goal)
-            found = self._at(wanted)
-            if found is not None and step > _CAREFUL and self.linearise(found)[1] <= 0:
-                # A long step may end on another branch, beyond where this one is stable.
+            found = self._solve_at(wanted)
+            if found is not None and step > _MAX_UNCHECKED_STEP and self.linearise(found)[1] <= 0:
+                # A long step may end on another branch.
                 found = None
             if found is not None:
                 if not self.system.find_violations(found):
                     self.share, self.solution, step = wanted, found, 2 * step
                     continue
-                if self._event(wanted, found):
+                if self._go_to_event(wanted, found):
                     continue
             step /= 2
-            if step < _LEAST_STEP:
+            if step < _MIN_SHARE_STEP:
                 raise NoEquilibriumError(
                     self.share,
                     diagnose(
                         "feed-forward-needed",
                         feet=Term(self.system.feet),
-                        # Joints that follow others have none.
+                        # Coupled joints have kp = 0.
                         kp=Quantity(self.system.kp[self.system.kp > 0].min(), "N m/rad"),
                         share=self.share,
                         sliding=self._feet_about_to_slide(),
@@ -224,11 +254,11 @@ class HomotopyPath:
                 )
 
     def linearise(self, solution: Solution) -> tuple[Array, float]:
-        """Returns derivative and stiffness at a solution: the way and its end ask for the same."""
-        system, seen = self.system, self._looked_at
+        """Return derivative and stiffness at a solution; the latest is cached."""
+        system, seen = self.system, self._linearisation
         if seen is None or seen[0] is not solution:
             derivative = system.derivative(solution.qpos, system.stack_forces(solution))
-            seen = self._looked_at = (
+            seen = self._linearisation = (
                 solution,
                 derivative,
                 stiffness_at(system, solution, derivative),
@@ -236,83 +266,86 @@ class HomotopyPath:
         return seen[1:]
 
     def creep_step(self, seconds: float) -> None:
-        """Lets pinned feet creep, by one backward Euler step, or where it must by smaller ones.
+        """Let pinned feet creep by backward Euler steps, shortened if an equilibrium is not found.
 
-        Soles that are twisted creep by a millimetre within hundredths of a second, and then rest.
+        Twisted soles creep by a millimetre within hundredths of a second, and then rest.
 
         Raises:
             NoEquilibriumError: If the equilibrium ends before.
         """
         left = seconds
         while left > 0:
-            step = min(self._euler, left)
+            step = min(self._euler_step, left)
             system, solution = self.system, self.solution
             before = dict(system.anchors), dict(system.crept), dict(system.yielding)
             system.begin_creep(solution, step)
             try:
-                self.solution = self._settled(
+                self.solution = self._solve_contacts(
                     self.solution, diagnose("after-creep", time=self.crept)
                 )
             except NoEquilibriumError:
                 self.solution = solution
                 system.anchors, system.crept, system.yielding = before
-                self._euler = step / 4
-                if self._euler < _LEAST_EULER * seconds:
+                self._euler_step = step / 4
+                if self._euler_step < _MIN_EULER_STEP * seconds:
                     raise
                 continue
             self.crept += step
             left -= step
-            self._euler = 2 * step
+            self._euler_step = 2 * step
 
     def _feet_about_to_slide(self) -> list[str]:
         """Return the pinned feet whose tangential force is close to the limit of their friction."""
         if self.system.feet != "pinned":
             return []
-        friction = self.system.sliding_friction
-        return [
-            foot
-            for foot, force in self.solution.forces.items()
-            if np.linalg.norm(force[:2]) > _FRICTION_SHARE_OF_SLIDING * friction[foot] * force[2]
-        ]
+        feet = []
+        for foot, force in self.solution.forces.items():
+            pressing, tangential = split_force(force.tolist(), GROUND_NORMAL)
+            limit = self.system.sliding_friction[foot] * pressing
+            if tangential > _FRICTION_SHARE_OF_SLIDING * limit:
+                feet.append(foot)
+        return feet
 
-    def _command(self, share: float) -> None:
+    def _set_command(self, share: float) -> None:
+        """Command the servos with the remaining share of the feed-forward."""
         system = self.system
         full = system.stand.joint_positions(system.robot) + compute_command_lead(
             self.balance.joint_torques, system.kp
         )
         system.command(full + share * (self.end - full))
 
-    def _at(self, share: float) -> Solution | None:
-        """Returns the equilibrium at a share, the feet touching as they do; None if none."""
-        self._command(share)
+    def _solve_at(self, share: float) -> Solution | None:
+        """Solve at a share with the present contacts; None without solution."""
+        self._set_command(share)
         return self.system.solve(self.solution)
 
-    def _event(self, wanted: float, there: Solution) -> bool:
-        """Goes on to where, before ``wanted``, the first foot touches or lets go.
+    def _go_to_event(self, wanted: float, there: Solution) -> bool:
+        """Go to the first change of contact before a share, by bisection.
 
         Args:
-            wanted: A share at which feet are wrong.
-            there: The equilibrium there.
+            wanted: Share at which contacts contradict the solution.
+            there: Solution at this share.
 
         Returns:
-            Whether that place was found.
+            False if an equilibrium between is missing.
         """
         right = self.share
         while wanted - right > _SHARE_TOLERANCE:
             middle = (right + wanted) / 2
-            found = self._at(middle)
+            found = self._solve_at(middle)
             if found is None:
                 return False
             if self.system.find_violations(found):
                 wanted, there = middle, found
             else:
                 right = middle
-        self._command(wanted)
+        self._set_command(wanted)
         self.share = wanted
-        self._switch(next(iter(self.system.find_violations(there))), there)
+        self._switch_contact(next(iter(self.system.find_violations(there))), there)
         return True
 
-    def _switch(self, foot: str, found: Solution) -> None:
+    def _switch_contact(self, foot: str, found: Solution) -> None:
+        """Release or add a contact; raise NoEquilibriumError after too many switches."""
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
             raise NoEquilibriumError(
@@ -320,8 +353,8 @@ class HomotopyPath:
             )
         self.solution = self.system.switch(foot, found)
 
-    def _settled(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
-        """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
+    def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
+        """Solve, and switch contacts until none contradicts the solution."""
         self.solution = guess
         while True:
             found = self.system.solve(self.solution, exact=exact)
@@ -333,56 +366,58 @@ class HomotopyPath:
             wrong = self.system.find_violations(found)
             if not wrong:
                 return found
-            self._switch(next(iter(wrong)), found)
+            self._switch_contact(next(iter(wrong)), found)
 
 
 RELEASE_MARGIN = 0.06
-"""A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
+"""`SteadyState.release_margin` above which the feet stay in place: the contribution of the contacts
+to first order."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Share of the stand's height: where creep goes on to take less of it within ``HOLD_DURATION``, it
-does not end the equilibrium. original's, 2 % above its least kp, ends after 5 s, and begins at
-0.025."""
+"""Height loss by creep within ``HOLD_DURATION`` [stand heights] that cannot end the equilibrium.
+Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its ratio is 0.025."""
 
 HIGHEST_KP = 2500.0
-"""The stiffest servos that ``minimum_stiffness`` tries, in weights times heights of the stand per
-radian: 2000 times v3's."""
+"""Upper bound of kp in `minimum_stiffness` [weights x stand heights per radian]: 2000 times that of
+v3."""
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyState(Result):
-    """An equilibrium of a servo-driven robot on its feet, or by its base that is fixed.
+    """Equilibrium of a servo-driven robot on its feet, or with a fixed base.
 
     Attributes:
-        feet: What the feet do: ``pinned`` or ``sliding``.
-        qpos: (nq,) the configuration.
-        base_height: m; of one that its file fixes, this and what it loses is 0.
-        height_loss: Stand's height less this one (m); the sum of the next two.
-        servo_sag: The part lost in the joints (m).
-        contact_sag: The part lost in the softness of feet and ground (m).
-        joint_torques: (nu,) of the motors (N m).
-        stance_feet: The feet that carry: swing feet that came down to the ground too, and without
-            those of the stand that the ground would have to pull.
-        contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
-            that do not touch.
-        foot_creep: {foot that carries: speed} at which MuJoCo's friction lets it creep, if pinned
-            (m/s).
-        height_drift: The rate of the base's height that comes of it (m/s). A simulated height is
-            the predicted one within D for about D / |height_drift| seconds.
-        residual: The largest element left of the equations (N, N m, m).
-        stiffness: The least eigenvalue of the energy's Hessian on the null space of what the feet
-            hold, relative to the mass matrix (rad^2/s^2): the square of the lowest natural
-            frequency without damping.
-        stable: Whether it is positive.
-        release_margin: What friction has left, at the foot that has the least, in parts of the
-            weight, as the robot overshoots when its feed-forward is taken away at once: it is then
-            twice as far from the stand as the equilibrium, to first order. Below
-            ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
-            elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
-            is left out, holds the robot above the equilibrium: v3 by 1.8 mm.
-        lasts: How long it stands until creep ends the equilibrium, or brings another part to the
-            ground (s); infinite if that is longer than ``HOLD_DURATION``, or was not looked at.
-        failures: Why the robot will not stand so; empty if it will.
+        feet: Slip law of the feet: ``pinned`` or ``sliding``.
+        qpos: Configuration, shape (nq,).
+        base_height: Height of the base frame (m); 0 for a fixed base.
+        height_loss: Height of the base in the stand minus ``base_height`` (m), the sum of the next
+            two; 0 for a fixed base.
+        servo_sag: Height loss by deflection of the joints (m).
+        contact_sag: Height loss by penetration of the feet (m).
+        joint_torques: Motor torques, shape (nu,) (N m).
+        stance_feet: Contact points that touch the ground, including swing feet that came down and
+            without stance feet that were released.
+        contact_forces: {foot: force of the ground, shape (3,)} of all feet, in world axes (N); zero
+            without contact.
+        foot_creep: {touching contact point: creep speed in MuJoCo's friction} (m/s); zero for
+            sliding feet.
+        height_drift: Rate of the base height by creep (m/s). A simulated height is the predicted
+            height within D for about D / |height_drift| seconds.
+        residual: Largest element of the residual of the equations (N, N m, m).
+        stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
+            relative to the mass matrix (rad^2/s^2): the square of the lowest natural frequency
+            without damping.
+        stable: Whether ``stiffness`` is positive.
+        release_margin: Smallest remaining friction of a foot, in parts of the weight, in the
+            overshoot after the feed-forward is removed in one step: to first order, the robot is
+            then twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
+            slip or lift, and the robot comes to rest elsewhere, by up to millimetres. If the
+            feed-forward is removed slowly, no foot slips, but the ignored dry friction holds the
+            robot above the equilibrium (v3: by 1.8 mm).
+        lasts: Time until creep ends the equilibrium, or brings another part to the ground (s);
+            infinite if longer than ``HOLD_DURATION``, or not computed.
+        failures: Reasons for which the robot does not stay in this equilibrium; empty if there is
+            none.
     """
 
     feet: Feet
@@ -414,42 +449,43 @@ def steady_state(
     feet: Feet = "pinned",
     seconds: float = 0.0,
 ) -> SteadyState:
-    """Predicts where position servos let a standing robot sag to.
+    """Predict the rest position of a standing robot on position servos.
 
-    The equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on the soft ground:
+    Solves for the equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on soft
+    ground:
 
         g(q) - S^T tau - sum J_i(q)^T f_i = 0
         depth_i = r_i - z_i(q) = depth of f_i  if f_i > 0,   depth_i <= 0  if f_i = 0
 
-    J_i is the Jacobian of the material point at the contact. Pinned, that point stays (the foot
-    rolls on it), or creeps with -f_t / c as MuJoCo's friction has it, if ``seconds`` are given;
-    sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
-    itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
-    swing foot touches the ground it is pinned there and carries from then on; where a foot would
-    have to pull it lets go. Then backward Euler steps follow the creep. Where that goes on to take
-    the robot down within ``HOLD_DURATION`` (12 s) it does not stand: just above the least stiffness
-    an equilibrium is there, and a millimetre of creep ends it.
+    J_i is the Jacobian of the material point at the contact. With ``feet="pinned"`` this point
+    stays (the foot rolls on it); if ``seconds`` is positive, it creeps with -f_t / c, as in
+    MuJoCo's friction. With ``feet="sliding"`` its tangential force is zero. Newton's method follows
+    the equilibrium from the stand, which the full feed-forward holds, while feed-forward is
+    removed. A swing foot that reaches the ground on this path is pinned there and carries load; a
+    foot that would have to pull is released. Then backward Euler steps follow the creep. If
+    continued creep takes the robot down within ``HOLD_DURATION`` (12 s), the result has a failure:
+    just above the smallest stiffness, a millimetre of creep ends the equilibrium.
 
-    Dry friction, of joints and of rolling feet, is left out.
+    Dry friction of joints and rolling feet is ignored.
 
     Args:
-        robot: The robot.
-        stand: How it shall stand.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        robot: Robot.
+        stand: Stand from which the robot sags.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        feet: ``pinned``: friction holds, as rubber's does for good and MuJoCo's for seconds.
-            ``sliding``: no tangential force is left, where MuJoCo's creeping feet end.
-        seconds: How long pinned feet have crept (s).
+        feet: ``pinned``: friction holds, as rubber's does, and MuJoCo's for seconds. ``sliding``:
+            no tangential forces, the end of MuJoCo's creep.
+        seconds: Creep time of pinned feet [s].
 
     Returns:
-        The equilibrium; ``failures`` says why the robot will not stand so.
+        The equilibrium; ``failures`` contains the reasons for which the robot does not stay there.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        UnknownNameError: If the stand is another robot's, with other feet.
-        ModelError: If a joint has no motor, or the model has no servos and no kp is given.
-        StaticsInfeasibleError: If no contact forces balance the stand itself.
-        NoEquilibriumError: If there is no equilibrium that continues the stand.
+        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
+        ModelError: If a joint has no motor, or the model has no servos and ``kp`` is None.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoEquilibriumError: If no equilibrium continues the stand.
     """
     robot = touching(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
@@ -464,14 +500,15 @@ def steady_state(
 
 
 def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
-    """Lets pinned feet creep for ``HOLD_DURATION`` more, if that moves the base.
+    """Let pinned feet creep for another ``HOLD_DURATION``, unless creep hardly moves the base.
 
     Args:
-        way: Whose end is ``pose``; it goes on.
-        pose: An equilibrium that is stable.
+        way: Path that ends at ``pose``; it is extended.
+        pose: Stable equilibrium.
 
     Returns:
-        How long the robot stands (s); infinite if longer.
+        Time until the equilibrium ends or has a failure [s]; infinite if longer than
+        ``HOLD_DURATION``.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (
@@ -483,7 +520,7 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
     with contextlib.suppress(NoEquilibriumError):
         for _ in range(CREEP_STEPS):
             way.creep_step(HOLD_DURATION / CREEP_STEPS)
-            if _failures(way.system, way.solution, way.linearise(way.solution)[1]):
+            if _find_failures(way.system, way.solution, way.linearise(way.solution)[1]):
                 break
         else:
             return math.inf
@@ -491,15 +528,15 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
 
 
 MAX_CREEP_DURATION = 1e9
-"""s, some thirty years: of much more creep, numbers overflow."""
+"""Largest creep time [s], thirty years. With much larger times, numbers overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
-    """Checks what a prediction is asked for.
+    """Check the arguments of `steady_state`.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        UnknownNameError: If the stand is another robot's, with other feet.
+        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.bolted or robot.welds or (robot.floating and robot.contacts)
     if not stands or (stand.stance_feet and not robot.floating) or len(stand.qpos) != robot.nq:
@@ -519,15 +556,15 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
 
 def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Goes a way to its end; see ``steady_state``.
+    """Follow a path to its end; see `steady_state`.
 
     Args:
-        way: The way, at its beginning.
+        way: Path at its beginning.
         feedforward: Keep the feed-forward.
-        seconds: How long pinned feet creep then (s).
+        seconds: Creep time of pinned feet at the end [s].
 
     Raises:
-        NoEquilibriumError: If there is no equilibrium that continues the stand.
+        NoEquilibriumError: If no equilibrium continues the stand.
     """
     way.follow(0.0 if feedforward else 1.0)
     margin = release_margin(way)
@@ -537,43 +574,44 @@ def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0)
 
 
 def release_margin(way: HomotopyPath) -> float:
-    """Returns the ``release_margin`` of a ``SteadyState`` at the end of a way."""
+    """Compute the `SteadyState.release_margin` at the present point of a path."""
     held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
     before = np.array([way.system.frames[foot] @ held.get(foot, nothing) for foot in feet])
     overshot = 2 * np.array([now.get(foot, nothing) for foot in feet]) - before
-    left = [
-        robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
-        for foot, (x, y, z) in zip(feet, overshot.tolist(), strict=True)
-    ]
-    return float(min(left, default=math.inf) / robot.usual_weight)
+    margins = []
+    for foot, force in zip(feet, overshot.tolist(), strict=True):
+        pressing, tangential = split_force(force, GROUND_NORMAL)
+        margins.append(robot.contacts[foot].sliding_friction * pressing - tangential)
+    return float(min(margins, default=math.inf) / robot.usual_weight)
 
 
 @check_arguments
 def minimum_stiffness(
     robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
 ) -> float:
-    """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
+    """Find the smallest uniform kp with which a robot stands without feed-forward, by bisection.
 
-    It stands if ``steady_state`` has no failures (so a swing foot that comes down to the ground
-    is none of its standing, and creep does not take it down within 12 s) and keeps half of the
+    The robot stands if `steady_state` has no failures (for example, a swing foot on the ground, or
+    creep that ends the equilibrium within 12 s) and, on a free base, keeps more than half of the
     stand's height.
 
     Args:
-        robot: The robot.
-        stand: How it shall stand.
-        feet: What the feet do, as in ``steady_state``.
-        tolerance: Relative, of the result.
+        robot: Robot.
+        stand: Stand.
+        feet: Slip law, as in `steady_state`.
+        tolerance: Relative tolerance of the result, in (0, 1).
 
     Returns:
-        kp (N m/rad), rounded up: with it the robot does stand.
+        kp [N m/rad], the upper end of the bracket, with which the robot stands.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        UnknownNameError: If the stand is another robot's, with other feet.
+        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor.
-        StaticsInfeasibleError: If no contact forces balance the stand itself.
-        NoStiffnessError: If it does not stand with any kp up to ``HIGHEST_KP``; says why.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP`;
+            contains the reason.
     """
     if not 0 < tolerance < 1:
         refused = diagnose("not-between", given=tolerance, low=0, high=1)
@@ -581,7 +619,8 @@ def minimum_stiffness(
     robot = touching(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)
 
-    def obstacle(kp: float) -> Diagnostic | None:
+    def find_obstacle(kp: float) -> Diagnostic | None:
+        """Return the reason for which the robot does not stand with kp; None if it stands."""
         try:
             pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
@@ -594,18 +633,18 @@ def minimum_stiffness(
 
     unit = EquilibriumScales.of(robot, stand).stiffness
     low, high = 0.0, unit / 4
-    while (problem := obstacle(high)) is not None:
+    while (problem := find_obstacle(high)) is not None:
         low, high = high, 2 * high
         if high > HIGHEST_KP * unit:
             raise NoStiffnessError(robot.name, low, problem)
     while high - low > tolerance * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if obstacle(middle) else (low, middle)
+        low, high = (middle, high) if find_obstacle(middle) else (low, middle)
     return high
 
 
 def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
-    """Looks at where a way has come to, from all sides; ``margin`` is its release margin."""
+    """Create the result at the present point of a path; ``margin`` is its release margin."""
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
@@ -642,17 +681,19 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         stable=stiffness > 0,
         release_margin=margin,
         lasts=math.inf,
-        failures=_failures(system, solution, stiffness),
+        failures=_find_failures(system, solution, stiffness),
     )
 
 
-def _data_of(robot: Robot) -> mujoco.MjData:
+def _make_data(robot: Robot) -> mujoco.MjData:
+    """Create data of the robot's MuJoCo model."""
     return mujoco.MjData(robot.mj_model)
 
 
-def _failures(
+def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
+    """List the reasons for which the robot does not stay in an equilibrium."""
     robot, stand = system.robot, system.stand
     failures = []
     if not stiffness > 0:
@@ -677,7 +718,7 @@ def _failures(
             (joints < low - LIMIT_TOLERANCE) | (joints > high + LIMIT_TOLERANCE)
         )
     ]
-    with lend(robot, _data_of) as data:  # what is asked of them depends on qpos alone
+    with lend(robot, _make_data) as data:  # all evaluated quantities depend on qpos only
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)
