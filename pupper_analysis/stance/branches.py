@@ -1,8 +1,9 @@
-"""The ways in which the legs can be bent: branches of their inverse kinematics.
+"""Branches of the legs' inverse kinematics (IK): all leg postures with the same foot position.
 
-A foot's place under the base leaves a leg of three joints a few configurations: knee forward or
-back, hip turned this way or that. With the base in its place the limbs do not know of each other,
-so that each limb's branches are found on its own; which of them go together is a choice per limb.
+A leg with three joints reaches a foot position with a few postures, for example knee forward or
+backward. With a fixed base the limbs are independent, so the branches of each limb are found on its
+own, by Levenberg-Marquardt iterations from many starts. A configuration of the robot combines one
+branch per limb.
 """
 
 from __future__ import annotations
@@ -24,37 +25,51 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_SAMPLES = 32
-"""Starts per limb, a power of two as Sobol's sequence likes it. For 800 random goals of v3's and
-original's legs, 32 find all branches but one that 256 do."""
+_NUM_STARTS = 32
+"""Number of starts per limb. Measured on 800 random goals of the legs of v3 and original: 32 starts
+find all but one of the branches that 256 find."""
 
-_ITERATIONS = 14
-"""Of Levenberg and Marquardt's method: it converges in 6 to 10 where a foot is in reach."""
+_MAX_ITERATIONS = 14
+"""Upper bound of Levenberg-Marquardt iterations. Reachable feet converge in 6 to 10."""
 
-_FEW_ITERATIONS = 5
-"""Of them where a branch is followed: what is not nearly there then is out of reach."""
+_MAX_FOLLOW_ITERATIONS = 5
+"""Upper bound of iterations while a branch is followed. Feet that have not nearly converged then
+are out of reach."""
 
 _BRANCH_DISTANCE = 0.05
-"""Joint positions that are no further from each other belong to one branch (rad, or m)."""
+"""Largest joint displacement [rad or m] between positions of one branch."""
 
-_MISSED_ALIKE, _NEAR_ALIKE = 1e-6, 1e-3
-"""Feet that miss by as much (m), and joints that are as near to others (rad, or m), do so alike."""
+_FOOT_ERROR_STEP = 1e-6
+"""Rounding [m] of foot errors in comparisons of branches."""
 
-_MOST_BRANCHES = 6
-"""The most branches that are kept of a limb: of a redundant one there is a continuum."""
+_JOINT_DISTANCE_STEP = 1e-3
+"""Rounding [rad or m] of the costs of combinations: the order of equal ones does not depend on
+rounding errors."""
 
-_DAMPING = 1e-3  # m^2 per rad^2: where it begins; a leg's Jacobian squared is 1e-2 to 1e-1
-_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e3
-_ARRIVED = 1e-4  # rad: a start whose limbs all step by less has converged: PlaCo does the rest
+_MAX_BRANCHES = 6
+"""Upper bound of branches per limb; a redundant limb has a continuum."""
+
+_INITIAL_DAMPING = 1e-3
+"""Initial damping [m^2/rad^2]. The squared Jacobian of a leg is 1e-2 to 1e-1."""
+
+_MIN_DAMPING = 1e-12
+"""Lower bound of the damping [m^2/rad^2]."""
+
+_MAX_DAMPING = 1e3
+"""Upper bound of the damping [m^2/rad^2]."""
+
+_CONVERGED_STEP = 1e-4
+"""Largest joint step [rad] of a start at which the start has converged; PlaCo continues from
+there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """The joints that move some feet against the base, and move no others.
+    """Joints that move some feet relative to the base, and no other feet.
 
     Attributes:
-        feet: The feet; more than one if they share a joint, as a waist.
-        joints: (n,) numbers of the joints, in actuator order.
+        feet: Contact points; those of several feet if the feet share a joint, such as a waist.
+        joints: Indices of the joints in actuator order, shape (n,).
     """
 
     feet: tuple[str, ...]
@@ -63,11 +78,12 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One way to bend a limb.
+    """One posture of a limb.
 
     Attributes:
-        positions: (n,) of the limb's joints (rad).
-        foot_error: How far its feet are from their places (m), 0 where they are in reach.
+        positions: Joint positions, shape (n,) [rad, m].
+        foot_error: Largest distance of its contact points from their targets [m]; rounding if they
+            are in reach.
     """
 
     positions: Array
@@ -75,7 +91,7 @@ class Branch:
 
 
 def find_limbs(robot: Robot) -> tuple[Limb, ...]:
-    """Returns the robot's limbs; joints that move no foot, a head's, are in none."""
+    """Return the limbs of a robot; joints that move no foot, for example of a head, are in none."""
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []
     for foot, frame in robot.contact_frames.items():
@@ -99,25 +115,24 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
 def find_branches(
     robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[Limb, tuple[Branch, ...]]:
-    """Finds each limb's branches, for a base that stays where it is.
+    """Find the branches of each limb for a fixed base.
 
-    Bounded Levenberg-Marquardt steps from many starts, for all limbs at once: one configuration
-    carries one start of each limb.
+    Bounded Levenberg-Marquardt iterations run from many starts, for all limbs at once: one
+    configuration contains one start of each limb.
 
     Args:
-        robot: The robot.
-        qpos: (nq,) whose base counts; joints that move no foot stay as they are here.
-        targets: {foot: (3,) where its centre shall be (m)}.
-        lower: (nu,) joint limits (rad).
-        upper: (nu,) likewise.
+        robot: Robot.
+        qpos: Configuration, shape (nq,); its base and the joints outside of limbs stay.
+        targets: {contact point: target of its sphere centre, shape (3,) [m]}.
+        lower: Lower joint limits, shape (nu,) [rad, m].
+        upper: Upper joint limits, shape (nu,) [rad, m].
 
     Returns:
-        {limb: its branches}, those that miss least first; a whole turn of a joint without limits
-        makes no other one. A target that is out of reach has
-        branches too: where the foot comes nearest to it.
+        {limb: its branches}, smallest foot error first. A whole turn of a joint without limits is
+        no other branch. For an unreachable target, the branches are local minima of the foot error.
 
     Raises:
-        ModelError: If a joint's lower limit is above its upper one.
+        ModelError: If the lower limit of a joint is above its upper limit.
     """
     if not robot.feet:
         return {}
@@ -132,37 +147,38 @@ def find_branches(
             raise ModelError(robot.description.urdf_source, crossed)
     low = np.where(np.isfinite(lower), lower, -math.pi)
     high = np.where(np.isfinite(upper), upper, math.pi)
-    starts = np.random.default_rng(0).uniform(low, high, (_SAMPLES, robot.nu))
+    starts = np.random.default_rng(0).uniform(low, high, (_NUM_STARTS, robot.nu))
     positions, misses = _Descent(robot, qpos, targets, lower, upper).run(starts, np.zeros(3))
     turning = robot.pin_convention.unbounded
-    positions[:, turning] = _turned(positions[:, turning])
-    positions = _unwound(robot, positions, lower, upper)
+    positions[:, turning] = _wrap_angle(positions[:, turning])
+    positions = _remove_turns(robot, positions, lower, upper)
     kept = {
-        limb: _kept(positions[:, limb.joints], missed, turning[limb.joints])
+        limb: _distinct_branches(positions[:, limb.joints], missed, turning[limb.joints])
         for limb, missed in misses.items()
     }
-    return {limb: _in_order(robot, qpos, limb, branches) for limb, branches in kept.items()}
+    return {limb: _sort_branches(robot, qpos, limb, branches) for limb, branches in kept.items()}
 
 
-def _in_order(
+def _sort_branches(
     robot: Robot, qpos: Array, limb: Limb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Returns branches that miss alike with the joints that are furthest back first.
+    """Sort branches by foot error, then by how far back their joints are.
 
-    So legs that may as well be bent either way are all bent the same way.
+    Legs with equivalent branches thus all bend in the same direction.
     """
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
-    def key(branch: Branch) -> tuple[int, float]:
+    def sort_key(branch: Branch) -> tuple[int, float]:
+        """Return rounded foot error, and sum of the forward joint positions [m]."""
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))
         forward = data.oMi[1].rotation[:, 0]
         places = [float(forward @ data.oMi[number].translation) for number in numbers]
-        return round(branch.foot_error / _MISSED_ALIKE), sum(places)
+        return round(branch.foot_error / _FOOT_ERROR_STEP), sum(places)
 
-    return tuple(sorted(branches, key=key))
+    return tuple(sorted(branches, key=sort_key))
 
 
 def follow_branches(
@@ -174,19 +190,19 @@ def follow_branches(
     found: Mapping[Limb, tuple[Branch, ...]],
     moves: Array,
 ) -> dict[Limb, list[tuple[Branch, ...]]]:
-    """Follows the limbs' branches to other places of the base, all at once.
+    """Follow the branches of all limbs to other base positions.
 
     Args:
-        robot: The robot.
-        qpos: As in ``find_branches``.
-        targets: As there.
-        lower: As there.
-        upper: As there.
-        found: The branches with the base where ``qpos`` has it.
-        moves: (n, 3) by how much it is moved (m).
+        robot: Robot.
+        qpos: Configuration, as in `find_branches`.
+        targets: Targets, as in `find_branches`.
+        lower: Lower joint limits, as in `find_branches`.
+        upper: Upper joint limits, as in `find_branches`.
+        found: Branches at the base of ``qpos``.
+        moves: Displacements of the base, shape (n, 3) [m].
 
     Returns:
-        {limb: its branches in each of the n places}.
+        {limb: its branches at each of the n base positions}.
     """
     count = max(map(len, found.values()))
     starts = np.tile(qpos[robot.nq - robot.nu :], (count, 1))
@@ -195,11 +211,13 @@ def follow_branches(
             starts[row, limb.joints] = branches[row % len(branches)].positions
     descent = _Descent(robot, qpos, targets, lower, upper)
     shifts = np.repeat(moves, count, axis=0)
-    positions, misses = descent.run(np.tile(starts, (len(moves), 1)), shifts, _FEW_ITERATIONS)
+    positions, misses = descent.run(
+        np.tile(starts, (len(moves), 1)), shifts, _MAX_FOLLOW_ITERATIONS
+    )
     turning = robot.pin_convention.unbounded
     return {
         limb: [
-            _kept(joints, off, turning[limb.joints])
+            _distinct_branches(joints, off, turning[limb.joints])
             for joints, off in zip(
                 np.split(positions[:, limb.joints], len(moves)),
                 np.split(missed, len(moves)),
@@ -210,22 +228,29 @@ def follow_branches(
     }
 
 
-def _kept(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ...]:
-    """Returns the branches among positions (k, n) of a limb whose feet miss by (k,) (m)."""
+def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ...]:
+    """Return the distinct branches among positions of a limb, smallest foot error first.
+
+    Args:
+        positions: Joint positions, shape (k, n) [rad, m].
+        missed: Foot errors, shape (k,) [m].
+        turns: Mask of continuous joints, shape (n,).
+    """
     kept: list[Branch] = []
     for index in np.argsort(missed, kind="stable"):
         away = [positions[index] - branch.positions for branch in kept]
-        if all(np.abs(np.where(turns, _turned(a), a)).max() > _BRANCH_DISTANCE for a in away):
+        if all(np.abs(np.where(turns, _wrap_angle(a), a)).max() > _BRANCH_DISTANCE for a in away):
             kept.append(Branch(positions[index], float(missed[index])))
-        if len(kept) == _MOST_BRANCHES:
+        if len(kept) == _MAX_BRANCHES:
             break
     return tuple(kept)
 
 
-def _unwound(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Returns positions (k, nu) of joints less the whole turns that take them from home (rad).
+def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
+    """Remove whole turns from joint positions (k, nu) [rad], relative to home.
 
-    Limits that leave more than a turn are a motor's; the leg is the same after each.
+    Joints with a range of more than a turn reach the same leg posture several times. Positions stay
+    if the result would be out of range.
     """
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
@@ -239,15 +264,15 @@ def _unwound(robot: Robot, positions: Array, lower: Array, upper: Array) -> Arra
     return unwound
 
 
-def _turned(angle: Array) -> Array:
-    """Returns angles less whole turns: in [-pi, pi)."""
+def _wrap_angle(angle: Array) -> Array:
+    """Wrap angles to [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 class _Descent:
-    """Levenberg and Marquardt's method from many starts, each limb with a damping of its own.
+    """Levenberg-Marquardt iterations from many starts, with a damping per start and limb.
 
-    Args: as ``find_branches``.
+    The arguments are those of `find_branches`.
     """
 
     def __init__(
@@ -265,9 +290,11 @@ class _Descent:
         last, self._rows = np.unique(joints, return_inverse=True)
         self._last = last.tolist()
         self._points = np.array([frame.placement.translation for frame in frames])[..., None]
-        above = [{model.names[one] for one in model.supports[joint]} for joint in joints]
+        above = [{model.names[i] for i in model.supports[joint]} for joint in joints]
         self._limbs = find_limbs(robot)
-        self._joints = np.concatenate([limb.joints for limb in self._limbs])  # what moves a foot
+        self._joints = np.concatenate(
+            [limb.joints for limb in self._limbs]
+        )  # joints that move a foot
         names = [robot.joint_names[joint] for joint in self._joints]
         self._moves = np.array([[name in own for name in names] for own in above])
         limbs = range(len(self._limbs))
@@ -276,56 +303,61 @@ class _Descent:
         self._feet = np.argmax(within, axis=1)
 
     def run(
-        self, starts: Array, moves: Array, iterations: int = _ITERATIONS
+        self, starts: Array, moves: Array, iterations: int = _MAX_ITERATIONS
     ) -> tuple[Array, dict[Limb, Array]]:
-        """Returns joint positions (k, nu), and how far each limb's feet miss (k,) (m).
+        """Iterate from several starts.
 
         Args:
-            starts: (k, nu) where to start.
-            moves: (k, 3), or (3,), by how much the base is moved for each (m).
-            iterations: How many at most.
+            starts: Initial joint positions, shape (k, nu) [rad, m].
+            moves: Displacements of the base, shape (k, 3) or (3,) [m].
+            iterations: Upper bound of iterations.
+
+        Returns:
+            Joint positions, shape (k, nu) [rad, m]; {limb: foot errors, shape (k,) [m]}.
         """
         targets = self._targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
         low, high = self._lower[self._joints], self._upper[self._joints]
         joints = np.clip(starts[:, self._joints], low, high)
         errors, jacobians = self._evaluate(joints, targets)
-        damping = np.full((len(joints), len(self._limbs)), _DAMPING)
+        damping = np.full((len(joints), len(self._limbs)), _INITIAL_DAMPING)
         active = np.arange(len(joints))
         for _ in range(iterations):
             now, error, jacobian = joints[active], errors[active], jacobians[active]
-            step = self._step(error, jacobian, now, damping[active][:, self._limb])
+            step = self._compute_steps(error, jacobian, now, damping[active][:, self._limb])
             tried = np.clip(now + step, low, high)
-            moving = np.abs(tried - now).max(axis=1) > _ARRIVED
+            moving = np.abs(tried - now).max(axis=1) > _CONVERGED_STEP
             active, now, tried, error = active[moving], now[moving], tried[moving], error[moving]
             if not len(active):
                 break
             new_error, new_jacobian = self._evaluate(tried, targets[active])
-            better = self._squares(new_error) < self._squares(error)  # (k, limbs)
+            better = self._squared_errors(new_error) < self._squared_errors(error)  # (k, limbs)
             feet = better[:, self._feet, None]
             joints[active] = np.where(better[:, self._limb], tried, now)
             errors[active] = np.where(feet, new_error, error)
             jacobians[active] = np.where(feet[..., None], new_jacobian, jacobian[moving])
             changed = damping[active] * np.where(better, 0.1, 8.0)
-            damping[active] = np.clip(changed, _LEAST_DAMPING, _MOST_DAMPING)
+            damping[active] = np.clip(changed, _MIN_DAMPING, _MAX_DAMPING)
         away = np.linalg.norm(errors, axis=2)
-        return self._all(joints), {
+        return self._all_joints(joints), {
             limb: away[:, self._feet == number].max(axis=1)
             for number, limb in enumerate(self._limbs)
         }
 
-    def _all(self, joints: Array) -> Array:
-        """Returns the positions (k, nu) of all joints with those of the limbs (k, n) in them."""
+    def _all_joints(self, joints: Array) -> Array:
+        """Insert the positions of limb joints (k, n) into those of all joints (k, nu)."""
         every = np.tile(self._rest, (len(joints), 1))
         every[:, self._joints] = joints
         return every
 
-    def _squares(self, errors: Array) -> Array:
-        """Returns the sum of each limb's squared errors (k, limbs)."""
+    def _squared_errors(self, errors: Array) -> Array:
+        """Return the sum of squared errors of each limb, shape (k, limbs) [m^2]."""
         squares: Array = (errors**2).sum(axis=2) @ (self._feet[:, None] == range(len(self._limbs)))
         return squares
 
-    def _step(self, errors: Array, jacobians: Array, joints: Array, damping: Array) -> Array:
-        """Returns damped steps (k, n); joints that would leave their range stay at its end."""
+    def _compute_steps(
+        self, errors: Array, jacobians: Array, joints: Array, damping: Array
+    ) -> Array:
+        """Return damped steps (k, n); joints at a bound with an outward gradient stay."""
         low, high = self._lower[self._joints], self._upper[self._joints]
         rows = jacobians.reshape(len(joints), -1, joints.shape[1])
         gradient = np.einsum("kij,ki->kj", rows, errors.reshape(len(joints), -1))
@@ -338,17 +370,17 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Returns the feet's errors (k, f, 3) and their Jacobians (k, f, 3, n)."""
+        """Return foot errors (k, f, 3) [m] and Jacobians (k, f, 3, n)."""
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))
         columns = np.empty((len(joints), 1, 6, len(self._joints)))
         own = convention.v_index[self._joints]
-        for index, row in enumerate(self._all(joints)):
+        for index, row in enumerate(self._all_joints(joints)):
             pin.computeJointJacobians(model, data, convention.with_joints(self._q, row))
             columns[index] = data.J.reshape(6, -1)[:, own]
             for end, joint in enumerate(self._last):
                 ends[index, end] = data.oMi[joint].homogeneous[:3]
-        placed = ends[:, self._rows]  # (k, f, 3, 4) the frames of the last joints above the feet
+        placed = ends[:, self._rows]  # (k, f, 3, 4) poses of the last joints
         places = (placed[..., :3] @ self._points + placed[..., 3:])[..., 0]
         # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
         rates = columns[:, :, :3] - cross_matrices(places) @ columns[:, :, 3:]
@@ -356,24 +388,26 @@ class _Descent:
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
-    """Yields joint positions (nu,) for every choice of one branch per limb.
+    """Yield joint positions (nu,) for each combination of one branch per limb, best first.
+
+    The cost is the sum over limbs of foot error (1 um counts like 1 rad) and joint distance to
+    ``near``.
 
     Args:
         found: {limb: its branches}.
-        near: (nu,) joint positions, which count for joints that are in no limb; of choices whose
-            feet miss equally little, the one nearest to it comes first.
+        near: Joint positions, shape (nu,) [rad, m]; also those of joints outside of limbs.
     """
     groups = list(found)
     costs = []
     for limb in groups:
         away = [np.abs(branch.positions - near[limb.joints]).sum() for branch in found[limb]]
         misses = [max(0.0, branch.foot_error - 1e-6) for branch in found[limb]]
-        # A micrometre weighs as much as a radian: what is in reach comes first.
+        # 1 um counts like 1 rad, so that reachable branches come first.
         costs.append(np.array(misses) * 1e6 + np.array(away))
     grid = np.zeros(1)
     for cost in costs:
         grid = (grid[:, None] + cost[None, :]).ravel()
-    grid = np.round(grid / _NEAR_ALIKE)  # which of equals comes first is not rounding's to say
+    grid = np.round(grid / _JOINT_DISTANCE_STEP)
     shape = [len(found[limb]) for limb in groups]
     for choice in np.argsort(grid, kind="stable"):
         joints = near.copy()

@@ -1,4 +1,8 @@
-"""How near a robot's parts come to each other and to the ground, by MuJoCo's shapes of it."""
+"""Clearances of a robot: distances between links, and heights above the ground.
+
+The shapes are those with which MuJoCo computes contacts; meshes are replaced by their convex hulls.
+Distances are computed with coal.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +28,17 @@ from pupper_analysis.robot.structure import Kinematics
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_UP = (0.0, 0.0, 1.0)  # most grounds' normal
+_LEVEL_NORMAL = (0.0, 0.0, 1.0)
+"""Normal of level ground."""
 
 
 @dataclass(frozen=True)
 class Clearance(Result):
-    """The least distance, and of what.
+    """Smallest distance, with the links that have it.
 
     Attributes:
-        distance: m; negative: how deep one is in the other.
-        links: The two links, or the one that is nearest to the ground.
+        distance: Distance (m); negative for a penetration depth.
+        links: The two links, or the link nearest to the ground.
     """
 
     distance: float = field(metadata={"unit": "m"})
@@ -41,12 +46,12 @@ class Clearance(Result):
 
 
 class OffGround(NamedTuple):
-    """A shape that is no foot, and shall be above the ground.
+    """Shape that is no foot and must be above the ground.
 
     Attributes:
-        number: Which of the robot's shapes.
-        shape: The shape.
-        sunk: The foot into whose sphere it reaches, if it does.
+        number: Index in the shapes of the robot.
+        shape: Shape.
+        sunk: Foot whose sphere the shape intersects; None if there is none.
     """
 
     number: int
@@ -55,7 +60,13 @@ class OffGround(NamedTuple):
 
 
 class SolidPair(NamedTuple):
-    """Two shapes, by their numbers, and how near they are."""
+    """Pair of shapes with its distance.
+
+    Attributes:
+        one: Index of the first shape.
+        other: Index of the second shape.
+        near: Result of coal.
+    """
 
     one: int
     other: int
@@ -63,7 +74,7 @@ class SolidPair(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """m; negative: how deep one is in the other."""
+        """Distance [m]; negative for a penetration depth."""
         return float(self.near.min_distance)
 
 
@@ -73,7 +84,7 @@ def measure_distance(
     other: coal.CollisionGeometry,
     there: coal.Transform3s,
 ) -> coal.DistanceResult:
-    """Returns the distance, where it is, and the direction from one shape to the other."""
+    """Compute the distance of two shapes at poses, with nearest points and direction."""
     result = coal.DistanceResult()
     coal.distance(one, at, other, there, coal.DistanceRequest(), result)
     return result
@@ -84,88 +95,96 @@ _NO_FLOOR = 1e3
 
 
 class ClearanceShapes:
-    """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
+    """Collision shapes of a robot, with the kinematics of CoM and feet.
+
+    Args:
+        robot: Robot.
 
     Attributes:
-        robot: The robot.
-        shapes: Its shapes, those of the feet included.
-        kinematics: Where its com and feet are.
-        parts: The shapes that are no feet.
+        robot: Robot.
+        shapes: All shapes, including those of the feet.
+        kinematics: Kinematics of links, CoM and feet.
+        parts: Shapes that are no feet.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[CarriedShape, ...] = robot.shapes
         self._has_floor = robot.has_floor
-        self.parts = [*self._not_feet()]
+        self.parts = [*self._list_parts()]
         joints = {number: name for name, number in robot.structure.joints.items()}
-        # A hand's own shapes are around its ball.
+        # Shapes of a hand surround its contact sphere.
         self._hands = {hand: joints.get(robot.structure.parents[hand], "") for hand in robot.hands}
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
     def move_to(self, qpos: ArrayLike) -> Kinematics:
-        """Takes ``kinematics`` to a configuration (nq,), and returns it."""
+        """Move ``kinematics`` to a configuration (nq,), and return it."""
         self.kinematics.move(qpos)
         return self.kinematics
 
     @functools.cached_property
     def _pairs(self) -> IntArray:
-        """Pairs (n, 2) of shapes whose distances count: not those of neighbours.
+        """Index pairs, shape (n, 2), of shapes whose distances count.
 
-        Neighbours are links on the same or on adjacent joints, those that the MJCF excludes from
-        touching each other, and those that overlap in the home configuration.
+        Pairs on neighbouring links are left out: links on equal or adjacent joints, links that the
+        MJCF excludes from contact, and links that overlap in the home configuration.
         """
         model, shapes = self.robot.pin_model, self.shapes
         joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]
         excepted, able, never = excluded_pairs(self.robot.mj_model), set(), set()
-        every = [(before, index) for index in range(len(shapes)) for before in range(index)]
-        links = {both: frozenset(shapes[number].link for number in both) for both in every}
-        for one, other in every:
+        pairs = [(first, second) for second in range(len(shapes)) for first in range(second)]
+        links = {pair: frozenset(shapes[number].link for number in pair) for pair in pairs}
+        for one, other in pairs:
             both = {joints[one], joints[other]}
             if len(both) == 2 and not both & {int(model.parents[joint]) for joint in both}:
                 able.add(links[one, other])
             if frozenset((shapes[one].body, shapes[other].body)) in excepted:
                 never.add(links[one, other])
-        looked = [both for both in every if links[both] in able - never]
+        checked = [pair for pair in pairs if links[pair] in able - never]
         for shape in shapes:
-            shape.form.collision.computeLocalAABB()  # the balls round them
-        near = self._nearest(self.robot.home, _numbers(looked), len(looked))
+            shape.form.collision.computeLocalAABB()  # centre and radius of the bounding sphere
+        near = self._find_nearest(self.robot.home, _to_index_pairs(checked), len(checked))
         never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
-        return _numbers(both for both in looked if links[both] not in never)
+        return _to_index_pairs(pair for pair in checked if links[pair] not in never)
 
     def closest_links(self, qpos: Array) -> Clearance | None:
-        """Returns the least distance between links that are not neighbours, if there are such."""
+        """Return the smallest distance of links that are not neighbours; None without pairs."""
         for pair in self.nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link
             return Clearance(pair.distance, links)
         return None
 
     def nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
-        """Returns the nearest pairs of shapes on links that are not neighbours, in order."""
-        return self._nearest(qpos, self._pairs, most)
+        """Return up to ``most`` pairs of shapes on links that are not neighbours, nearest first."""
+        return self._find_nearest(qpos, self._pairs, most)
 
-    def _nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
-        """Returns the nearest of some pairs of shapes (n, 2), in order.
+    def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
+        """Return up to ``most`` of some pairs (n, 2), nearest first.
 
-        Balls round the shapes tell that most pairs are too far apart to be looked at.
+        Bounding spheres exclude most pairs without an exact distance.
         """
-        solids, at = [one.form.collision for one in self.shapes], self._places(self.move_to(qpos))
-        centres = np.array(
-            [place.transform(one.aabb_center) for place, one in zip(at, solids, strict=True)]
+        solids, at = (
+            [shape.form.collision for shape in self.shapes],
+            self._shape_poses(self.move_to(qpos)),
         )
-        radii = np.array([one.aabb_radius for one in solids])
-        one, other = pairs.T
-        apart = np.linalg.norm(centres[one] - centres[other], axis=1) - radii[one] - radii[other]
-        found: list[SolidPair] = []
+        centres = np.array(
+            [pose.transform(solid.aabb_center) for pose, solid in zip(at, solids, strict=True)]
+        )
+        radii = np.array([solid.aabb_radius for solid in solids])
+        first, second = pairs.T
+        apart = np.linalg.norm(centres[first] - centres[second], axis=1)
+        apart -= radii[first] + radii[second]
+        nearest: list[SolidPair] = []
         for index in np.argsort(apart, kind="stable"):
-            if len(found) >= most and apart[index] > found[most - 1].distance:
+            if len(nearest) >= most and apart[index] > nearest[most - 1].distance:
                 break
             a, b = pairs[index].tolist()
             near = measure_distance(solids[a], at[a], solids[b], at[b])
-            bisect.insort(found, SolidPair(a, b, near), key=lambda pair: pair.distance)
-        return found[:most]
+            bisect.insort(nearest, SolidPair(a, b, near), key=lambda pair: pair.distance)
+        return nearest[:most]
 
-    def _places(self, at: Kinematics) -> list[coal.Transform3s]:
+    def _shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
+        """Return the pose of each shape in the world."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
             coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)
@@ -173,7 +192,7 @@ class ClearanceShapes:
         ]
 
     def distance_jacobian(self, at: Configuration, most: int) -> Array:
-        """Returns how the distances of ``nearest_pairs`` change (n, nv) with the robot's motion."""
+        """Return the derivative of the distances of `nearest_pairs`, shape (n, nv)."""
         found = self.nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
         for row, (one, other, near) in zip(rates, found, strict=True):
@@ -190,7 +209,7 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Returns how high the lowest part but the feet is; see ``part_heights``."""
+        """Return the height of the lowest part above the ground; None without parts or ground."""
         heights = self.part_heights(at, ground, places, depths)
         if not heights:
             return None
@@ -204,23 +223,26 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
-        """Returns how high each of ``parts`` is above slope and steps (m); empty without ground.
+        """Return the height of each of ``parts`` above slope and steps [m]; empty without ground.
 
-        A part that reaches into its own foot's sphere, as a calf's does, may sink as the foot does.
+        A part that intersects the sphere of its foot, such as a calf, may penetrate the ground as
+        deep as the foot.
 
         Args:
-            at: Where the robot is.
-            ground: The ground.
-            places: {foot: (3,) of its centre (m)}, for the steps.
-            depths: {foot: how deep it is in the ground (m)}.
+            at: Kinematics of the configuration.
+            ground: Ground.
+            places: {contact point: target of its centre, shape (3,) [m]}, which locates the steps.
+            depths: {contact point: penetration of the ground [m]}.
         """
         if self._is_floorless(ground):
             return []
         if _is_plane(ground):
-            normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _UP
+            normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _LEVEL_NORMAL
             heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
-            heights = [float(near.min_distance) for near in self._above_steps(at, ground, places)]
+            heights = [
+                float(near.min_distance) for near in self._measure_above_steps(at, ground, places)
+            ]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
             for height, part in zip(heights, self.parts, strict=True)
@@ -229,9 +251,9 @@ class ClearanceShapes:
     def height_jacobian(
         self, at: Configuration, ground: Ground, places: Mapping[str, Array]
     ) -> Array:
-        """Returns how ``part_heights`` change (n, nv) with the robot's motion.
+        """Return the derivative of `part_heights`, shape (n, nv).
 
-        What is nearest moves as the point of the part that is there.
+        The nearest point of a part is treated as fixed to its link.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):
@@ -239,9 +261,9 @@ class ClearanceShapes:
         if _is_plane(ground):
             normal = ground.normal()
             shapes = [part.shape for part in self.parts]
-            ends = [(one.form.lowest(there.links[one.link], normal), normal) for one in shapes]
+            ends = [(s.form.lowest(there.links[s.link], normal), normal) for s in shapes]
         else:
-            steps = self._above_steps(there, ground, places)
+            steps = self._measure_above_steps(there, ground, places)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
@@ -250,14 +272,14 @@ class ClearanceShapes:
         return np.array(rates).reshape(-1, self.robot.nv)
 
     def _is_floorless(self, ground: Ground) -> bool:
-        """Return True if no ground can touch the robot: no floor, and no plane of its own."""
+        """Return True if no ground can touch the robot: no floor, and no plane of a foot."""
         return not self._has_floor and _is_plane(ground)
 
-    def _above_steps(
+    def _measure_above_steps(
         self, at: Kinematics, ground: Ground, places: Mapping[str, Array]
     ) -> Iterator[coal.DistanceResult]:
-        """Yields what of slope and steps is nearest to each of ``parts``."""
-        where = self._places(at)
+        """Yield the smallest distance of each of ``parts`` to slope and steps."""
+        where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", floor, coal.Transform3s())
@@ -268,19 +290,19 @@ class ClearanceShapes:
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
         for part in self.parts:
             own = part.shape.form.collision, where[part.number]
-            met = [one for foot, *one in obstacles if self._hands.get(foot) != part.shape.joint]
-            near = [measure_distance(*own, *one) for one in met]
-            yield min(near, key=lambda found: float(found.min_distance))
+            others = [o for foot, *o in obstacles if self._hands.get(foot) != part.shape.joint]
+            near = [measure_distance(*own, *obstacle) for obstacle in others]
+            yield min(near, key=lambda result: float(result.min_distance))
 
-    def _not_feet(self) -> Iterator[OffGround]:
-        """Yields each shape that is no foot.
+    def _list_parts(self) -> Iterator[OffGround]:
+        """Yield each shape that is no foot.
 
-        A flat foot and the shapes on its link move as one body, so that it is stated once for all;
-        and what is welded is where it is.
+        Shapes on the link of a sole or of a weld are left out, since the pose of this link is
+        given.
         """
         robot, model = self.robot, self.robot.pin_model
-        feet: dict[str, str] = {}  # by their joint
-        flat = {"" for point in robot.welds.values() if point is None}  # bolted to what it touches
+        feet: dict[str, str] = {}  # by joint
+        flat = {"" for point in robot.welds.values() if point is None}  # the base is welded
         for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)
             name = model.names[model.frames[number].parentJoint]
@@ -294,12 +316,12 @@ class ClearanceShapes:
             if not may_touch or shape.geom in robot.foot_geoms or shape.joint in flat:
                 continue
             sunk = feet.get(shape.joint)
-            if sunk is not None and not self._reaches_into(shape, sunk):
+            if sunk is not None and not self._intersects_foot(shape, sunk):
                 sunk = None
             yield OffGround(index, shape, sunk)
 
-    def _reaches_into(self, shape: CarriedShape, foot: str) -> bool:
-        """Whether a shape on the link of a foot reaches into the foot's sphere."""
+    def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
+        """Return True if a shape on the link of a foot intersects its sphere."""
         self.kinematics.move(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)
@@ -309,10 +331,11 @@ class ClearanceShapes:
         return bool(measure_distance(shape.form.collision, own, ball, there).min_distance < 0)
 
 
-def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
+def _to_index_pairs(pairs: Iterable[tuple[int, int]]) -> IntArray:
+    """Convert index pairs to an array, shape (n, 2)."""
     return np.array([*pairs], dtype=np.int64).reshape(-1, 2)
 
 
 def _is_plane(ground: Ground) -> bool:
-    """Tells whether no step rises above the slope."""
+    """Return True if no step is above the slope and no foot has a plane of its own."""
     return not ground.planes and all(height <= 0 for height in ground.heights.values())

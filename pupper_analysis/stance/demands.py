@@ -1,4 +1,9 @@
-"""What a task demands beyond the nominal stand, in numbers, and how these are said."""
+"""Demands of a stand task: the numbers that a refusal may relax, as a vector.
+
+A demand is an attribute of `StandTask` whose field has ``gives`` other than ``"no"``.
+`DemandVector` converts demands of a task to a vector with bounds and back; other functions relax,
+round and describe demands.
+"""
 
 from __future__ import annotations
 
@@ -30,31 +35,39 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
-_FIELDS: dict[str, list[Field]] = {}
+_FIELDS_BY_DEMAND: dict[str, list[Field]] = {}
+"""{demand: fields that it contains}."""
 for _field in FIELDS.values():
     if _field.gives != "no":
-        _FIELDS.setdefault(_field.attribute, []).append(_field)
+        _FIELDS_BY_DEMAND.setdefault(_field.attribute, []).append(_field)
 
-DEMANDS = tuple(_FIELDS)
-"""The fields of a task that may put a stance out of reach; those of the ground give together."""
+DEMANDS = tuple(_FIELDS_BY_DEMAND)
+"""Attributes of a task that can make a stance unreachable. Fields of the ground form one demand."""
 
-_FARTHEST = 3.0
-"""No place or height need be further from what was asked (stand heights): no leg reaches so far."""
+_MAX_RELAXATION = 3.0
+"""Upper bound of the relaxation of a length [stand heights]: no leg reaches further."""
 
-_LEAST_HEIGHT = 1e-3
-"""Part of a height that is always left of it: none is zero or less."""
+_MIN_HEIGHT_RATIO = 1e-3
+"""Smallest part of a positive quantity that remains after relaxation."""
 
 _ROUNDING = 1e-12
-"""A number that is no further from what was asked is that (m, rad)."""
+"""Distance from the requested value [m, rad] up to which a value counts as requested."""
 
 _ROUNDING_SHARE = 0.005
-"""A value is rounded by no more than this part of its distance from the nominal stand's."""
+"""Largest rounding, in parts of the distance from the nominal value."""
 
-_MOST_DIGITS = 12
+_MAX_DIGITS = 12
+"""Largest number of decimals of a rounded value [mm, deg]."""
 
 
 class DemandValue(NamedTuple):
-    """Which number of a task: a field's, a foot's where it has some, of a point that of an axis."""
+    """Key of one number of a task.
+
+    Attributes:
+        field: Name of the field.
+        foot: Foot or joint, for a field that is a mapping; else empty.
+        axis: Axis, for a component of a point; else empty.
+    """
 
     field: str
     foot: str = ""
@@ -62,24 +75,24 @@ class DemandValue(NamedTuple):
 
 
 class DemandVector:
-    """The numbers of some demands of a task, as a vector (n,), and how far each may give.
+    """Numbers of some demands of a task, with bounds of their relaxation.
 
-    Margins and lifts only become less, a slope or a step as well; all else may go either way.
+    Margins, lifts, slopes and steps can only decrease; other numbers can change in both directions.
 
     Args:
-        robot: The robot.
-        task: The task.
-        demands: Which of ``DEMANDS``.
+        robot: Robot.
+        task: Task.
+        demands: Some of `DEMANDS`.
 
     Attributes:
-        keys: Which numbers they are.
-        demands: Of each, its demand.
-        values: (n,) what the task has (m, rad).
-        nominal: (n,) what the nominal stand has.
-        low: (n,) the least that they may become where their demand gives.
-        high: (n,) the most.
-        angles: Whether each is an angle.
-        units: (n,) in which it is counted how much they give: a stand height, or a radian.
+        keys: Key of each number.
+        demands: Demand of each number.
+        values: Values of the task, shape (n,) [m, rad].
+        nominal: Values of the nominal stand, shape (n,) [m, rad].
+        low: Lower bounds, shape (n,) [m, rad].
+        high: Upper bounds, shape (n,) [m, rad].
+        angles: 1 for angles, 0 for lengths, shape (n,).
+        units: Unit of the relaxation of each number, shape (n,): stand height [m], or 1 rad.
     """
 
     def __init__(self, robot: Robot, task: StandTask, demands: Sequence[str]) -> None:
@@ -88,28 +101,32 @@ class DemandVector:
         self.demands: list[str] = []
         rows = []
         for demand in demands:
-            for field in _FIELDS[demand]:
-                for foot, value in _values(task, field):
-                    nominal = _nominal(robot, task, field, foot)
-                    for axis, one, usual in _parts(value, nominal):
+            for field in _FIELDS_BY_DEMAND[demand]:
+                for foot, value in _list_values(task, field):
+                    nominal = _nominal_value(robot, task, field, foot)
+                    for axis, number, usual in _split_value(value, nominal):
                         self.keys.append(DemandValue(field.name, foot, axis))
                         self.demands.append(demand)
                         turns = field.kind == "angle" or getattr(value, "turns", False)
-                        ends = _range(robot, field, one, turns=turns)
-                        rows.append((one, float(usual), *ends, turns))
+                        ends = _find_bounds(robot, field, number, turns=turns)
+                        rows.append((number, float(usual), *ends, turns))
         table = np.array(rows).reshape(-1, 5).T
         self.values, self.nominal, self.low, self.high, self.angles = table
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Returns what a task with the same feet has of them (n,)."""
-        has = task.values()
-        found = [has[key.field][key.foot] if key.foot else has[key.field] for key in self.keys]
-        parts = [{axis: number for axis, number, _ in _parts(one, one)} for one in found]
-        return np.array([one[key.axis] for one, key in zip(parts, self.keys, strict=True)])
+        """Return the values of another task with the same feet, shape (n,) [m, rad]."""
+        fields = task.values()
+        values = [
+            fields[key.field][key.foot] if key.foot else fields[key.field] for key in self.keys
+        ]
+        parts = [
+            {axis: number for axis, number, _ in _split_value(value, value)} for value in values
+        ]
+        return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array) -> StandTask:
-        """Returns the task with others (n,)."""
+        """Return the task with other values, shape (n,) [m, rad]."""
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
             changed.setdefault(field, {}).setdefault(foot, []).append(value)
@@ -117,38 +134,39 @@ class DemandVector:
             {
                 name: {
                     **(self._task.contacts if FIELDS[name].kind == "contact" else {}),
-                    **{foot: self._one(name, foot, parts) for foot, parts in of.items()},
+                    **{foot: self._make_value(name, foot, parts) for foot, parts in of.items()},
                 }
                 if FIELDS[name].per
-                else self._one(name, "", of[""])
+                else self._make_value(name, "", of[""])
                 for name, of in changed.items()
             }
         )
 
-    def _one(self, field: str, foot: str, parts: list[float]) -> Any:
+    def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:
+        """Convert the numbers of one field, or of one foot in a field, to a value of the task."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
             return contact.moved(parts)
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def clip(self, values: Array) -> Array:
-        """Returns values (n,) no further than they may go."""
+        """Clip values, shape (n,), to the bounds."""
         inside: Array = np.clip(values, self.low, self.high)
         return inside
 
 
-def _parts(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
-    """Yields the axis, the value and the nominal value of each number of a field."""
+def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
+    """Yield axis, value and nominal value of each number of a field."""
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
-    elif isinstance(value, Contact | Weld):  # how far off its plane is, or where
+    elif isinstance(value, Contact | Weld):  # distance or position of the surface
         yield from zip("xyz", value.numbers, nominal.numbers, strict=False)
     else:
         yield "", value, nominal
 
 
-def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
-    """Yields what a field has that is in numbers, with its foot; empty if it is of none."""
+def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
+    """Yield (foot, value) of the numeric values of a field; foot is empty if not a mapping."""
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
         yield from value.items()
@@ -156,7 +174,8 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
         yield "", value
 
 
-def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
+def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
+    """Return the value of the nominal stand for a field."""
     if field.kind == "contact":
         contact = task.contacts[foot]
         if not contact.numbers:
@@ -169,7 +188,7 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
         if isinstance(contact.plane, Bar):
             below = contact.plane.radius + robot.contact_radius[robot.feet[foot][0]]
             return contact.moved((place - (0.0, 0.0, below)).tolist())
-        if foot in robot.hands:  # it is its ball's
+        if foot in robot.hands:  # the position is that of the hand's sphere
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
         x, y, z = place.tolist()
         plane = Plane((x, y, z), contact.plane.normal, contact.plane.friction)
@@ -178,11 +197,13 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":
         return nominal_foot_positions(robot)[foot][:2]
-    return _centre(robot, task) if field.nominal == "centre" else getattr(robot, field.nominal)
+    return (
+        _stance_centre(robot, task) if field.nominal == "centre" else getattr(robot, field.nominal)
+    )
 
 
-def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
-    """Returns the middle of the feet that carry, seen from above (m)."""
+def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
+    """Compute the horizontal mean of the stance contacts (x, y) [m], without hands."""
     stance_feet = [
         place
         for foot, place in foot_positions_of_task(robot, task).items()
@@ -193,63 +214,64 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _range(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Returns the least and the most that a number may become; see ``DemandVector`` (m, rad)."""
-    far = _FARTHEST * robot.stand_height
+def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
+    """Return lower and upper bound of a number [m, rad]; see `DemandVector`."""
+    far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
-        least = _LEAST_HEIGHT * value if field.open else min(0.0, value)
+        least = _MIN_HEIGHT_RATIO * value if field.open else min(0.0, value)
         return least, max(0.0, value)
     if turns:
         return min(field.low, value), max(field.high, value)
-    return (_LEAST_HEIGHT * value if field.open else value - far), value + far
+    return (_MIN_HEIGHT_RATIO * value if field.open else value - far), value + far
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Tells whether some demands are not the nominal stand's."""
+    """Return True if some demands differ from those of the nominal stand."""
     numbers = DemandVector(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 
 
 def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
+    """Return a task with the nominal stand's values for some demands, within their bounds."""
     numbers = DemandVector(robot, task, demands)
     return numbers.make_task(numbers.clip(numbers.nominal))
 
 
 def relax_further(
-    robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str], share: float
+    robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
-    """Returns a task in which some demands give more, by a share of what they give already."""
-    now, before = DemandVector(robot, task, demands), DemandVector(robot, asked, demands)
+    """Return a task in which some demands are relaxed further, by a share of their relaxation."""
+    now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))
 
 
 def round_outward(
-    robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str]
+    robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str]
 ) -> StandTask:
-    """Returns a task with some demands rounded as they are reported, away from what was asked.
+    """Round relaxed demands to reporting precision, away from the requested values.
 
-    By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
-    least.
+    The reported stand is thus at least as relaxed as the computed one. A value changes by at most
+    0.5 % of its distance from the nominal value, and by at most 0.1 mm or 0.1 deg.
     """
-    now, before = DemandVector(robot, task, demands), DemandVector(robot, asked, demands)
+    now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
-    rounded = [_rounded(*map(float, three), angle=bool(a)) for a, *three in numbers]
+    rounded = [_round_number(*map(float, three), angle=bool(a)) for a, *three in numbers]
     return now.make_task(before.clip(np.array(rounded)))
 
 
-def _rounded(number: float, usual: float, asked: float, *, angle: bool) -> float:
+def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
+    """Round one number away from the requested value; unchanged at the nominal value."""
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
-    if abs(number - asked) < _ROUNDING:
-        return asked
+    if abs(number - requested) < _ROUNDING:
+        return requested
     if number == usual:
         return number
     digits = max(1, math.ceil(-math.log10(_ROUNDING_SHARE * abs(value - nominal))))
-    step, up = 10.0 ** -min(_MOST_DIGITS, digits), number > asked
+    step, up = 10.0 ** -min(_MAX_DIGITS, digits), number > requested
     away = math.ceil if up else math.floor
     result = round(away(value / step + (-1e-6 if up else 1e-6)) * step, digits)
-    if (result - nominal) * (value - nominal) <= 0:  # nothing would be left of it
+    if (result - nominal) * (value - nominal) <= 0:  # the rounded value would reach the nominal one
         return number
     return math.radians(result) if angle else round(result * 1e-3, digits + 3)
 
@@ -257,37 +279,45 @@ def _rounded(number: float, usual: float, asked: float, *, angle: bool) -> float
 def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
-    """Tells how far some demands of a task can go."""
-    told = [_describe_demand(robot, possible, demand, task) for demand in demands]
-    return diagnose("demands-can-go", demands=told)
+    """Describe how far some demands of a task can go."""
+    limits = [_describe_demand(robot, possible, demand, task) for demand in demands]
+    return diagnose("demands-can-go", demands=limits)
 
 
-def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTask) -> Diagnostic:
-    """Tells a demand's value with its unit, in as many digits as it has; of contacts what gives."""
+def _describe_demand(
+    robot: Robot, task: StandTask, demand: str, requested: StandTask
+) -> Diagnostic:
+    """Describe the value of a demand; for contacts, the values that differ from the request."""
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
-        steps = list(_of_feet(task, FIELDS["heights"]))
+        steps = list(_describe_feet(task, FIELDS["heights"]))
         return diagnose("demanded-ground", field=name, value=slope, steps=steps)
-    (field,) = _FIELDS[demand]
+    (field,) = _FIELDS_BY_DEMAND[demand]
     if field.kind == "contact":
-        given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
         feet = []
-        for of, one in given.items():
-            wall = isinstance(one.plane, Plane) and abs(one.plane.normal[2]) < MIN_SUPPORT_NORMAL_Z
-            low = wall and one.place is None and of not in robot.hands
-            feet.append(diagnose("demanded-contact", link=of, value=f"{one:.7g}", low=low))
+        for of, contact in task.contacts.items():
+            if contact == requested.contacts[of]:
+                continue
+            surface = contact.plane
+            wall = isinstance(surface, Plane) and abs(surface.normal[2]) < MIN_SUPPORT_NORMAL_Z
+            low = wall and contact.place is None and of not in robot.hands
+            feet.append(diagnose("demanded-contact", link=of, value=f"{contact:.7g}", low=low))
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
-        return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
+        return diagnose("demanded-of-feet", field=name, feet=list(_describe_feet(task, field)))
     return _describe_value(name, field.quantity(getattr(task, demand)))
 
 
-def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
-    return (_describe_value(foot, field.quantity(value)) for foot, value in _values(task, field))
+def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
+    """Describe the value of each foot in a field."""
+    return (
+        _describe_value(foot, field.quantity(value)) for foot, value in _list_values(task, field)
+    )
 
 
 def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
+    """Describe one value with its unit."""
     if isinstance(value, Vector):
         return diagnose("demanded-place", field=name, place=value)
     return diagnose("demanded-value", field=name, value=value)

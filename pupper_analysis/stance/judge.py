@@ -1,4 +1,8 @@
-"""A stand, judged: Pinocchio's errors of a configuration, and how near its parts come."""
+"""A stand as a result: configuration, errors of its requirements, and clearances.
+
+`evaluate_stand` computes the errors with Pinocchio, independent of the solver that found the
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -33,44 +37,44 @@ from pupper_analysis.statics.support_polygon import support_corners
 
 Array = NDArray[np.float64]
 
-_ERRORS = {
+_ERROR_BY_CONSTRAINT = {
     "base-orientation": "orientation_error",
     "base-height": "height_error",
     "com-place": "com_error",
     "base-place": "com_error",
 }
-"""{constraint: the error of a stand by which it is missed}; by all others it is ``foot_error``."""
+"""{constraint: attribute of the stand with its violation}; ``foot_error`` for other constraints."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Tabular):
-    """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
+    """Solved stand. Its errors are computed with Pinocchio from ``qpos``.
 
-    On no feet it is a posture of a robot whose base is fixed (``held_stand``).
+    Without feet it is a posture of a robot with a fixed base (``held_stand``).
 
     Attributes:
-        task: The task, with its height and com filled in.
-        qpos: (nq,) the configuration.
-        foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
-        depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
-        stance_feet: The feet that carry.
-        normals: {foot that carries: (3,) direction out of the ground}.
-        contact_points: {foot that carries: (3,) where it touches the ground (m)}.
-        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
-            or a coupling of joints is open, a joint is beyond its limit less the task's margin, or
-            something else is missed that has no error of its own, if that is more (m, rad).
+        task: Task, with its height and CoM filled in.
+        qpos: Configuration, shape (nq,).
+        foot_targets: {foot: target of the centre of its sphere, shape (3,) (m)}.
+        depths: {stance foot: penetration of the ground (m)}; 0 on rigid ground.
+        stance_feet: Feet that carry load.
+        normals: {stance foot: unit normal out of the ground, shape (3,)}.
+        contact_points: {stance foot: position of its contact, shape (3,) (m)}.
+        foot_error: Largest distance of a foot from its target (m or rad). If larger: the opening of a
+            closed loop or joint coupling, the violation of a joint limit with margin, or another
+            violation without an error of its own (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
-        height_error: Of the base frame (m).
-        com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
-            base frame. Of a com that may be anywhere inside, zero.
-        com_margin: Distance of the com's projection from the support polygon's edge (m); negative
+        height_error: Error of the height of the base frame (m).
+        com_error: Horizontal error of the CoM (m); of the base frame if the task has an offset;
+            zero if the CoM is free.
+        com_margin: Distance of the projected CoM from the edge of the support polygon (m); negative
             outside.
-        ground_clearance: How high the lowest part other than the feet is above the ground, by the
-            shapes that MuJoCo lets touch it, of meshes the convex hulls; None if there are none.
-        self_clearance: The least distance between links that are not neighbours; None if it was
-            not asked for.
-        iterations: Quadratic programmes solved.
-        robot: Whose stand it is: the ``fingerprint`` of the robot.
+        ground_clearance: Height of the lowest part above the ground, without feet, by MuJoCo's
+            collision shapes with convex hulls of meshes; None if there are no such parts.
+        self_clearance: Smallest distance between links that are not neighbours; None if the task
+            requires none.
+        iterations: Number of solved quadratic programs.
+        robot: ``fingerprint`` of the robot.
     """
 
     task: StandTask
@@ -95,6 +99,7 @@ class Stand(Tabular):
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
+        """Cached statics: robot (weak reference), criterion, result."""
         return []
 
     def cached_statics(
@@ -103,18 +108,18 @@ class Stand(Tabular):
         """Return the statics of this stand, computed at the first call for the same arguments.
 
         Args:
-            robot: The robot whose masses and limits count; compared by identity.
+            robot: Robot with the masses and limits; compared by identity.
             distribution: The criterion that selects the contact forces.
             compute: Computes the statics.
         """
-        for whose, criterion, statics in self._statics:
-            if whose() is robot and criterion == distribution:
+        for owner, criterion, statics in self._statics:
+            if owner() is robot and criterion == distribution:
                 return statics
         self._statics.append((ref(robot), distribution, compute()))
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """One row per foot: where its sphere's centre shall be (m), if it carries, how deep (m)."""
+        """Return one row per foot: target [m], whether it carries load, penetration [m]."""
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -125,9 +130,9 @@ class Stand(Tabular):
         }
 
     def lift_directions(self, robot: Robot) -> dict[str, Array]:
-        """Returns {foot, and contact point, that carries: (3,) which way it lifts}.
+        """Return the lift-off direction, shape (3,), of each stance foot and contact point.
 
-        Up, but from a plane of its own.
+        Upward, or along the normal of a plane of its own.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
@@ -137,13 +142,18 @@ class Stand(Tabular):
         return found
 
     def centre(self, robot: Robot) -> Array:
-        """Returns the centre (3,) of the feet that carry, without hands (m)."""
+        """Return the centre of the stance feet, shape (3,) [m]; see `Goal.centre`."""
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
     def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:
-        """Returns by how much feet that are (3,) lower than they should be lower the base (m).
+        """Return the height loss of the base [m] for displacements of the stance feet.
 
-        Those on planes of their own count only if there are no others.
+        A plane is fitted to the vertical displacements, and evaluated at the base. Feet on planes
+        of their own count only if there are no others.
+
+        Args:
+            robot: Robot.
+            drops: {foot: target minus position, shape (3,) [m]}.
         """
         apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
@@ -154,21 +164,23 @@ class Stand(Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Returns the corners (n, 2) of where its com is in balance, seen from above (m)."""
+        """Return the corners of the support region, shape (n, 2) [m]."""
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])
-        friction = [robot.contacts[one].sliding_friction for one in self.normals if robot.contacts]
+        friction = [
+            robot.contacts[foot].sliding_friction for foot in self.normals if robot.contacts
+        ]
         stated = stated_forces(robot, self.stance_feet)
         held = gripped_places(robot, self.foot_targets) if robot.grips else None
         return np.array(support_corners(points, normals, friction, stated, held))
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
+        """Targets of the sphere centres on rigid ground, shape (3,) each [m]."""
         return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Returns the same stand as that of another task, which it satisfies as well."""
+        """Return a copy with another task, which the stand satisfies as well."""
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)
         )  # with its planes
@@ -177,10 +189,10 @@ class Stand(Tabular):
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:
-        """What comes nearer to the ground, to another link or to tipping than the task allows."""
-        found = []
+        """Violated clearances and CoM margin."""
+        violations = []
         if self.com_shortfall > TASK_TOLERANCE:
-            found.append(
+            violations.append(
                 diagnose(
                     "com-lies-inside" if self.com_margin >= 0 else "com-lies-outside",
                     distance=Quantity(abs(self.com_margin), "m"),
@@ -188,11 +200,11 @@ class Stand(Tabular):
             )
         for near, least in self._clearances():
             if near.distance < least - CLEARANCE_TOLERANCE:
-                found.append(_describe_clearance(near))
-        return tuple(found)
+                violations.append(_describe_clearance(near))
+        return tuple(violations)
 
     def _clearances(self) -> Iterator[tuple[Clearance, float]]:
-        """Yields what is near, and the least distance that is asked (m)."""
+        """Yield each clearance with its required minimum [m]."""
         if self.ground_clearance is not None:
             yield self.ground_clearance, self.task.ground_clearance
         if self.self_clearance is not None:
@@ -200,9 +212,9 @@ class Stand(Tabular):
 
     @property
     def com_shortfall(self) -> float:
-        """How much nearer than asked the com is to the support polygon's edge (m).
+        """Required minus actual CoM margin [m], at least 0.
 
-        With an offset and no margin that was asked for the com is a result.
+        0 with an offset and without a required margin, since the CoM is then a result.
         """
         if self.task.offset is not None and self.task.com_margin == 0.0:
             return 0.0
@@ -210,34 +222,34 @@ class Stand(Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """How much nearer than allowed anything is, negative (m)."""
-        rooms = (near.distance - least for near, least in self._clearances())
-        return min([-self.com_shortfall, *rooms])
+        """Smallest slack of CoM margin and clearances [m], at most 0."""
+        slacks = (near.distance - least for near, least in self._clearances())
+        return min([-self.com_shortfall, *slacks])
 
     @property
     def solved(self) -> bool:
-        """Whether the feet are where they shall be, and nothing is in the way."""
+        """Whether the feet are in place, and no clearance or margin is violated."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:
-        """Checks that it is a robot's stand, and returns the robot with its task's contacts.
+        """Check that the stand belongs to a robot, and return the robot with the task's contacts.
 
         Raises:
-            ConfigurationError: If it is another robot's.
+            ConfigurationError: If the stand belongs to another robot.
         """
         if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
-            whose = self.robot.rpartition(" ")[0]
-            problem = diagnose("stand-of-another-robot", whose=whose, robot=robot.name)
+            owner = self.robot.rpartition(" ")[0]
+            problem = diagnose("stand-of-another-robot", whose=owner, robot=robot.name)
             raise ConfigurationError("stand", problem)
         return touching(robot, self.task.contacts)
 
     def joint_positions(self, robot: Robot) -> Array:
-        """Returns the joints' part (nu,) of ``qpos`` (rad)."""
+        """Return the joint positions, shape (nu,) [rad, m]."""
         return self.qpos[robot.nq - robot.nu :]
 
 
 def _describe_clearance(near: Clearance) -> Diagnostic:
-    """Tells how near a part is to the ground, or two links are to each other."""
+    """Describe a violated clearance."""
     overlaps, link = near.distance < 0, ("link", near.links[0])
     distance = Quantity(abs(near.distance), "m")
     if len(near.links) == 1:
@@ -253,23 +265,23 @@ def _describe_clearance(near: Clearance) -> Diagnostic:
 
 
 def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
-    """Returns the stand at a configuration, with its errors and clearances.
+    """Create the stand of a configuration, with its errors and clearances.
 
     Args:
-        shapes: The robot with its shapes.
-        goal: What is asked of the stand.
-        qpos: (nq,) the configuration.
-        iterations: Quadratic programmes that it took.
+        shapes: Robot with collision shapes.
+        goal: Goal.
+        qpos: Configuration, shape (nq,).
+        iterations: Number of QPs so far.
 
     Raises:
-        ConfigurationError: If the task demands a clearance and nothing has one.
+        ConfigurationError: If the task requires a clearance that the robot does not have.
     """
     robot, task = shapes.robot, goal.task
     at = shapes.move_to(qpos)
     missed, com_margin, near = evaluate_constraints(shapes, goal, at)
-    errors = dict.fromkeys(("foot_error", *_ERRORS.values()), 0.0)
+    errors = dict.fromkeys(("foot_error", *_ERROR_BY_CONSTRAINT.values()), 0.0)
     for constraint, by in missed.items():
-        error = _ERRORS.get(constraint, "foot_error")
+        error = _ERROR_BY_CONSTRAINT.get(constraint, "foot_error")
         errors[error] = max(errors[error], by)
     ground, apart = near["ground-clearance"], near.get("self-clearance")
     if ground is None and task.ground_clearance > 0.0:
@@ -296,15 +308,17 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 
 
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
-    """Tells whether a part of the base is too low in every stand: a proof, which costs no search.
+    """Return True if a part of the base is too low in every stand.
 
-    Its turn and height are given; and above ground without slope that is all that counts, as steps
-    are put on a plane that stays.
+    Height and orientation of the base are given, so that no search is needed.
+    Always False on a slope and for welded robots. Steps are above the plane, so that they need no
+    test.
     """
     if goal.task.ground.slope or shapes.robot.welds:
         return False
     qpos = shapes.robot.home.copy()
     qpos[:7] = 0.0, 0.0, goal.height, *goal.base_quaternion
     heights = shapes.part_heights(shapes.move_to(qpos), Ground(), {}, goal.depths)
-    own = [one for one, part in zip(heights, shapes.parts, strict=True) if not part.shape.joint]
+    parts = zip(heights, shapes.parts, strict=True)
+    own = [height for height, part in parts if not part.shape.joint]
     return min(own, default=math.inf) < goal.task.ground_clearance - CLEARANCE_TOLERANCE

@@ -1,4 +1,8 @@
-"""Where a robot whose base is held is commanded to be."""
+"""Posture of a robot with a fixed base: commanded joint positions, from options or a keyframe.
+
+`find_posture` completes the given joint positions; `held_stand` converts a posture to a stand
+without feet.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +30,15 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
-_SLACK = 1e-3
+_MAX_CLOSING_DISPLACEMENT = 1e-3
 """Largest displacement [rad, m] of a given joint of a loop that closes the loop (rounding)."""
 
 LIMIT_TOLERANCE = 1e-6
-"""What is nearer to a limit is at it (rad, m): rounding."""
+"""Distance from a joint limit [rad, m] that counts as rounding."""
 
 
 class PostureSource(StrEnum):
-    """Where a posture is from, but for the joints that were given."""
+    """Source of the joint positions that were not given."""
 
     KEYFRAME = "a keyframe of the MJCF"
     MIDDLE = "the middle of the joints' ranges"
@@ -42,14 +46,15 @@ class PostureSource(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Posture(Result):
-    """Where a robot whose base is held is commanded to be.
+    """Commanded posture of a robot with a fixed base.
 
     Attributes:
-        joint_names: In actuator order.
-        qpos: (nu,) joint positions (rad, m of a joint that slides): all of a held robot's qpos.
-        source: Where it is from, but for the joints that were given.
-        keyframe: The keyframe's name; "" if it is from none, or that has no name.
-        given: The joints that were given.
+        joint_names: Names of the joints, in actuator order.
+        qpos: Joint positions, shape (nu,) (rad, or m of a slide); the complete qpos of such a
+            robot.
+        source: Source of the joint positions that were not given.
+        keyframe: Name of the keyframe; "" without a keyframe, or if it has no name.
+        given: Names of the given joints.
     """
 
     joint_names: tuple[str, ...]
@@ -60,17 +65,17 @@ class Posture(Result):
 
 
 def check_held(robot: Robot) -> None:
-    """Checks that a robot's base is held in the world.
+    """Check that the base of a robot is fixed to the world.
 
     Raises:
-        ConfigurationError: If it is free.
+        ConfigurationError: If the base is free.
     """
     if robot.floating:
         raise ConfigurationError("robot", diagnose("base-is-free", robot=robot.name))
 
 
 def joint_units(robot: Robot) -> tuple[str, ...]:
-    """Returns the unit of each joint's position: rad, or m of one that slides."""
+    """Return the unit of each joint position: rad, or m for a slide."""
     return tuple(joint_unit(robot, name) for name in robot.joint_names)
 
 
@@ -78,22 +83,22 @@ def joint_units(robot: Robot) -> tuple[str, ...]:
 def find_posture(
     robot: Robot, joints: Mapping[str, float] | None = None, *, keyframe: str | None = None
 ) -> Posture:
-    """Finds the posture that is asked for.
+    """Complete given joint positions to a posture.
 
-    Joints that are not given are where a keyframe has them, or else in the middle of their ranges,
-    at zero where they have none. Joints that follow others are where these take them.
+    Other joints are taken from a keyframe, or are in the middle of their ranges (0 without a
+    range). Coupled joints follow.
 
     Args:
-        robot: A robot whose base is held.
-        joints: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}; of patterns that
-            match the same joint the last counts.
-        keyframe: The MJCF's keyframe for the others; by default ``home``, or else the first, if
-            it is within the joints' ranges.
+        robot: Robot with a fixed base.
+        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}; if several patterns
+            match a joint, the last counts.
+        keyframe: Keyframe of the MJCF for other joints. Default: ``home``, else the first, if it is
+            within the joint ranges.
 
     Raises:
-        ConfigurationError: If the base is free, a position is out of its joint's range, or
-            loops and couplings of joints cannot be closed there.
-        UnknownNameError: If a joint or the keyframe is not there; the message lists what is.
+        ConfigurationError: If the base is free, a position is out of range, or closed loops and
+            couplings cannot be closed.
+        UnknownNameError: If a joint or the keyframe is unknown; the message lists the known names.
     """
     check_held(robot)
     ranges = joint_ranges(robot)
@@ -104,8 +109,8 @@ def find_posture(
         qpos[robot.joint_names.index(joint)] = position
     placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
     start = qpos
-    qpos = _closed(robot, start, placed)
-    moved = np.abs(qpos - start) > _SLACK
+    qpos = _close_loops(robot, start, placed)
+    moved = np.abs(qpos - start) > _MAX_CLOSING_DISPLACEMENT
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
         bonds = robot.closure.bonds if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
@@ -113,20 +118,22 @@ def find_posture(
     return Posture(robot.joint_names, qpos, source, name or "", tuple(given))
 
 
-def _closed(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Closes loops and couplings near a posture (nu,), some joints of which are given.
+def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
+    """Close loops and couplings near a posture (nu,), without moving the given joints.
+
+    Given joints move by up to `_MAX_CLOSING_DISPLACEMENT` if necessary.
 
     Raises:
-        ConfigurationError: If they cannot be closed there.
+        ConfigurationError: If the loops cannot be closed.
     """
     if robot.closure is None:
         return qpos
     moving = np.ones(robot.nu)
     moving[placed] = 0.0
     closed = robot.closure.closed(qpos, moving)
-    if closed is None:  # which are rounded, if two of a loop are given
+    if closed is None:  # two given joints of one loop are rounded
         closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
-        if closed is not None and (np.abs(closed - qpos)[placed] > _SLACK).any():
+        if closed is not None and (np.abs(closed - qpos)[placed] > _MAX_CLOSING_DISPLACEMENT).any():
             closed = None
     if closed is None:
         problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)

@@ -1,8 +1,11 @@
-"""A stand as a programme: all constraints at once, and demands that may give where they must.
+"""A stand as a nonlinear program: all constraints at once, with demands that can be relaxed.
+
+Variables are the horizontal base position, the joint positions, and for each number of a relaxed
+demand a decrease and an increase (slacks). The sum of the slacks is minimised; a sum of absolute
+values leaves most slacks at zero. The solver is SciPy's SLSQP.
 
 Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
-optimization", 2005, section 1.2: demands that cannot be met together get slacks, whose sum is
-minimised. A sum of absolute values leaves most of them at zero. SciPy's SLSQP solves it.
+optimization", 2005, section 1.2 (elastic mode).
 """
 
 from __future__ import annotations
@@ -27,43 +30,47 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _DIFFERENCE_STEP = 1e-7
-"""Of difference quotients by a demand's numbers (stand heights, rad): with longer ones steps and
-slopes are less exact, with shorter ones rounding counts."""
+"""Step of difference quotients by a relaxed number [stand heights, rad]. Truncation dominates with
+longer steps, rounding with shorter ones."""
 
-_MET = 1e-6
-"""Constraints that are missed by less are met (m, rad): the search does the rest."""
+_SATISFIED_VIOLATION = 1e-6
+"""Violation [m, rad] up to which a constraint counts as satisfied. The following IK solve removes
+the rest."""
 
-_ITERATIONS = (20, 50)
-"""How many at most without demands to give, and with some: 1,500 of 1,500 that led to a stand took
-12 or fewer, and of 350 nine in ten 45 or fewer."""
+_SOLVE_ITERATIONS = (20, 50)
+"""Upper bounds of iterations without and with relaxed demands. Measured: all of 1,500 solves
+without that led to a stand took 12 or fewer; 90 % of 350 solves with took 45 or fewer."""
 
 _FINE_UNIT = 200.0
-"""Parts of a stand height in which distances of the feet are when these are to be least and little
-is left: where a valley is flat, by a tenth of a millimetre in 30, whole heights end at its side,
-and thousands of parts on the way. At the end of reach it takes some 45 steps."""
+"""Parts of a stand height that are the first unit of small foot distances. Measured in flat
+valleys: with whole heights SLSQP ends on the slope of the valley, with thousands of parts on the
+way."""
 
 _MAX_ITERATIONS = 100
-"""How many they are at most."""
+"""Upper bound of the iterations in the small unit. At the limit of reach about 45 are needed."""
 
-_HARDLY, _STALLED = 0.9, (4, 32)
-"""A solution ends after so many steps, without demands to give and with some, each of which leaves
-more than such a part of what has been missed least: demands that give go by way of such steps. Of
-138 and 350 that led to a stand one each took more; of 206 that led to none two thirds did, and of
-633 one in eight."""
+_MIN_PROGRESS_RATIO = 0.9
+"""A step makes progress if the violation is at most this part of the smallest violation so far."""
 
-_DEPENDENT = 1e-6
-"""Equalities of which less is independent follow from the others: SLSQP cannot have them twice."""
+_PATIENCE = (4, 32)
+"""Successive steps without progress after which a solve ends, without and with relaxed demands.
+Measured: of 138 and 350 solves that led to a stand, one each took more; of 206 that led to none two
+thirds did, and of 633 one in eight."""
+
+_INDEPENDENCE_RTOL = 1e-6
+"""Relative size of a QR diagonal below which an equality depends on others. SLSQP fails with
+dependent equalities."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Demands that give, and where what is left is met as well as it can be.
+    """Relaxed demands, with the configuration of the smallest violation.
 
     Attributes:
-        task: The task with other numbers.
-        qpos: (nq,) the configuration.
-        given: {demand: how much it gives} (stand heights, rad).
-        violation: By how much what is left is missed (m, rad).
+        task: Task with relaxed numbers.
+        qpos: Configuration, shape (nq,).
+        given: {demand: sum of the relaxations of its numbers} [stand heights, rad].
+        violation: Largest violation of the other constraints [m, rad].
     """
 
     task: StandTask
@@ -73,18 +80,25 @@ class Relaxation:
 
     @property
     def is_met(self) -> bool:
-        """Whether what is left is met, but for what the search mends."""
-        return self.violation <= _MET
+        """Whether the constraints are satisfied up to `_SATISFIED_VIOLATION`."""
+        return self.violation <= _SATISFIED_VIOLATION
 
     @property
     def slack(self) -> float:
-        """How much all demands give together."""
+        """Sum of the relaxations of all demands [stand heights, rad mixed]."""
         return sum(self.given.values())
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where the problem is looked at: the configuration and the goal there, and the residuals."""
+    """Evaluated point of the program.
+
+    Attributes:
+        x: Variables.
+        qpos: Configuration, shape (nq,).
+        goal: Goal with the relaxed numbers.
+        residuals: Residual of each constraint.
+    """
 
     x: Array
     qpos: Array
@@ -93,51 +107,51 @@ class _Point:
 
 
 class _NoProgressError(Exception):
-    """Steps do not lead on."""
+    """Raised to end SLSQP if its steps do not reduce the violation."""
 
 
 class _Progress:
-    """How the steps of a solution get on.
+    """Monitor of the violation along the steps of a solve.
 
     Args:
-        enough: What is missed by no more is met (m, rad).
-        patience: After how many steps in a row that did not help it ends.
+        enough: Violation that counts as satisfied [m, rad].
+        patience: Number of successive steps without progress after which the solve ends.
 
     Attributes:
-        x: Where the constraints have been missed least.
+        x: Variables with the smallest violation so far.
     """
 
     x: Array
 
     def __init__(self, enough: float, patience: int) -> None:
         self._enough, self._patience = enough, patience
-        self._least, self._in_vain = math.inf, 0
+        self._smallest, self._steps_in_vain = math.inf, 0
 
-    def look(self, x: Array, missed: float) -> None:
-        """Takes notice of where a step has led.
+    def update(self, x: Array, violation: float) -> None:
+        """Register the violation after a step.
 
         Raises:
-            _NoProgressError: After some steps in a row that did not help.
+            _NoProgressError: After more than ``patience`` successive steps without progress.
         """
-        helps = missed <= max(self._enough, _HARDLY * self._least)
-        self._in_vain = 0 if helps else self._in_vain + 1
-        if missed < self._least:
-            self._least, self.x = missed, x.copy()
-        if self._in_vain > self._patience:
+        helps = violation <= max(self._enough, _MIN_PROGRESS_RATIO * self._smallest)
+        self._steps_in_vain = 0 if helps else self._steps_in_vain + 1
+        if violation < self._smallest:
+            self._smallest, self.x = violation, x.copy()
+        if self._steps_in_vain > self._patience:
             raise _NoProgressError
 
 
 class StanceProgram:
-    """The problem: in the base's x and y, the joints, and how much less and more numbers become.
+    """Nonlinear program of a goal.
 
-    Lengths are in stand heights, so that a robot that is scaled gives alike. The base has the
-    height and the turn of the goal in every configuration that is tried.
+    Lengths are in stand heights, so that scaled robots give scaled results. Height and orientation
+    of the base are those of the goal at each point.
 
     Args:
-        shapes: The robot with its shapes.
-        goal: What is asked.
-        demands: Which demands may give.
-        without: Constraints that are left out, by name.
+        shapes: Robot with collision shapes.
+        goal: Goal.
+        demands: Demands that can be relaxed.
+        without: Names of constraints that are left out.
     """
 
     def __init__(
@@ -150,18 +164,18 @@ class StanceProgram:
     ) -> None:
         robot = self._robot = shapes.robot
         self._shapes, self._goal, self._demands = shapes, goal, tuple(demands)
-        own = [one for one in make_constraints(shapes, goal) if not one.is_presatisfied]
-        if "joint_margin" not in demands:  # bounds of the joints are the same, and cost nothing
-            own = [one for one in own if one.name != "joint-limits"]
-        kept = [one for one in own if one.name not in without]
-        self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.is_equality)
+        own = [c for c in make_constraints(shapes, goal) if not c.is_presatisfied]
+        if "joint_margin" not in demands:  # bounds of the variables are cheaper
+            own = [constraint for constraint in own if constraint.name != "joint-limits"]
+        kept = [constraint for constraint in own if constraint.name not in without]
+        self._constraints: list[Constraint] = sorted(kept, key=lambda c: not c.is_equality)
         self._unit = robot.stand_height
         self._numbers = numbers = DemandVector(robot, goal.task, demands)
         least, most = (
             (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
         )
         within = goal.lower, goal.upper
-        if "joint_margin" in demands:  # all but a posture may give
+        if "joint_margin" in demands:  # limits of a posture stay
             placed = goal.lower == goal.upper
             within = np.where(placed, goal.lower, -np.inf), np.where(placed, goal.upper, np.inf)
         nothing, anywhere = np.zeros(2 * len(numbers.keys)), np.full(2, np.inf)
@@ -174,43 +188,48 @@ class StanceProgram:
         self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
-        """Finds how the demands give least, from one start.
+        """Find the smallest relaxation from one start.
 
         Args:
-            qpos: (nq,) where to start.
-            task: What the demands are there; by default what is asked.
+            qpos: Initial configuration, shape (nq,).
+            task: Initial values of the demands. Default: the requested ones.
         """
         gives = bool(self._demands)
-        progress = _Progress(_MET if gives else TASK_TOLERANCE, _STALLED[gives])
+        progress = _Progress(_SATISFIED_VIOLATION if gives else TASK_TOLERANCE, _PATIENCE[gives])
         cost = self._cost
-        x = self._minimised(
+        x = self._minimise(
             lambda x: (float(cost @ x), cost),
-            self._start(qpos, task),
+            self._make_start(qpos, task),
             1e-9,
-            _ITERATIONS[gives],
+            _SOLVE_ITERATIONS[gives],
             progress,
         )
-        numbers, values = self._numbers, self._values(x)
+        numbers, values = self._numbers, self._demand_values(x)
         given = dict.fromkeys(self._demands, 0.0)
         slacks = np.abs(values - numbers.values) / numbers.units
         for demand, slack in zip(numbers.demands, slacks.tolist(), strict=True):
             given[demand] += slack
-        return Relaxation(numbers.make_task(values), self._point(x).qpos, given, self._missed(x))
+        return Relaxation(
+            numbers.make_task(values), self._point(x).qpos, given, self._max_violation(x)
+        )
 
     def nearest(self, qpos: Array) -> Array:
-        """Returns where the feet are as near to their places as they can come (nq,), from a start.
+        """Return the configuration, shape (nq,), with the contact points nearest to their targets.
 
-        The sum of the squared distances is minimised, with all constraints that are not left out:
-        in stand heights first, and then in parts of what that has left.
+        Minimises the sum of squared distances subject to the constraints that are not left out:
+        first with distances in stand heights, then scaled by the remaining distance.
+
+        Args:
+            qpos: Initial configuration, shape (nq,).
         """
-        x, scale = self._start(qpos, None), self._unit**-2
-        for tolerance, most in ((1e-12, _ITERATIONS[1]), (1e-10, _MAX_ITERATIONS)):
-            x = self._minimised(partial(self._distances, scale=scale), x, tolerance, most)
-            scale = 1 / max(self._distances(x)[0], (self._unit / _FINE_UNIT) ** 2)
+        x, scale = self._make_start(qpos, None), self._unit**-2
+        for tolerance, most in ((1e-12, _SOLVE_ITERATIONS[1]), (1e-10, _MAX_ITERATIONS)):
+            x = self._minimise(partial(self._squared_distances, scale=scale), x, tolerance, most)
+            scale = 1 / max(self._squared_distances(x)[0], (self._unit / _FINE_UNIT) ** 2)
         return self._point(x).qpos
 
-    def _distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Returns the sum of the feet's squared distances times a scale, and its gradient."""
+    def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
+        """Return the scaled sum of squared foot distances, and its gradient."""
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
@@ -222,7 +241,7 @@ class StanceProgram:
         own[:2] *= self._unit
         return scale * total, scale * own
 
-    def _minimised(
+    def _minimise(
         self,
         function: Callable[[Array], tuple[float, Array]],
         start: Array,
@@ -230,22 +249,22 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Returns where a function is least, from one start, by SLSQP.
+        """Minimise a function from one start by SLSQP; the result is within the bounds.
 
         Args:
-            function: Its value and its gradient.
-            start: Where to begin.
-            tolerance: Of the value.
-            iterations: How many at most.
-            progress: What ends it where steps do not help to meet the constraints.
+            function: Returns value and gradient.
+            start: Initial variables.
+            tolerance: Tolerance of the value.
+            iterations: Upper bound of iterations.
+            progress: Monitor that ends the solve early.
         """
         from scipy import optimize  # slow to import
 
         equal = self._rows[1]
 
-        def rates(x: Array, rows: slice) -> Array:  # asked for at the end of each step
+        def rates(x: Array, rows: slice) -> Array:
             if progress is not None:
-                progress.look(x, self._missed(x))
+                progress.update(x, self._max_violation(x))
             return self._jacobian(x)[rows]
 
         total = len(self._rows[0])
@@ -274,13 +293,14 @@ class StanceProgram:
         inside: Array = np.clip(x, self._low, self._high)
         return inside
 
-    def _missed(self, x: Array) -> float:
-        """Returns by how much the constraints are missed there, at most (m, rad)."""
+    def _max_violation(self, x: Array) -> float:
+        """Return the largest violation of the constraints [m, rad]."""
         left, equal = self._residuals(x), self._rows[1]
         off = np.abs(left[:equal]).max(initial=0.0)
         return float(max(off, -left[equal:].min(initial=0.0)))
 
-    def _start(self, qpos: Array, task: StandTask | None) -> Array:
+    def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
+        """Return the initial variables of a configuration and a task."""
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)
         given = (had - numbers.values) / numbers.units
@@ -288,71 +308,79 @@ class StanceProgram:
         start: Array = np.clip(np.concatenate(parts), self._low, self._high)
         return start
 
-    def _values(self, x: Array) -> Array:
-        """Returns the demands' numbers there (m, rad)."""
+    def _demand_values(self, x: Array) -> Array:
+        """Return the relaxed numbers [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
-    def _look(self, x: Array) -> _Point:
-        goal = self._goal_at(self._values(x), self._goal)
+    def _evaluate(self, x: Array) -> _Point:
+        """Evaluate goal, configuration and residuals at the variables."""
+        goal = self._make_goal(self._demand_values(x), self._goal)
         qpos = np.empty(self._robot.nq)
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion
         qpos[7:] = x[2 : 2 + self._robot.nu]
         at = self._shapes.move_to(qpos)
-        residuals = tuple(one.residual(goal, at) for one in self._constraints)
+        residuals = tuple(c.residual(goal, at) for c in self._constraints)
         return _Point(x.copy(), at.qpos, goal, residuals)
 
-    def _goal_at(self, values: Array, like: Goal) -> Goal:
+    def _make_goal(self, values: Array, like: Goal) -> Goal:
+        """Create the goal of relaxed numbers, reusing foot targets of a similar goal."""
         return make_goal(
             self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )
 
     def _point(self, x: Array) -> _Point:
-        """Returns what is there; each constraint asks for it in turn, and it is made once."""
+        """Return the evaluated point; the latest is cached, since each constraint needs it."""
         if self._last is None or not (x == self._last.x).all():
-            self._last = self._look(x)
+            self._last = self._evaluate(x)
         return self._last
 
     def _configuration(self, x: Array) -> Configuration:
+        """Return the configuration object; the latest is cached."""
         there = self._point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
+        """Return the independent residuals."""
         joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
         return joined
 
     def _jacobian(self, x: Array) -> Array:
+        """Return the Jacobian of the independent residuals; the latest is cached."""
         if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
             self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
         return self._jacobian_there[1]
 
     def _derivative(self, x: Array) -> Array:
-        """Returns the derivative of all residuals (m, n).
+        """Compute the derivative of all residuals by the variables.
 
-        By the robot's motion it is exact; by a number it is that of the base's motion with it, and
-        a difference quotient of the residuals with the robot at rest, where they depend on it.
+        Derivatives by robot motion are exact. The derivative by a relaxed number is the sum of the
+        effect of the base motion, and a difference quotient of the residuals with the robot at
+        rest.
         """
-        there, values = self._point(x), self._values(x)
+        there, values = self._point(x), self._demand_values(x)
         config = self._configuration(x)
-        rates = [one.jacobian(there.goal, config) for one in self._constraints]
+        rates = [c.jacobian(there.goal, config) for c in self._constraints]
         at = self._shapes.move_to(there.qpos)
         moved = _stack(rates, self._robot.nv)
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
         towards = np.copysign(_DIFFERENCE_STEP * numbers.units, numbers.values - values)
         for number, unit in enumerate(numbers.units):
-            near = values.copy()  # towards what is asked: beyond it there may be nothing
+            near = values.copy()  # towards the requested value: beyond it may be invalid
             near[number] += towards[number]
             if near[number] > numbers.high[number] > numbers.low[number]:
-                near[number] -= 2 * towards[number]  # nothing is turned by more than 180 degrees
+                near[number] -= 2 * towards[number]  # angles up to 180 deg only
             step = near[number] - values[number]
-            goal = self._goal_at(near, there.goal)
-            column = moved[:, :6] @ (_twist(there.goal, goal) / step)
-            for one, before, end in zip(self._constraints, there.residuals, ends, strict=True):
-                change = one.residual(goal, at) - before
+            goal = self._make_goal(near, there.goal)
+            column = moved[:, :6] @ (_base_motion(there.goal, goal) / step)
+            for constraint, before, end in zip(
+                self._constraints, there.residuals, ends, strict=True
+            ):
+                change = constraint.residual(goal, at) - before
                 column[end - len(before) : end] += change / step
             columns.append(unit * column)
         by_numbers = np.array(columns).reshape(len(columns), len(moved)).T
@@ -362,17 +390,17 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Rows of which no equality follows from others, and how many of them are equalities."""
+        """Indices of independent equalities and of all inequalities, and number of the former."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)
         x[2 : 2 + self._robot.nu] = random.uniform(low, np.maximum(low, high))
         residuals, whole = self._point(x).residuals, self._derivative(x)
         pairs = zip(self._constraints, residuals, strict=True)
-        equal = sum(len(one) for constraint, one in pairs if constraint.is_equality)
+        equal = sum(len(rows) for constraint, rows in pairs if constraint.is_equality)
         _, triangle, order = linalg.qr(whole[:equal].T, mode="economic", pivoting=True)
         size = np.abs(np.diag(triangle))
-        kept = np.sort(order[: int((size > _DEPENDENT * size.max(initial=0.0)).sum())])
+        kept = np.sort(order[: int((size > _INDEPENDENCE_RTOL * size.max(initial=0.0)).sum())])
         return np.concatenate([kept, np.arange(equal, len(whole))]), len(kept)
 
 
@@ -381,10 +409,10 @@ def _stack(blocks: Sequence[Array], columns: int) -> Array:
     return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 
 
-def _twist(goal: Goal, other: Goal) -> Array:
-    """Returns how the base moves (6,) from one goal's height and turn to another's nearby."""
+def _base_motion(goal: Goal, other: Goal) -> Array:
+    """Return the base displacement, shape (6,), between two goals' heights and orientations."""
     (w, x, y, z), (a, b, c, d) = goal.base_quaternion, other.base_quaternion
-    turned = (  # the vector of the first one's inverse times the second
+    turned = (  # vector part of the relative quaternion
         w * b - x * a - y * d + z * c,
         w * c - y * a - z * b + x * d,
         w * d - z * a - x * c + y * b,

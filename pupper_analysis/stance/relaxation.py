@@ -1,4 +1,9 @@
-"""Why a stance is out of reach: as few demands as are found that must give, and how far."""
+"""Explanation of an unreachable stance: demands that can be relaxed, and the smallest relaxation.
+
+`explain_refusal` first tests each demand alone. If none suffices alone, it looks for a small set of
+demands that suffices together. The elastic program (`stance.programme`) computes the relaxation;
+the rounded result is solved again, so that a reported value can be typed as a task.
+"""
 
 from __future__ import annotations
 
@@ -32,59 +37,59 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _DEAD_POINT_RATIO = 1e-2
-"""What loops leave, at most, of the joints' lever on a foot at a dead point: a thousandth of a
-radian from it some thousandth."""
+"""Ratio of a foot's mobility with and without closed loops below which a dead point is assumed. A
+thousandth of a radian from a dead point the ratio is about 1e-3."""
 
-_LEAST_MISS = 1e-6
-"""Where a dead point is the cause, feet that miss by less (m) do so by the search's tolerance."""
+_MIN_FOOT_ERROR = 1e-6
+"""Foot error [m] below which, at a dead point, the error is due to the tolerance of the search."""
 
-_FURTHER = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
-"""By what parts demands give more, if they are not met as they are printed: at the end of reach a
-search from scratch may not find what the elastic problem leads to."""
+_EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
+"""Shares by which demands are relaxed further if the rounded task has no stand: at the limit of
+reach, a search from scratch may fail."""
 
-_NOTHING_LEFT = ("swing", "com_margin")
-"""Demands of which next to nothing is no limit to be stated: a foot that is not lifted carries, and
-without a margin a com with an offset may be outside the support polygon."""
+_NONZERO_DEMANDS = ("swing", "com_margin")
+"""Demands whose value cannot be close to zero: a foot that is not lifted carries load, and without
+a margin a CoM with an offset may be outside the support polygon."""
 
-_NOTHING = 1e-3
-"""How much is next to nothing (stand heights)."""
+_NEGLIGIBLE_VALUE = 1e-3
+"""Value of such a demand that counts as zero [stand heights]."""
 
-_LESS = (0.03, 0.01)
-"""By what parts a demand is tried to give less than the problem says, as long as that helps: v3's
-slope ended at two edges in turn, 6 % and 1 % of what it gave before the last."""
+_REDUCTION_SHARES = (0.03, 0.01)
+"""Shares by which a relaxation is reduced, in order, as long as a stand exists: v3's slope ended at
+two edges, 6 % and 1 % before the result of the program."""
 
-_GIVES = 1e-6
-"""A demand that gives less does not (stand heights, rad)."""
+_MIN_RELAXATION = 1e-6
+"""Relaxation below which a demand counts as unchanged [stand heights, rad]."""
 
 
 def explain_refusal(
     context: SearchContext, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
-    """Returns the error for a goal that no stand satisfies.
+    """Create the error for a goal without stand.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        nearest: The best failure.
-        explain: Find out which demands are in the way, as few as possible, and how far they can go.
+        context: Search context of the robot.
+        goal: Goal.
+        nearest: Configuration of the search with the smallest violation.
+        explain: Determine which demands to relax, and how far.
     """
     robot = context.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
     gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
     joints = nearest.joint_positions(robot)
     at_limit: dict[str, float] = {}
-    placed = goal.lower == goal.upper  # in a posture: at no limit
+    placed = goal.lower == goal.upper  # joints of a posture have equal limits
     for limits in (goal.lower, goal.upper):
         for index in np.flatnonzero((np.abs(joints - limits) < 1e-6) & ~placed):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
     blocked = () if missed else nearest.blocked
-    if not missed and not blocked:  # the feet are in place with loops or couplings open
+    if not missed and not blocked:  # feet reach their targets, loops stay open
         blocked = (diagnose("loops-stay-open", most=Quantity(nearest.foot_error, "rad or m")),)
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
-        missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}
-    basis = _Search(context, goal, nearest).found() if explain else []
+        missed = {foot: gap for foot, gap in missed.items() if gap >= _MIN_FOOT_ERROR}
+    basis = _Search(context, goal, nearest).find_relaxations() if explain else []
     named = {" and ".join(way.demands): way for way in basis}
     least = min(basis, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
@@ -106,9 +111,9 @@ def explain_refusal(
 
 
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
-    """Tells whether loops keep a foot from a direction in which its leg's joints could move it.
+    """Return True if closed loops keep a foot from a direction in which its joints could move it.
 
-    There a motor turns, and what follows it does not, to first order.
+    At such a dead point a motor rotates while its coupled joints stay at rest, to first order.
     """
     if robot.closure is None:
         return False
@@ -116,15 +121,23 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     basis = robot.closure.null_space(nearest.qpos)
     for foot in nearest.stance_feet:
         joints = rates[foot][:3, robot.nv - robot.nu :]
-        free, bound = (np.linalg.svd(one, compute_uv=False) for one in (joints, joints @ basis))
+        free, bound = (
+            np.linalg.svd(matrix, compute_uv=False) for matrix in (joints, joints @ basis)
+        )
         if ((bound < _DEAD_POINT_RATIO * free) & (free > _DEAD_POINT_RATIO * free[0])).any():
             return True
     return False
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """Demands that give, and a stand that fulfils what is left of them and all else."""
+class _StatedRelaxation:
+    """Relaxed demands, and a stand that satisfies them and all other requirements.
+
+    Attributes:
+        demands: Relaxed demands.
+        slack: Sum of the relaxations [stand heights, rad mixed].
+        stand: Stand of the relaxed task.
+    """
 
     demands: tuple[str, ...]
     slack: float
@@ -132,12 +145,12 @@ class _Way:
 
 
 class _Search:
-    """The ways in which a goal that is out of reach may give.
+    """Search for relaxations of an unreachable goal.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        nearest: The best failure.
+        context: Search context of the robot.
+        goal: Goal.
+        nearest: Configuration of the search with the smallest violation.
     """
 
     def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:
@@ -146,42 +159,43 @@ class _Search:
         home[:2] = goal.centre[:2]
         self.starts = [nearest.qpos, home]
 
-    def found(self) -> list[_Way]:
-        """Returns each demand that alone may give, or else as few as are found that together do."""
+    def find_relaxations(self) -> list[_StatedRelaxation]:
+        """Return each demand that suffices alone, or else one small set that suffices together."""
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
-        alone = [self._stated(self._alone(demand)) for demand in differing]
-        if found := [way for way in alone if way is not None]:
-            return found
-        least = self._least(differing, self.starts)
-        fewest = self._stated(self._fewest(least)) or self._stated(least)
+        alone = [self._verify(self._relax_one(demand)) for demand in differing]
+        if stated := [way for way in alone if way is not None]:
+            return stated
+        least = self._find_smallest(differing, self.starts)
+        fewest = self._verify(self._reduce_demands(least)) or self._verify(least)
         return [] if fewest is None else [fewest]
 
-    def _least(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
-        """Returns how demands give least, from the best of some starts; None if they do not help.
+    def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
+        """Return the smallest relaxation of demands from several starts; None if none is feasible.
 
-        One more is a stand without the demands, if there is one: from there they are taken as far
-        as they go. Where several demands must give, that led to the best in 27 of 28 refusals.
+        An additional start is a stand without the demands, if one exists: the demands are increased
+        from there. If several demands must be relaxed, this start gave the best result in 27 of 28
+        refusals.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
         without = reset_to_nominal(self.context.robot, self.goal.task, demands)
-        stand = search_stand(self.context, self._goal(without), usual_starts_only=True)
+        stand = search_stand(self.context, self._make_goal(without), usual_starts_only=True)
         if stand.solved:
             basis.append(elastic.solve(stand.qpos, without))
         return min((way for way in basis if way.is_met), key=lambda way: way.slack, default=None)
 
-    def _alone(self, demand: str) -> Relaxation | None:
-        """Returns how a demand alone gives least; None if it does not help.
+    def _relax_one(self, demand: str) -> Relaxation | None:
+        """Return the smallest relaxation of one demand; None if it does not suffice.
 
-        What the problem ends at may be least among its neighbours alone: stands further on are
-        tried, and where there is one, it begins anew from there.
+        The program may end in a local minimum. Stands with less relaxation are tried; if one
+        exists, the program starts again from it.
         """
-        way = self._least([demand], self.starts)
-        shares = list(_LESS)
+        way = self._find_smallest([demand], self.starts)
+        shares = list(_REDUCTION_SHARES)
         while way is not None and shares:
             less = relax_further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
-            stand = search_stand(self.context, self._goal(less), com_at_centre_only=True)
+            stand = search_stand(self.context, self._make_goal(less), com_at_centre_only=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
@@ -191,72 +205,77 @@ class _Search:
             way = better
         return way
 
-    def _fewest(self, way: Relaxation | None) -> Relaxation | None:
-        """Returns a way in which no demand gives that need not, those that give little first."""
+    def _reduce_demands(self, way: Relaxation | None) -> Relaxation | None:
+        """Remove demands that need no relaxation, beginning with the smallest relaxation."""
         if way is None:
             return None
-        given = {demand: slack for demand, slack in way.given.items() if slack > _GIVES}
+        given = {demand: slack for demand, slack in way.given.items() if slack > _MIN_RELAXATION}
         for demand in sorted(given, key=given.__getitem__):
             rest = [
-                other for other in given if other != demand and way.given.get(other, 0.0) > _GIVES
+                name
+                for name in given
+                if name != demand and way.given.get(name, 0.0) > _MIN_RELAXATION
             ]
-            if way.given.get(demand, 0.0) > _GIVES and len(rest) > 1:
-                way = self._least(rest, (way.qpos,)) or way
+            if way.given.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
+                way = self._find_smallest(rest, (way.qpos,)) or way
         return way
 
-    def _stated(self, way: Relaxation | None) -> _Way | None:
-        """Returns a way as it can be reported; None if it cannot be typed and found."""
+    def _verify(self, way: Relaxation | None) -> _StatedRelaxation | None:
+        """Return a relaxation as it can be reported; None if its rounded task has no stand."""
         if way is None:
             return None
         robot = self.context.robot
-        demands = tuple(demand for demand, slack in way.given.items() if slack > _GIVES)
+        demands = tuple(demand for demand, slack in way.given.items() if slack > _MIN_RELAXATION)
         if not demands:
             return None
-        for share in _FURTHER:
-            task = self._rounded(way, demands, share)
-            if task is None or any(_is_nothing(robot, task, demand) for demand in demands):
+        for share in _EXTRA_RELAXATIONS:
+            task = self._round_task(way, demands, share)
+            if task is None or any(_is_degenerate(robot, task, demand) for demand in demands):
                 continue
-            if (stand := self._stand(task)) is not None:
-                return _Way(demands, way.slack, stand)
+            if (stand := self._solve_task(task)) is not None:
+                return _StatedRelaxation(demands, way.slack, stand)
         return None
 
-    def _rounded(self, way: Relaxation, demands: Sequence[str], share: float) -> StandTask | None:
-        """Returns the task of a way as it is reported, its demands giving more by a share.
+    def _round_task(
+        self, way: Relaxation, demands: Sequence[str], share: float
+    ) -> StandTask | None:
+        """Return the task of a relaxation with rounded demands, relaxed further by a share.
 
-        One after the other, those that give most first: where one has been rounded, the others
-        give as little as that leaves them.
+        Demands are rounded one after another, the largest relaxation first; after each, the
+        relaxation of the remaining demands is computed again. None if that becomes infeasible.
         """
-        robot, asked, task, left = self.context.robot, self.goal.task, self.goal.task, [*demands]
+        robot, left = self.context.robot, [*demands]
+        requested = task = self.goal.task
         while way.is_met:
             demand = max(left, key=way.given.__getitem__)
             left.remove(demand)
-            there = relax_further(robot, way.task, asked, [demand], share)
-            end = round_outward(robot, there, asked, [demand])
+            there = relax_further(robot, way.task, requested, [demand], share)
+            end = round_outward(robot, there, requested, [demand])
             task = replace(task, **{demand: getattr(end, demand)})
             if not left:
                 return task
-            elastic = StanceProgram(self.context.shapes, self._goal(task), left)
+            elastic = StanceProgram(self.context.shapes, self._make_goal(task), left)
             way = elastic.solve(way.qpos, way.task)
         return None
 
-    def _stand(self, task: StandTask) -> Stand | None:
-        """Returns the stand of a task, as who types it finds it."""
+    def _solve_task(self, task: StandTask) -> Stand | None:
+        """Return the stand that a user of this task would get; None without stand."""
         try:
-            goal = self._goal(task, checked=True)
+            goal = self._make_goal(task, checked=True)
         except ConfigurationError:
             return None
         stand = search_stand(self.context, goal)
         return stand if stand.solved else None
 
-    def _goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Returns a task's goal, with feet as deep and loops as open as the refused one's."""
+    def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
+        """Convert a task to a goal, with the refused goal's depths and loop opening."""
         goal = make_goal(self.context.robot, task, self.goal.depths, checked=checked)
         return replace(goal, give=self.goal.give)
 
 
-def _is_nothing(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Tells whether next to nothing is left of a demand of which that is no limit."""
-    least = _NOTHING * robot.stand_height
-    return demand in _NOTHING_LEFT and bool(
+def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
+    """Return True if the relaxed value is close to zero for a demand that cannot be 0."""
+    least = _NEGLIGIBLE_VALUE * robot.stand_height
+    return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()
     )

@@ -1,4 +1,10 @@
-"""The search for a stand: PlaCo's quick steps, then all constraints at once, from many seeds."""
+"""Search for a stand of a goal, from several initial guesses.
+
+`search_stand` tries, in this order: PlaCo's IK from the usual joint positions; IK from combinations
+of the legs' IK branches; and, if the CoM is free or joints are redundant, the nonlinear program of
+all constraints (`stance.programme`) from several seeds. The result is a solved stand, or the best
+failure.
+"""
 
 from __future__ import annotations
 
@@ -32,31 +38,32 @@ from pupper_analysis.stance.solver import SearchContext, SolverResult
 
 Array = NDArray[np.float64]
 
-_ATTEMPTS = 256
-"""The most choices of branches that are tried in full for one place of the com: four legs whose
-joints turn all the way round, with four branches each."""
+_MAX_COMBINATIONS = 256
+"""Upper bound of branch combinations per CoM place: four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
-"""How often the branches are looked for anew from where the feet have come much nearer."""
+"""Upper bound of searches for branches. A new search starts if the foot error has halved."""
 
 _CLOSE_MISS = 3e-3
-"""Where feet can come nearer than this (m), places all over are tried as well."""
+"""Foot error [m] below which displaced base positions are tried as seeds. Chosen, not tuned."""
 
-_SHIFTED = 32
-"""How many of these at most."""
+_MAX_SHIFTED_SEEDS = 32
+"""Upper bound of the number of these seeds. Chosen, not tuned."""
 
-_MISS_TOLERANCE, _AGREEING_SEEDS = 0.1, 8
-"""Where the feet come no nearer from so many seeds than from the best of them, by such a part of
-what they miss by, they come no nearer. Of 400 stands, most at the end of reach, all but one that
-took more than PlaCo were found before two agreed, that one when four had."""
+_MISS_TOLERANCE = 0.1
+"""Relative difference up to which foot errors of two seeds agree."""
 
-_RANDOM = 32
-"""Random postures of a robot whose legs lay their soles as they can: there are no branches of what
-cannot be laid quite flat, and what is nearest depends on where one begins. Of 48 stands of six
-bipeds one more is found."""
+_MIN_AGREEING_SEEDS = 8
+"""Number of seeds with the same smallest foot error after which the search ends. Measured on 400
+stands, most at the limit of reach: all but one were found before two seeds agreed, that one after
+four."""
+
+_NUM_RANDOM_SEEDS = 32
+"""Number of random postures for robots with underactuated soles, which have no exact branches.
+Measured on 48 stands of six bipeds: they add one stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Constraints that a stand may miss with its feet in place: then these are what is in the way."""
+"""Constraints that a stand with feet in place may violate; the failure then names these."""
 
 
 def search_stand(
@@ -66,39 +73,41 @@ def search_stand(
     usual_starts_only: bool = False,
     com_at_centre_only: bool = False,
 ) -> Stand:
-    """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
+    """Search for a stand from all initial guesses.
 
-    Where the com may be anywhere inside, or joints are left over that may take parts out of each
-    other's way, all constraints are then met at once, from where the feet have come nearest, and
-    from other seeds.
+    The nonlinear program is used only if the CoM is free, or if redundant joints can move parts out
+    of collision. It starts at the configuration with the smallest foot error, then at other seeds.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        usual_starts_only: From the usual starts alone.
-        com_at_centre_only: If the CoM is free, test the centre of the feet only.
+        context: Search context of the robot.
+        goal: Goal.
+        usual_starts_only: Use the usual joint positions only.
+        com_at_centre_only: Omit the nonlinear program, so that a free CoM is above the centre of
+            the feet.
 
     Returns:
-        A stand that is solved, or else the best failure: with the feet as near as they came, or
-        where they are in place, with something in the way.
+        A solved stand. Otherwise the best failure: feet in place with another violation, or the
+            smallest foot error.
     """
     there = _Search(context, goal)
-    found = there.quickly(posture_seeds(context.robot, goal))
+    found = there.try_starts(posture_seeds(context.robot, goal))
     if found is not None or usual_starts_only:
         return found or there.result()
-    found = there.in_every_branch()
+    found = there.try_branches()
     if found is not None or com_at_centre_only:
         return found or there.result()
-    return there.at_once()
+    return there.try_program()
 
 
 def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
-    """Looks for a stand near another one, from that alone: quick, and no proof that there is none.
+    """Search for a stand near another stand, from that stand only.
+
+    Fast; None does not prove that no stand exists.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        near: A stand of a goal that is almost the same.
+        context: Search context of the robot.
+        goal: Goal.
+        near: Stand of a similar goal.
     """
     found = search_from_joints(context, goal, near.joint_positions(context.robot))
     if found is None and goal.com_is_free:
@@ -107,24 +116,37 @@ def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | Non
 
 
 def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
-    """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
+    """Search from joint positions (nu,) only, with the CoM or base at its target."""
     return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
 def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once."""
+    """Search from one configuration (nq,) with the nonlinear program of all constraints."""
     there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
-    stand = there.met(programme, qpos) or there.met_from_nearest(programme, qpos)
+    stand = there.solve_program(programme, qpos) or there.solve_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
 def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Looks for a stand from a configuration (nq,) alone that is next to it."""
+    """Search from one nearby configuration (nq,) only, with IK."""
     return _Search(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
 
 
 class _Search:
-    """A search, and what it came to: feet in place count first, then what is in the way."""
+    """State of a search: evaluated solver results, and the stands with feet in place.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal.
+
+    Attributes:
+        iterations: Number of QPs so far.
+        closest: Stand with the smallest foot error of the nonlinear program.
+        misses: Foot errors [m] of the nonlinear program, one per seed.
+        points: Results of the IK solver.
+        reached: Stands with the feet in place.
+        found: IK branches of each limb.
+    """
 
     def __init__(self, context: SearchContext, goal: Goal) -> None:
         self.context, self.shapes, self.robot = context, context.shapes, context.robot
@@ -136,89 +158,90 @@ class _Search:
         self.found: dict[Limb, tuple[Branch, ...]] = {}
 
     @cached_property
-    def _in_vain(self) -> bool:
-        """Whether no start can lead to a stand; most searches succeed and never ask."""
+    def _is_hopeless(self) -> bool:
+        """Whether no stand exists: the base would be in the ground. Evaluated at first access."""
         return is_base_in_ground(self.shapes, self.goal)
 
-    def quickly(self, joints: Iterable[Array]) -> Stand | None:
-        """Returns the first stand that PlaCo's steps lead to, from some joint positions (nu,).
+    def try_starts(self, joints: Iterable[Array]) -> Stand | None:
+        """Return the first stand that IK reaches from some joint positions (nu,).
 
-        Where none can be solved, the first whose feet are in place.
+        If no stand can exist, the first configuration with the feet in place.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
-            if stand is None and self.reached and self._in_vain:
+            if stand is None and self.reached and self._is_hopeless:
                 stand = self.reached[0]
             if stand is not None:
                 return stand
         return None
 
-    def in_every_branch(self) -> Stand | None:
-        """The same from every choice of the legs' branches that may be in reach."""
+    def try_branches(self) -> Stand | None:
+        """Try IK from combinations of the legs' branches that may be in reach."""
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):
             nearest = self._nearest()
             self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
             reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
-            found = self.quickly(branch_seeds(robot, goal, self.found, reach, _ATTEMPTS))
+            found = self.try_starts(branch_seeds(robot, goal, self.found, reach, _MAX_COMBINATIONS))
             if found is not None:
                 return found
-            # Much nearer, the base may be where legs have branches that they had not before.
+            # With a much smaller error, legs may have additional branches.
             if self.reached or self._nearest().foot_error > nearest.foot_error / 2:
                 break
         return None
 
-    def at_once(self) -> Stand:
-        """Meets all constraints at once, from one seed after the other."""
+    def try_program(self) -> Stand:
+        """Solve the nonlinear program from one seed after another."""
         best = self.result()
-        if best.solved or (self._in_vain and self.reached):
+        if best.solved or (self._is_hopeless and self.reached):
             return best
         if not self.goal.com_is_free and not (self.reached and has_spare_joints(self.robot)):
             return best
         if self.goal.com_is_free:
             reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
             if any(branches[0].foot_error > reach for branches in self.found.values()):
-                return best  # too far for the com to make up
-        without = CLEARANCE_NAMES if self._in_vain else ()
+                return best  # no CoM displacement can compensate
+        without = CLEARANCE_NAMES if self._is_hopeless else ()
         programme = StanceProgram(self.shapes, self.goal, without=without)
-        for qpos in self._seeds(best):
-            stand = self.met(programme, qpos) or self.met_from_nearest(programme, qpos)
-            if stand is not None and (stand.solved or self._in_vain):
+        for qpos in self._generate_seeds(best):
+            stand = self.solve_program(programme, qpos) or self.solve_from_nearest(programme, qpos)
+            if stand is not None and (stand.solved or self._is_hopeless):
                 return stand
-            if self._agreed() and not self._underactuated:
+            if self._have_seeds_converged() and not self._is_underactuated:
                 break
         return self.result()
 
     @cached_property
-    def _underactuated(self) -> bool:
+    def _is_underactuated(self) -> bool:
         return has_underactuated_feet(self.robot)
 
-    def _agreed(self) -> bool:
-        """Whether the feet have come as near as they do from several seeds."""
+    def _have_seeds_converged(self) -> bool:
+        """Return True if enough seeds lead to nearly the same smallest foot error."""
         least = min(self.misses, default=0.0)
-        return sum(one <= (1 + _MISS_TOLERANCE) * least for one in self.misses) >= _AGREEING_SEEDS
+        bound = (1 + _MISS_TOLERANCE) * least
+        return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_SEEDS
 
-    def _seeds(self, best: Stand) -> Iterator[Array]:
-        """Yields configurations (nq,) where all constraints are begun to be met."""
+    def _generate_seeds(self, best: Stand) -> Iterator[Array]:
+        """Yield initial configurations (nq,) of the nonlinear program."""
         robot, goal = self.robot, self.goal
         yield best.qpos
         if not goal.com_is_free:
-            # A copy: from each of them another may be reached.
+            # A copy of the list, which grows meanwhile.
             yield from [stand.qpos for stand in self.reached if stand is not best]
             return
         for joints in posture_seeds(robot, goal):
             yield make_seed(robot, goal, joints, goal.centre[:2])
-        if self._underactuated:
+        if self._is_underactuated:
             yield from (
                 make_seed(robot, goal, joints, goal.centre[:2])
-                for joints in random_postures(goal, _RANDOM)
+                for joints in random_postures(goal, _NUM_RANDOM_SEEDS)
             )
         closest = self.result()
-        if closest.foot_error < _CLOSE_MISS:  # something may be in the way that elsewhere is not
-            yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _SHIFTED)
+        if closest.foot_error < _CLOSE_MISS:  # elsewhere there may be no obstacle
+            yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _MAX_SHIFTED_SEEDS)
 
-    def met_from_nearest(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """The same as ``met`` from where the feet come nearest first: slower, and surer."""
+    def solve_from_nearest(self, programme: StanceProgram, qpos: Array) -> Stand | None:
+        """Minimise the foot error, then solve as in `solve_program`: slower, more robust."""
         if not self.goal.com_is_free or self.reached:
             return None
         closest = find_nearest(self.context, self.goal, qpos)
@@ -227,13 +250,14 @@ class _Search:
             self.closest = closest
         if closest.foot_error >= NEAR_MISS:
             return None
-        return self.met(programme, closest.qpos) or self._exactly(closest.qpos)
+        return self.solve_program(programme, closest.qpos) or self._refine(closest.qpos)
 
     def _nearest(self) -> SolverResult:
+        """Return the IK result with the smallest foot error."""
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Adds where a solver ended; returns the stand if it is solved."""
+        """Register an IK result, and return its stand if the stand is solved."""
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal
@@ -241,45 +265,46 @@ class _Search:
             goal = relax_foot_orientation(self.robot, goal, point)
         if point.foot_error >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
-        stand = self._measure(point, goal)
+        stand = self._evaluate(point, goal)
         if goal is not self.goal:
             stand = lay_soles_flattest(self.context, self.goal, stand)
         self.reached.append(stand)
         return stand if stand.solved else None
 
-    def met(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Returns the stand where a programme leads, feet in place; None if it leads to none."""
+    def solve_program(self, programme: StanceProgram, qpos: Array) -> Stand | None:
+        """Return the stand at the result of a program, if its feet are in place; else None."""
         found = programme.solve(qpos)
-        return None if found.violation > NEAR_MISS else self._exactly(found.qpos)
+        return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 
-    def _exactly(self, qpos: Array) -> Stand | None:
-        """Returns the stand next to a configuration (nq,), if its feet are in place.
+    def _refine(self, qpos: Array) -> Stand | None:
+        """Return the stand next to a configuration (nq,), if its feet are in place; else None.
 
-        PlaCo places them to the last digits, and soles as their legs can lay them.
+        IK removes the remaining foot errors; soles of underactuated legs may stay tilted.
         """
         goal = self.goal
         if goal.com_is_free:
             goal = replace(goal, place=Configuration(self.robot, qpos).center_of_mass()[:2])
         point = self.context.solver.solve_from_configuration(goal, qpos)
         self.iterations += point.iterations
-        stand = self._measure(point, relax_foot_orientation(self.robot, goal, point))
+        stand = self._evaluate(point, relax_foot_orientation(self.robot, goal, point))
         if stand.foot_error >= TASK_TOLERANCE:
             return None
         self.reached.append(stand)
         return stand
 
     def result(self) -> Stand:
-        """Returns the solved stand; or that with the least in the way; or what misses least."""
+        """Return the stand in place with the smallest violation, or the closest failure."""
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
-        return self.closest or self._measure(self._nearest())
+        return self.closest or self._evaluate(self._nearest())
 
-    def _measure(self, point: SolverResult, goal: Goal | None = None) -> Stand:
+    def _evaluate(self, point: SolverResult, goal: Goal | None = None) -> Stand:
+        """Evaluate the stand of an IK result."""
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
 def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
+    """Yield initial joint positions (nu,): the ik_seed, home, the middle of the limits."""
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
     yield robot.home[7:]
@@ -289,31 +314,32 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
 
 
 def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
-    """Finds how near the feet can come to targets that are out of reach, from a start (nq,).
+    """Minimise the foot error of an unreachable goal from a start (nq,).
 
-    Parts may be in each other's way, or in the ground. PlaCo's Gauss-Newton steps, made for errors
-    that vanish, stop short of that.
+    Clearances are ignored. The Gauss-Newton steps of PlaCo end before this minimum, since they
+    assume that errors vanish.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
 
 
 def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
-    """Returns a stand whose soles lie flatter, if the com may be elsewhere, or the one given.
+    """Return a stand with flatter soles, if the CoM is free; else the stand itself.
 
-    Legs that lay their soles as they can tilt them by as much as they may, to have the com in its
-    place; and servos that press them flat then give torques that no balance knows of.
+    Underactuated legs may tilt their soles to bring the CoM to its place. Servos that press these
+    soles flat would give torques that the static balance lacks.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        stand: A stand of it, with feet where the legs have them.
+        context: Search context of the robot.
+        goal: Goal.
+        stand: Stand of the goal with tilted soles.
     """
     robot = context.robot
     if not goal.com_is_free:
         return stand
 
-    def off(tried: Stand) -> float:
+    def foot_error(tried: Stand) -> float:
+        """Return the largest distance of a stance point to its target [m]."""
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
@@ -322,30 +348,32 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
     point = SolverResult(closest.qpos, closest.foot_error, stand.iterations)
     at = relax_foot_orientation(robot, at, point)
     other = evaluate_stand(context.shapes, at, point.qpos, stand.iterations)
-    return min(other, stand, key=off) if other.solved else stand
+    return min(other, stand, key=foot_error) if other.solved else stand
 
 
-_YIELD = 5e-5
-"""Soles give way by less (m): a tenth of what feet sink in, and no more."""
+_MAX_SOLE_ERROR = 5e-5
+"""Error of an underactuated sole [m] that is accepted: a tenth of the penetration of feet."""
 
-_JOINTS = 6  # of a leg that lays its sole anywhere, in any orientation
+_NUM_POSE_JOINTS = 6
+"""Number of joints of a leg that can give its sole any pose."""
 
 
 def has_underactuated_feet(robot: Robot) -> bool:
-    """Tells whether a robot has soles that its legs, of fewer than six joints, lay as they can.
+    """Return True if a sole is moved by a leg with fewer than six joints.
 
-    A leg of four joints has three for its sole's place in a plane and its pitch. Roll and yaw are
-    the leg's own, and a sole that is a microradian off level cannot be laid as it should.
+    A leg of four joints can place its sole in a plane with a pitch; roll and yaw follow. A sole
+    that is a microradian off level cannot be laid exactly.
     """
     return any(
-        len(points) > 1 and _joints_to(robot, points[0]) < _JOINTS for points in robot.feet.values()
+        len(points) > 1 and _count_leg_joints(robot, points[0]) < _NUM_POSE_JOINTS
+        for points in robot.feet.values()
     )
 
 
 def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
-    """Tells which joints the legs lack for a sole that is lifted or moved; None if none.
+    """Describe the missing leg joints of a lifted or moved sole, or the open loops.
 
-    Or for loops and couplings that give way.
+    None if neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -354,16 +382,18 @@ def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
         sole for sole in robot.feet if {sole, *robot.feet[sole]} & {*task.swing, *task.foot_offsets}
     ]
     short = {
-        sole: _joints_to(robot, robot.feet[sole][0]) for sole in moved if len(robot.feet[sole]) > 1
+        sole: _count_leg_joints(robot, robot.feet[sole][0])
+        for sole in moved
+        if len(robot.feet[sole]) > 1
     }
-    if not short or min(short.values()) >= _JOINTS:
+    if not short or min(short.values()) >= _NUM_POSE_JOINTS:
         return None
     sole = min(short, key=short.__getitem__)
     return diagnose("sole-needs-six-joints", subject=("foot", sole), joints=short[sole])
 
 
-def _joints_to(robot: Robot, point: str) -> int:
-    """Returns how many joints move a contact point against the base."""
+def _count_leg_joints(robot: Robot, point: str) -> int:
+    """Count the joints between a contact point and the base."""
     model = robot.pin_model
     frame = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
     above = model.supports[model.frames[frame].parentJoint]
@@ -371,39 +401,45 @@ def _joints_to(robot: Robot, point: str) -> int:
 
 
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
-    """Returns a goal whose feet are where a configuration has them, if they miss by micrometres.
+    """Move the foot targets to the reached positions if underactuated soles miss by micrometres.
 
     Args:
-        robot: The robot.
-        goal: The goal.
-        point: Where a solver ended.
+        robot: Robot.
+        goal: Goal.
+        point: Result of the IK solver.
     """
-    if point.converged or point.foot_error >= _YIELD or not has_underactuated_feet(robot):
+    if point.converged or point.foot_error >= _MAX_SOLE_ERROR or not has_underactuated_feet(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
     return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))
 
 
 NEAR_MISS = 1e-3
-"""Feet that miss by less (m) may be in reach with the com's last micrometres."""
+"""Foot error [m] below which the feet may be in reach after a small CoM displacement."""
 
-_ASIDE_DISTANCE, _ASIDE_PLACES = 0.75, 11
-"""How far the base is put aside (stand heights), and to how many places each way: some 20 mm apart
-on Pupper, as far as a thigh that is 20 mm in the ground has to move. With 5 a stand was missed."""
+_MAX_BASE_SHIFT = 0.75
+"""Largest base displacement of seeds in x and y [stand heights]."""
 
-_TRIED, _PER_PLACE = 64, 4
-"""Choices of branches that are looked at for one place, and how many of these are begun from. Of 16
-the one was not among them by which a Mini Cheetah stands on 62 degrees."""
+_NUM_SHIFTS = 11
+"""Number of base positions per axis: 20 mm apart for Pupper, as far as a thigh that is 20 mm in the
+ground has to move. With 5, a stand was missed."""
 
-_IN_REACH = 5e-3
-"""Feet that miss by less with the base where it is are in reach with the base near it (m)."""
+_MAX_TRIED_COMBINATIONS = 64
+"""Upper bound of evaluated branch combinations per base position. With 16, the combination by which
+a Mini Cheetah stands on 62 degrees was missed."""
 
-_SLACK = 1.5
-"""How much further than the legs' branches shift the com the base may be off, for a com's place."""
+_SEEDS_PER_PLACE = 4
+"""Number of seeds per base position, those with the smallest violations."""
+
+_MAX_REACH_ERROR = 5e-3
+"""Foot error [m] up to which a branch counts as in reach at a displaced base."""
+
+_SHIFT_SAFETY_FACTOR = 1.5
+"""Safety factor of the estimated base displacement by other branches."""
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
-    """Yields joint positions (nu,) anywhere within their limits, the same in every search."""
+    """Yield random joint positions (nu,) within limits; equal in every search."""
     low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
     random = np.random.default_rng(0)
     yield from random.uniform(low, np.maximum(low, high), (count, len(low)))
@@ -412,15 +448,16 @@ def random_postures(goal: Goal, count: int) -> Iterator[Array]:
 def branch_seeds(
     robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
 ) -> Iterator[Array]:
-    """Yields a start for every choice of the legs' branches that may be in reach.
+    """Yield joint positions for combinations of branches, the nearest first.
 
     Args:
-        robot: The robot.
-        goal: The goal.
+        robot: Robot.
+        goal: Goal.
         found: {limb: its branches}.
-        reach: How far the base may be from where they were found (m): a foot that misses by more
-            stays out of reach, since its distance changes by no more than the base moves.
-        most: How many at most.
+        reach: Upper bound of the base displacement [m] from the pose of the branches. Branches with
+            larger foot errors are omitted, since a foot error changes by at most the base
+            displacement.
+        most: Upper bound of the number of combinations.
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
     likely = {
@@ -431,7 +468,7 @@ def branch_seeds(
 
 
 def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
-    """Returns how far the choice of branches may move the base under a com that stays (m)."""
+    """Estimate the base displacement [m] by a choice of other branches if the CoM stays."""
     total = 0.0
     for limb, branches in found.items():
         coms = []
@@ -440,7 +477,7 @@ def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch
             bent[robot.nq - robot.nu + limb.joints] = branch.positions
             coms.append(Configuration(robot, bent).center_of_mass()[:2])
         total += float(np.max(np.linalg.norm(np.array(coms) - coms[0], axis=1)))
-    return _SLACK * total + NEAR_MISS
+    return _SHIFT_SAFETY_FACTOR * total + NEAR_MISS
 
 
 def support_radius(goal: Goal) -> float:
@@ -454,7 +491,7 @@ def support_radius(goal: Goal) -> float:
 
 
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
-    """Returns the configuration (nq,) with joints (nu,) inside their limits and the com at (2,)."""
+    """Return a configuration (nq,): joints clipped to their limits, CoM at ``place`` (2,) [m]."""
     bent = np.clip(joints, goal.lower, goal.upper)
     qpos = np.array([0.0, 0.0, goal.height, *goal.base_quaternion, *bent])
     qpos[:2] = place - Configuration(robot, qpos).center_of_mass()[:2]
@@ -462,32 +499,34 @@ def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
 
 
 def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
-    """Yields configurations (nq,) with the base aside and the feet in reach, in every branch.
+    """Yield configurations (nq,) with displaced base and feet in reach, in all branches.
 
-    Those that miss least of what a stand must fulfil come first: of a part in the ground, or a com
-    outside, none may be left where another leg bears it out.
+    Sorted by the sum of violations. No violation is required to vanish, since another leg may carry
+    the load.
 
     Args:
-        shapes: The robot with its shapes.
-        goal: The goal, whose com may be anywhere inside.
-        qpos: (nq,) where feet are in their places, or almost.
+        shapes: Robot with collision shapes.
+        goal: Goal with a free CoM.
+        qpos: Configuration with feet near their targets, shape (nq,).
     """
     robot = shapes.robot
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    along = np.linspace(-_ASIDE_DISTANCE, _ASIDE_DISTANCE, _ASIDE_PLACES) * robot.stand_height
+    along = np.linspace(-_MAX_BASE_SHIFT, _MAX_BASE_SHIFT, _NUM_SHIFTS) * robot.stand_height
     moves = np.array([(x, y, 0.0) for x in along for y in along])
     followed = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
-    constraints = [one for one in make_constraints(shapes, goal) if one.name != "footholds"]
+    constraints = [c for c in make_constraints(shapes, goal) if c.name != "footholds"]
     starts: list[tuple[float, Array]] = []
     for number, move in enumerate(moves):
         near = {
-            limb: tuple(branch for branch in branches[number] if branch.foot_error < _IN_REACH)
+            limb: tuple(
+                branch for branch in branches[number] if branch.foot_error < _MAX_REACH_ERROR
+            )
             for limb, branches in followed.items()
         }
         here = []
-        for joints in islice(combine_branches(near, qpos[-robot.nu :]), _TRIED):
+        for joints in islice(combine_branches(near, qpos[-robot.nu :]), _MAX_TRIED_COMBINATIONS):
             start = np.concatenate([qpos[:3] + move, qpos[3:7], joints])
             at = shapes.move_to(start)
-            here.append((sum(one.violation(goal, at) for one in constraints), start))
-        starts += sorted(here, key=itemgetter(0))[:_PER_PLACE]
+            here.append((sum(c.violation(goal, at) for c in constraints), start))
+        starts += sorted(here, key=itemgetter(0))[:_SEEDS_PER_PLACE]
     yield from (start for _, start in sorted(starts, key=itemgetter(0)))

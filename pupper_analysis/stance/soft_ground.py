@@ -1,4 +1,8 @@
-"""Stands on MuJoCo's soft ground: the feet sink by what they carry, and the base stays."""
+"""Stands on MuJoCo's soft ground: feet penetrate under their loads, base and CoM stay in place.
+
+`solve_stand_on_soft_ground` iterates between contact forces and penetration depths.
+`solve_stand_as_simulated` returns the stand that all simulations of a task use.
+"""
 
 from __future__ import annotations
 
@@ -33,43 +37,43 @@ Array = NDArray[np.float64]
 
 
 DEPTH_TOLERANCE = 1e-9
-"""Change of the feet's depths between iterations that counts as none (m)."""
+"""Change of the penetrations [m] per iteration below which the depths have converged."""
 
 
 _MAX_ITERATIONS = 50
+"""Upper bound of iterations. Chosen, not tuned."""
 
-_STALLED = 8
-"""Iterations in a row that change depths by no less than one before: a sole that is pressed at its
-edge tilts ever further."""
+_MAX_STALLED_ITERATIONS = 8
+"""Number of successive iterations without a smaller change after which the iteration fails: a sole
+that is loaded at its edge tilts ever further."""
 
 
 @check_arguments
 def solve_stand_on_soft_ground(
     robot: Robot, task: StandTask | Stand | None = None, *, explain: bool = True
 ) -> Stand:
-    """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
+    """Solve a stand task on ground with MuJoCo's contact softness.
 
-    On rigid ground only the feet's places count. MuJoCo's ground gives way by millimetres, in
-    proportion to what a foot carries: a robot that is commanded the joints of ``solve_stand`` sinks
-    and, where its feet bear unequal loads, tilts, by which the loads change too. Here the legs are
-    longer by what their feet sink in, so that base and com are where the task has them, and the
-    forces are the minimum-tangential ones. The depths and forces determine each other; repeated
-    substitution finds them in 1 to 3 rounds.
+    MuJoCo's ground yields by millimetres, in proportion to the load of a foot. A robot that is
+    commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
+    extended by the penetration of their feet, so that base and CoM are at the places of the task.
+    Contact forces are the minimum-tangential ones. Depths and forces depend on each other;
+    fixed-point iteration converges in 1 to 3 rounds.
 
     Args:
-        robot: A robot with a floating base and a ground.
-        task: How to stand; the nominal stand by default. Or a stand that satisfies a task on rigid
-            ground, which is then not solved again.
-        explain: Where the stance is out of reach, find out why.
+        robot: Robot with a floating base and a ground.
+        task: Stand task, or a stand that satisfies a task on rigid ground and is not solved again.
+            Default: the nominal stand.
+        explain: If the stance is unreachable, determine the reason.
 
     Returns:
-        The stand; its ``depths`` are those of MuJoCo's contacts under its forces.
+        The stand; ``depths`` are those of MuJoCo's contacts under its forces.
 
     Raises:
-        ConfigurationError: As ``solve_stand``; or if the stand is another robot's.
-        StanceUnreachableError: If it is out of reach, at least with its feet sunk.
-        StaticsInfeasibleError: If no contact forces balance it.
-        NotSettlingError: If the depths do not settle.
+        ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
+        StanceUnreachableError: If the stance is unreachable, at least with its feet in the ground.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NotSettlingError: If the depths do not converge.
     """
     if isinstance(task, Stand):
         robot = task.check(robot)
@@ -91,17 +95,17 @@ def solve_stand_on_soft_ground(
             foot: law.depth(max(0.0, float(held.contact_forces[foot] @ stand.normals[foot])))
             for foot, law in laws.items()
         }
-        depths |= _as_soles(robot, stand, depths)
+        depths |= _fit_soles(robot, stand, depths)
         change = max([abs(depths[foot] - stand.depths[foot]) for foot in depths], default=0.0)
         if robot.closure is not None:
             before, give = give, open_loops(robot, stand, held)
             change = max(change, float(np.abs(give - before).max(initial=0.0)))
-            # They are the softer the less they are open: by turns too much and too little.
+            # The stiffness of loops increases with their opening, so steps would alternate.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
             return stand.for_task(asked)
         least, stalled = min(least, change), stalled + 1 if change >= least else 0
-        if stalled == _STALLED:
+        if stalled == _MAX_STALLED_ITERATIONS:
             break
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
@@ -114,26 +118,26 @@ def solve_stand_on_soft_ground(
 
 @check_arguments
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
-    """Finds the stand that a task means wherever it is shown, pushed, loaded or simulated.
+    """Solve a stand task as all simulations, pushes and payloads use it.
 
-    That is ``solve_stand_on_soft_ground``'s, which MuJoCo holds as predicted; or, where the legs do
-    not reach down so far, or the ground does not settle under soft loops, the one on rigid ground,
-    without ``depths``. Of a posture (``held_stand``) the loops give way.
+    This is the stand of `solve_stand_on_soft_ground`, which MuJoCo holds as predicted. If the legs
+    are too short for it, or the depths of a robot with soft loops do not converge, it is the stand
+    on rigid ground, with ``depths`` of 0. In a posture (`held_stand`), joint couplings deflect.
 
     Args:
-        robot: A robot with a floating base and a ground.
-        task: How to stand; the nominal stand by default. Or a stand that satisfies a task on rigid
-            ground.
+        robot: Robot with a floating base and a ground.
+        task: Stand task, or a stand that satisfies a task on rigid ground. Default: the nominal
+            stand.
 
     Raises:
-        ConfigurationError: As ``solve_stand``.
-        StanceUnreachableError: If it is out of reach on rigid ground; not explained.
-        StaticsInfeasibleError: If no contact forces balance it.
-        NotSettlingError: If the depths do not settle, of a robot without loops.
+        ConfigurationError: As for `solve_stand`.
+        StanceUnreachableError: If the stance is unreachable on rigid ground; not explained.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NotSettlingError: If the depths of a robot without loops do not converge.
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
     if not stand.check(robot).floating:  # a posture
-        return replace(stand, qpos=_with_give(robot, stand.qpos))
+        return replace(stand, qpos=_deflect_couplings(robot, stand.qpos))
     try:
         return solve_stand_on_soft_ground(robot, stand, explain=False)
     except StanceUnreachableError:
@@ -141,11 +145,11 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
     except NotSettlingError:
         if robot.closure is None:
             raise
-        return stand  # loops that are very soft open further and further: a simulation says so
+        return stand  # very soft loops; the simulation decides
 
 
-def _with_give(robot: Robot, qpos: Array) -> Array:
-    """Returns where joints that follow others are at rest (nu,): MuJoCo's couplings are soft."""
+def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
+    """Return joint positions (nu,) with the static deflection of MuJoCo's soft couplings."""
     closure = robot.closure
     if closure is None or not len(closure.following):
         return qpos
@@ -158,26 +162,26 @@ def _with_give(robot: Robot, qpos: Array) -> Array:
 def solve_loaded_stand(
     robot: Robot, stance: StandTask | Stand, mass: float, point: Place
 ) -> tuple[Robot, Stand]:
-    """Puts a payload on a robot, and finds how it stands with it.
+    """Add a payload to a robot, and solve its stand.
 
-    This is the one loaded stand: of ``payload_limit`` and its simulations as of ``stand
-    --payload``. Whatever the task says is said of the loaded robot: its com, which by default is
-    over the centre of the feet, so that the base moves from under the load.
+    `payload_limit`, its simulations and ``stand --payload`` use this stand. The task applies to the
+    loaded robot; with the default task its CoM is above the centre of the feet, so that the base
+    shifts.
 
     Args:
-        robot: The robot.
-        stance: The stance; of a stand, its task.
-        mass: Of the payload (kg).
-        point: Where it is, as in ``with_payload``.
+        robot: Robot.
+        stance: Stand task, or a stand whose task is used.
+        mass: Payload mass [kg].
+        point: Position of the payload, as in `with_payload`.
 
     Returns:
-        The loaded robot, and its stand as simulated (``solve_stand_as_simulated``).
+        The loaded robot, and its stand as simulated (`solve_stand_as_simulated`).
 
     Raises:
-        ConfigurationError: If an argument makes no sense for the robot.
-        StanceUnreachableError: If it is out of reach with that load; not explained.
-        StaticsInfeasibleError: If no contact forces balance it.
-        NotSettlingError: If the feet's depths do not settle.
+        ConfigurationError: If an argument is invalid for the robot.
+        StanceUnreachableError: If the stance is unreachable with that load; not explained.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NotSettlingError: If the penetration depths do not converge.
     """
     loaded = with_payload(robot, mass, point)
     task = stance.task if isinstance(stance, Stand) else stance
@@ -185,15 +189,15 @@ def solve_loaded_stand(
 
 
 def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
-    """Returns by how much MuJoCo's loops and couplings of joints open in a stand.
+    """Compute the opening of MuJoCo's closed loops and joint couplings in a stand.
 
     Args:
-        robot: A robot with a ``closure``.
-        stand: The stand.
-        held: What holds it.
+        robot: Robot with a ``closure``.
+        stand: Stand.
+        held: Statics of the stand.
 
     Returns:
-        (m,) for each equation of its constraints (m, rad).
+        Opening for each equation of the constraints, shape (m,) [m, rad].
     """
     assert robot.closure is not None
     config = Configuration(robot, stand.qpos)
@@ -201,18 +205,20 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
     forces = (held.contact_forces[foot] for foot in stand.stance_feet)
     grips = len(held.weld_wrenches) - len(robot.grips)
     wrenches = [*held.weld_wrenches.values()]
-    pushed = np.concatenate([*forces, *wrenches[:grips], *(one[:3] for one in wrenches[grips:])])
+    pushed = np.concatenate(
+        [*forces, *wrenches[:grips], *(wrench[:3] for wrench in wrenches[grips:])]
+    )
     left = config.load() - carrying.jacobian(config) @ pushed
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 
 
-def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Returns the depths of flat feet's contact points (m), which are on one body: a plane's.
+def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
+    """Return penetrations of the contact points of soles [m], in one plane per sole.
 
-    A sole is one body: it lies where the ground pushes against it with the force and the moment
-    that it has to bear, however its points share them. A corner may lift: its depth is negative.
+    The plane is that in which the contact forces have the given resultant force and moment. A
+    corner may lift: its depth is then negative.
     """
-    found: dict[str, float] = {}
+    sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
         points = robot.feet[foot]
         if len(points) > 1:
@@ -223,22 +229,24 @@ def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[s
             table = np.column_stack([np.ones(len(points)), across / np.abs(across).max()])
             laws = [GroundLaw.of(robot, point) for point in points]
             given = [depths[point] for point in points]
-            found |= dict(zip(points, _plane(table, laws, given).tolist(), strict=True))
-    return found
+            sole_depths |= dict(zip(points, _fit_plane(table, laws, given).tolist(), strict=True))
+    return sole_depths
 
 
-def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Returns the depths (n,) in a plane whose forces have the resultant of others.
+def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
+    """Return penetrations (n,) [m] in a plane whose forces have the resultant of the given ones.
 
-    Their potential is convex: there is one root.
+    The potential of the forces is convex, so the solution is unique.
 
     Args:
-        table: (n, 4) what a plane's numbers make of a sole's points: its height, its slopes.
-        laws: (n,) of the ground under the points.
-        given: (n,) depths in no plane (m).
+        table: Columns span the planes: constant and two slopes, in the points of a sole; shape (n,
+            k).
+        laws: Contact law of each point.
+        given: Penetrations that are not in a plane, shape (n,) [m].
     """
 
-    def forces(depths: Array) -> Array:
+    def compute_forces(depths: Array) -> Array:
+        """Return the normal forces at penetrations (n,) [N]."""
         return np.array(
             [
                 law.force(max(-law.margin, depth))
@@ -248,16 +256,20 @@ def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> A
 
     from scipy import linalg, optimize  # slow to import
 
-    basis = linalg.orth(table)  # points in a line have fewer than the table
-    wanted, start = basis.T @ forces(np.array(given)), basis.T @ np.array(given)
+    basis = linalg.orth(table)  # collinear points have a smaller basis
+    wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
-    def left(place: Array) -> Array:
-        return np.asarray(basis.T @ forces(basis @ place) - wanted)
+    def residual(place: Array) -> Array:
+        """Return the difference of the resultants."""
+        return np.asarray(basis.T @ compute_forces(basis @ place) - wanted)
 
-    def rates(place: Array) -> Array:
+    def derivative(place: Array) -> Array:
+        """Return the derivative of the residual."""
         depths = (basis @ place).tolist()
         stiff = np.array([law.rate(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))
 
-    depths: Array = basis @ optimize.root(left, start, jac=rates, options={"xtol": 1e-14}).x
+    depths: Array = (
+        basis @ optimize.root(residual, start, jac=derivative, options={"xtol": 1e-14}).x
+    )
     return depths

@@ -1,4 +1,8 @@
-"""How the robot can stand: a whole-body configuration with planted feet, solved by PlaCo."""
+"""Solve stand tasks: whole-body configurations with planted feet, and their statics.
+
+`solve_stand` solves one task, `solve_stands` a sequence of similar tasks. `stand_statics` computes
+the torques and contact forces of a stand.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +32,7 @@ Array = NDArray[np.float64]
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
 _UP = [0.0, 0.0, 1.0]
+"""Normal of level ground, as a list for fast comparison."""
 
 
 @check_arguments
@@ -37,30 +42,29 @@ def solve_stand(
     *,
     explain: bool = True,
 ) -> Stand:
-    """Finds the configuration that satisfies a stand task, within the joint limits.
+    """Solve a stand task within the joint limits.
 
-    PlaCo solves a sequence of quadratic programmes on the floating base, from the task's ik_seed,
-    from home, and, where these do not lead there, from every way to bend the legs that may
-    (``branches``). With ``com="inside"``, or with joints to spare, all that a stand must fulfil is
-    then met at once (``programme``): the com moves to where the feet are in reach.
+    PlaCo solves a sequence of QPs on the floating base, from the task's ik_seed, from home, from
+    the middle of the joint ranges, and then from the IK branches of the legs (`stance.branches`).
+    With a free CoM or redundant joints, a nonlinear program of all constraints follows
+    (`stance.programme`).
 
     Args:
-        robot: A robot with a floating base.
-        task: How to stand; the nominal stand by default.
-        explain: Where the stance is out of reach, find out how near the feet can come, which
-            demands are in the way, as few as possible, and how far they would have to give (a
-            second, or some where the com may be anywhere inside).
-            Otherwise the shortfall is PlaCo's, which may be a little too large.
+        robot: Robot with a floating base.
+        task: Stand task. Default: the nominal stand.
+        explain: If the stance is unreachable, determine the smallest foot error, the demands to
+            relax, and their smallest relaxation (a second, or some if the CoM is free). Otherwise
+            the reported foot errors are those of the IK, which may be larger.
 
     Returns:
-        The stand; every error is under 1e-9 m or rad.
+        The stand; each error is below 1e-9 m or rad.
 
     Raises:
-        ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
-            nothing.
-        UnknownNameError: If the task names a foot that the robot does not have.
-        StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
-            demands of which one would have to give.
+        ConfigurationError: If the base is fixed, the robot has no feet, or no stand can satisfy the
+            margins.
+        UnknownNameError: If the task contains an unknown foot.
+        StanceUnreachableError: If the stance is unreachable. The error contains the foot errors and
+            the demands to relax.
     """
     robot = touching(robot, task.contacts) if task is not None else robot
     with lend(robot, SearchContext) as context:
@@ -68,17 +72,17 @@ def solve_stand(
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
-    """Finds the stand of a goal; see ``solve_stand``.
+    """Solve a goal; see `solve_stand`.
 
     Raises:
-        StanceUnreachableError: If it is out of reach.
+        StanceUnreachableError: If the goal is unreachable.
     """
     stand = search_stand(context, goal)
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
         closest = find_nearest(context, goal, stand.qpos)
-        stand = min(stand, closest, key=lambda found: found.foot_error)
+        stand = min(stand, closest, key=lambda failure: failure.foot_error)
     raise explain_refusal(context, goal, stand, explain=explain)
 
 
@@ -89,20 +93,21 @@ def stand_statics(
     *,
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
 ) -> GravityCompensation:
-    """Computes what the motors hold in a stand, on the feet that carry and on its ground.
+    """Compute motor torques and contact forces of a stand.
 
     Args:
-        robot: The robot.
-        stand: The stand.
-        distribution: Which of the feasible contact forces: by default those that last.
+        robot: Robot.
+        stand: Stand.
+        distribution: Selection among feasible contact forces. Default: minimum tangential forces.
 
     Raises:
-        ConfigurationError: If the stand is another robot's, or ``distribution`` is unknown.
-        StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
+        ConfigurationError: If the stand belongs to another robot, or ``distribution`` is unknown.
+        StaticsInfeasibleError: If no contact forces balance the stand: it slides or tips.
     """
     robot = stand.check(robot)
 
     def compute() -> GravityCompensation:
+        """Compute the statics without the cache of the stand."""
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
         return balance_load(config, config.load(), carrying, distribution=distribution)
 
@@ -110,23 +115,24 @@ def stand_statics(
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
-    """Returns the contacts that carry in a stand, on its ground, as deep as they are in it."""
-    # Of contacts on level, rigid ground all is known that depends on the robot alone.
+    """Return the contacts of the stance feet, with the normals and depths of a stand."""
+    # Contacts on level, rigid ground are cached by the robot.
     level = all(normal.tolist() == _UP for normal in stand.normals.values())
     normals, depths = None if level else stand.normals, stand.depths
     sunk = depths if any(depths.values()) else None
     return make_contacts(robot, stand.stance_feet, None, normals, sunk)
 
 
-_SAME_BEND = 0.5
-"""rad: joints that are further from those of the stand before may be bent another way than a search
-from home would bend them. A sample of a path never goes so far."""
+_MAX_JOINT_DISTANCE = 0.5
+"""Largest norm of a joint displacement [rad] between successive stands. A larger one may be another
+branch than a search from home would find. Samples of a path are much closer."""
 
 
-_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
-"""Of so many stands, the latest first, in the value there that their polynomial has next. Of a
-thousand in a smooth sequence a parabola is 3e-7 rad off, from where PlaCo takes two steps, for its
-regularisation leaves a millionth of a step undone; a cubic 4e-9, from where it takes one."""
+_EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
+"""{number of previous stands: weights, latest first, of the polynomial extrapolation to the next}.
+Measured on a smooth sequence of a thousand: a parabola deviates by 3e-7 rad, and PlaCo takes two
+steps, since its regularisation leaves 1e-6 of a step; a cubic deviates by 4e-9 rad, and PlaCo takes
+one step."""
 
 
 @check_arguments
@@ -136,76 +142,77 @@ def solve_stands(
     *,
     explain: bool = False,
 ) -> tuple[Stand, ...]:
-    """Solves a sequence of stand tasks: quicker than one by one where neighbours are alike.
+    """Solve a sequence of stand tasks: faster than one by one if neighbours are similar.
 
-    Each search begins where the stands before it, four at most, lead to. If that comes to a stand
-    near the one before, it is the task's; if not, the task is solved as ``solve_stand`` does, from
-    its own starts. So it is for tasks that choose where to begin (``ik_seed``), or that leave open
-    where a stand ends: with the com anywhere ``"inside"``, on redundant legs, with links to keep
-    apart.
+    Each search starts at an extrapolation of up to four previous stands. If this does not lead to a
+    stand near the previous one, `solve_stand` solves the task. `solve_stand` is always used for
+    tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
+    joints, since the result then depends on the start.
 
-    The stands are those of ``solve_stand``, to rounding. Only where a leg can be bent in several
-    ways may they differ: a sequence keeps to the way in which it began, as long as that leads on.
+    The stands are those of `solve_stand`, to rounding, unless a leg has several IK branches: a
+    sequence keeps the branch of its first stand as long as possible.
 
     Args:
-        robot: A robot with a floating base.
-        tasks: How to stand, one after the other.
-        explain: As in ``solve_stand``, for a task that is out of reach (a second).
+        robot: Robot with a floating base.
+        tasks: Stand tasks.
+        explain: As in `solve_stand`, for an unreachable task (a second).
 
     Returns:
         The stands, in the order of the tasks.
 
     Raises:
-        ConfigurationError: As ``solve_stand``; before any is solved, and naming the task.
-        UnknownNameError: Likewise.
-        StanceUnreachableError: For the first task that is out of reach; ``where`` tells which.
+        ConfigurationError: As for `solve_stand`; raised before the first solve, with the index of
+            the task.
+        UnknownNameError: As for `solve_stand`; raised before the first solve, with the index of the
+            task.
+        StanceUnreachableError: For the first unreachable task, with its index.
     """
     goals: list[Goal] = []
     solved: list[Stand] = []
     robot = touching(robot, tasks[0].contacts) if tasks else robot
     for number, task in enumerate(tasks):
-        try:  # where feet and ground stay the same, so do the feet's places
+        try:  # equal foot targets are reused from the previous goal
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
         except (ConfigurationError, UnknownNameError) as error:
             raise error.at(f"tasks[{number}]") from None
     with lend(robot, SearchContext) as context:
         for number, goal in enumerate(goals):
-            stand = _continued(context, goal, [one.qpos for one in solved[:-5:-1]])
+            next_stand = _continue_sequence(context, goal, [stand.qpos for stand in solved[:-5:-1]])
             try:
-                solved.append(stand or solve_goal(context, goal, explain=explain))
+                solved.append(next_stand or solve_goal(context, goal, explain=explain))
             except StanceUnreachableError as error:
                 raise error.at(f"tasks[{number}]") from None
     return tuple(solved)
 
 
-def _continued(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
-    """Returns the stand that those before lead to; None if they lead to none nearby.
+def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
+    """Return the stand next to an extrapolation of previous stands; None without a nearby stand.
 
     Args:
-        context: The robot's.
-        goal: The goal.
-        before: (nq,) of the last four stands, the latest first: a polynomial goes through them.
+        context: Search context of the robot.
+        goal: Goal.
+        before: Configurations (nq,) of up to four previous stands, the latest first.
     """
-    if not before or has_spare_joints(context.robot) or _is_open(goal):
+    if not before or has_spare_joints(context.robot) or _depends_on_start(goal):
         return None
-    weights, last = _WEIGHTS[len(before)], before[0]
+    weights, last = _EXTRAPOLATION_WEIGHTS[len(before)], before[0]
     ahead = weights[0] * last
     for weight, qpos in zip(weights[1:], before[1:], strict=True):
         ahead += weight * qpos
-    for start in (ahead, last) if _apart(ahead, last) < _SAME_BEND else (last,):
+    for start in (ahead, last) if _joint_distance(ahead, last) < _MAX_JOINT_DISTANCE else (last,):
         stand = continue_stand(context, goal, start)
-        if stand is not None and _apart(stand.qpos, last) < _SAME_BEND:
+        if stand is not None and _joint_distance(stand.qpos, last) < _MAX_JOINT_DISTANCE:
             return stand
     return None
 
 
-def _is_open(goal: Goal) -> bool:
-    """Whether a task leaves more open than how legs are bent, or says itself where to begin."""
+def _depends_on_start(goal: Goal) -> bool:
+    """Return True if the result of a goal depends on the initial guess by more than the branch."""
     task = goal.task
     return task.ik_seed is not None or task.self_clearance is not None or goal.com_is_free
 
 
-def _apart(one: Array, other: Array) -> float:
-    """Returns how far the joints of two configurations are from each other, all in all (rad)."""
+def _joint_distance(one: Array, other: Array) -> float:
+    """Return the norm of the joint displacement between two configurations [rad]."""
     between = (one - other)[7:]
     return math.sqrt(between.dot(between))

@@ -1,4 +1,8 @@
-"""What is asked of a stand: the ground, the feet and which of them carry, the base, the com."""
+"""Stand task: the requirements on ground, feet, base and centre of mass (CoM) of a stand.
+
+`StandTask` contains requirements only; `stance.problem.make_goal` converts it to numbers for a
+robot.
+"""
 
 from __future__ import annotations
 
@@ -26,43 +30,45 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class StandTask:
-    """How the robot shall stand.
+    """Requirements of a stand.
 
-    By default on level ground at z = 0, on all feet: every foot's sphere touches the ground where
-    the foot is, seen from above, at zero angles with the base at the origin; the com is above the
-    centre of the feet, the mean of the contact points of those that carry. (Legs of two joints,
-    which cannot place feet sideways, cannot move the com to every place: it is ``"inside"`` then.)
+    The default is the nominal stand: level ground at z = 0, all feet on the ground, each foot at
+    its horizontal position for zero joint angles with the base at the origin, and the CoM above the
+    centre of the feet, the mean of the stance contacts. Legs with two joints cannot place feet
+    sideways, so they cannot move the CoM to each place; the default of ``com`` is then
+    ``"inside"``.
 
     Attributes:
-        height: Of the base frame above the mean of the contact points (m); the robot's
-            ``stand_height`` by default.
-        roll: About x, forward (rad). The base's orientation is Rz(yaw) Ry(pitch) Rx(roll).
-        pitch: About y, left (rad); positive looks down.
-        yaw: About z, up (rad), against the feet.
-        offset: (x, y) of the base from the centre of the feet, in world axes (m). With an offset
-            the com is where it then is, and must have ``com_margin`` if that is not 0; without one,
-            ``com`` decides where the base is.
-        feet: {foot: (x, y) in the world (m)}, instead of its nominal place.
-        foot_offsets: {foot: (x, y) from its nominal place (m)}.
-        swing: {foot that does not carry: height of its sphere above the ground (m)}.
+        height: Height of the base frame above the mean of the contact points (m). Default: the
+            robot's ``base_height``.
+        roll: Rotation about x, forward (rad). The orientation of the base is Rz(yaw) Ry(pitch)
+            Rx(roll).
+        pitch: Rotation about y, left (rad); positive tilts the front down.
+        yaw: Rotation about z, up (rad), relative to the feet.
+        offset: (x, y) of the base from the centre of the feet, in world axes (m). With an offset,
+            the position of the CoM is a result, and must have ``com_margin`` if that is not 0.
+            Without, ``com`` determines the position of the base.
+        feet: {foot: (x, y) in the world (m)}, instead of the nominal position.
+        foot_offsets: {foot: (x, y) from the nominal position (m)}.
+        swing: {foot without load: height of its sphere above the ground (m)}.
         ground: Plane and steps.
-        contacts: {foot: what it touches instead of the ground (``Contact``)}; or another link,
-            site, body or geom, a hand: what that touches. Each of them, and the ``base``, may be
-            fixed in the world instead (``Weld``). No hand moves the centre of the feet, nor
-            does a foot on what is steeper than 60 deg; no foot on such a plane moves the height.
-        com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
-            polygon with at least ``com_margin``, over the centre if that is in reach. By default
-            the centre, or inside if the robot's legs cannot move the com in two directions.
-        com_margin: Least distance of the com's projection from the polygon's edge (m).
-        joint_margin: Least distance of every joint from its limits (rad).
-        ground_clearance: Least height above the ground of every part but the feet (m).
-        self_clearance: Least distance between links that are not neighbours (m); by default they
-            are not looked at.
-        posture: {joint that carries no foot, or a pattern such as ``*elbow*``: its position (rad,
-            m)}; of patterns that match the same joint the last counts. Where nothing is said a
-            search begins at ``home``, and leaves these joints there to some milliradians.
-        ik_seed: (nu,) joint positions to start from (rad), which decides between ways to bend a
-            knee; the robot's ``home`` by default.
+        contacts: {foot, link, site, body or geom: surface that it touches instead of the ground
+            (``Contact``), or fixation in the world (``Weld``)}. The ``base`` can be welded as well.
+            Hands, and feet on planes steeper than 60 deg, do not count for the centre of the feet;
+            feet on planes of their own do not count for its height.
+        com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: any place in the
+            support polygon with ``com_margin``, above the centre if possible. Default: centre, or
+            inside if the legs cannot move the CoM in two directions.
+        com_margin: Smallest distance of the projected CoM from the edge of the polygon (m).
+        joint_margin: Smallest distance of each joint from its limits (rad).
+        ground_clearance: Smallest height of all parts except the feet above the ground (m).
+        self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
+            default.
+        posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
+            If several patterns match a joint, the last counts. A search starts other joints of this
+            kind at ``home``, and changes them by some milliradians at most.
+        ik_seed: Initial joint positions, shape (nu,) (rad), which select a branch of the legs.
+            Default: the robot's ``home``.
     """
 
     height: float | None = field(default=None, metadata={"unit": "m"})
@@ -84,11 +90,11 @@ class StandTask:
     ik_seed: Sequence[float] | None = field(default=None, metadata={"unit": "rad"})
 
     def __post_init__(self) -> None:
-        for entry in _OWN:
+        for entry in _TASK_FIELDS:
             value = getattr(self, entry.name)
             if value is _DEFAULTS[entry.name] or (type(value) is FrozenDict and not value):
-                continue  # what the class says itself needs no check
-            if entry.name == "height" and self.contacts:  # on a table it may be below what carries
+                continue  # defaults need no check
+            if entry.name == "height" and self.contacts:  # on a table the height may be negative
                 object.__setattr__(self, "height", check_length("height", value))
                 continue
             if entry.per:
@@ -96,7 +102,7 @@ class StandTask:
             object.__setattr__(self, entry.name, entry.check_value(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
-        if self.ground.planes:  # of a task worked out for a robot
+        if self.ground.planes:  # from a goal: planes are added again for each robot
             object.__setattr__(self, "ground", replace(self.ground))
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])
@@ -119,43 +125,44 @@ class StandTask:
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> StandTask:
-        """Returns the task of plain data, as JSON and TOML have it.
+        """Create a task from plain data, for example from JSON or TOML.
 
         Args:
-            given: {field: value}; the ground's in a mapping of their own, or beside the others.
+            given: {field: value}. The values of the ground are in a mapping ``ground``, or beside
+                the others.
 
         Raises:
-            ConfigurationError: If there is no such field, or it makes no sense.
+            ConfigurationError: If a field is unknown, or a value is invalid.
         """
         ground = given.get("ground", {})
         ground = vars(ground) if isinstance(ground, Ground) else ground
         check_type("ground", ground, Mapping[str, Any])
         values = {name: value for name, value in given.items() if name != "ground"} | dict(ground)
-        values.pop("_planes", None)  # its contacts'
+        values.pop("_planes", None)  # derived from the contacts
         seed = values.pop("ik_seed", None)
         if not FIELDS.keys() >= values.keys():
             raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
         return cls(ik_seed=seed).with_values(values)
 
     def replace_unchecked(self, **values: Any) -> StandTask:
-        """Returns the task with what it leaves open: a word for where the com is, the ground.
+        """Return a copy with other attributes, without checks.
 
-        Nothing is checked again: that took an eighth of a stand's time in a sequence.
+        The checks took an eighth of the time of a stand in a sequence.
         """
         task = object.__new__(StandTask)
         vars(task).update(vars(self), **values)
         return task
 
     def values(self) -> dict[str, Any]:
-        """Returns {field of the table of ``stance.fields``: its value}, those of the ground too."""
+        """Return {field of the table of ``stance.fields``: value}, with those of the ground."""
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 
     def with_values(self, values: Mapping[str, Any]) -> StandTask:
-        """Returns the task with other values, {field of the table: value}.
+        """Return a copy with other values, {field of the table: value}.
 
         Raises:
-            ConfigurationError: If one is out of range.
+            ConfigurationError: If a value is out of range.
         """
         grounds = {name: value for name, value in values.items() if FIELDS[name].part == "ground"}
         own: dict[str, Any] = {name: values[name] for name in values if name not in grounds}
@@ -164,12 +171,12 @@ class StandTask:
         return replace(self, **own)
 
     def rotation(self) -> Array:
-        """Returns the base's rotation (3, 3) in the world."""
+        """Return the rotation of the base in the world, shape (3, 3)."""
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
         return rotation
 
     def base_quaternion(self) -> tuple[float, float, float, float]:
-        """Returns the base's rotation in the world as a unit quaternion (w, x, y, z)."""
+        """Return the rotation of the base in the world as unit quaternion (w, x, y, z)."""
         a, b, c = self.roll / 2, self.pitch / 2, self.yaw / 2
         cx, sx, cy, sy = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
         cz, sz = math.cos(c), math.sin(c)
@@ -181,49 +188,52 @@ class StandTask:
         )
 
     def __str__(self) -> str:
-        """Names the values, with units."""
+        """Return the requirements with units, in English."""
         return self.describe("en")
 
     def phrase(self) -> Phrase:
-        """Returns the values with units, in both languages."""
+        """Return the requirements with units, in both languages."""
         return Phrase(self.describe("en"), self.describe("zh"))
 
     def describe(self, language: str) -> str:
-        """Returns the values with units, in ``"en"`` or ``"zh"``."""
+        """Return the requirements with units, in ``"en"`` or ``"zh"``."""
         parts = []
         values = {
             name: FIELDS[name].quantity(value)
             for name, value in self.values().items()
             if isinstance(value, float | tuple)
         }
-        for entry, of, value in self._asked():
+        for entry, of, value in self._list_requirements():
             beside = {
-                name: FIELDS[name].quantity(every[of]) if of in every else None
-                for name, every in self.values().items()
+                name: FIELDS[name].quantity(values_of[of]) if of in values_of else None
+                for name, values_of in self.values().items()
                 if FIELDS[name].per and of
             }
             fields = {**values, **beside, "of": of, "value": entry.quantity(value)}
             parts.append(fill_template(entry.words(language).said, fields, language))
-        return _COMMA[language].join(parts)
+        return _SEPARATORS[language].join(parts)
 
-    def _asked(self) -> Iterator[tuple[Field, str, Any]]:
-        """Yields what is asked: field, of which foot or joint (or empty), and value."""
+    def _list_requirements(self) -> Iterator[tuple[Field, str, Any]]:
+        """Yield each requirement: field, foot or joint (or empty), value."""
         inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
         for name, value in self.values().items():
             field = FIELDS[name]
             if not field.en.said or isinstance(value, str):
                 continue
             if field.per:
-                yield from ((field, of, one) for of, one in value.items())
-            elif name == "com_margin":  # of a com that is where it is asked to be, it is a check
+                yield from ((field, of, item) for of, item in value.items())
+            elif name == "com_margin":  # for a required place the margin is a check only
                 if inside:
                     yield field, "", value
             elif field.always_said or value != field.default_value:
                 yield field, "", value
 
 
-_OWN = tuple(field for field in FIELDS.values() if field.part == "task")
+_TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
+"""Fields that are attributes of the task itself."""
 
-_DEFAULTS = {one.name: one.default for one in fields(StandTask)}
+_DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
+"""{attribute: default}, compared by identity to skip checks."""
 
-_COMMA = {"en": ", ", "zh": "，"}  # noqa: RUF001
+_SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
+"""{language: separator of requirements in a text}."""

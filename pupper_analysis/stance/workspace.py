@@ -1,4 +1,7 @@
-"""How far a robot's stand can go with its feet planted: heights, angles and shifts."""
+"""Workspace of the base with planted feet: intervals of height, angles and shifts.
+
+Each direction is searched on its own, outward from a stand, until a stand is unreachable.
+"""
 
 from __future__ import annotations
 
@@ -23,30 +26,33 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 BISECTION_RTOL = 1e-3
-"""To what part of the step first tried a limit is found."""
+"""Tolerance of an end of an interval, relative to the first step."""
 
-_COARSE = 0.4
-"""Longer parts of the step first tried are searched for everywhere."""
+_FULL_SEARCH_RATIO = 0.4
+"""Step, relative to the first, above which a failure from the last stand is followed by a full
+search."""
 
-_RESTART = 0.2
-"""The step, in parts of the first, with which it goes on where there was more than expected."""
+_RESTART_RATIO = 0.2
+"""Step, relative to the first, after a full search has found more than the last stand leads to."""
 
-_GAP = 8e-3
-"""Where a stand is out of reach, one further on by this part of the step first tried may not be:
-with the legs bent another way. v3's pitch has such a gap of 1.3 mrad."""
+_GAP_RATIO = 8e-3
+"""Distance, relative to the first step, beyond an unreachable stand at which another stand is
+tried: another IK branch may start there. v3's pitch has such a gap of 1.3 mrad."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
-_FIRST_STEP = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
-_WIDEST = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+_FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
+"""{direction: first step [m or rad]}. Chosen, not tuned."""
+_MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+"""{angle: largest absolute value [rad]}."""
 
 
 @dataclass(frozen=True)
 class Interval(Result):
-    """How far one coordinate can go, all others as they are.
+    """Reachable interval of one coordinate, with all others unchanged.
 
     Attributes:
-        low: The least value (m, or rad).
-        high: The greatest (m, or rad).
+        low: Lower end (m, or rad).
+        high: Upper end (m, or rad).
     """
 
     low: float = field(metadata={"unit": "m"})
@@ -55,11 +61,11 @@ class Interval(Result):
 
 @dataclass(frozen=True, eq=False)
 class BaseWorkspace(Result):
-    """How far the base can go from a stand, in each direction alone, with the feet planted.
+    """Reachable intervals of the base, each direction alone, with planted feet.
 
     Attributes:
-        name: The robot's name.
-        start: The stand where the search began.
+        name: Name of the robot.
+        start: Stand at which the search starts.
         intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
             ``y`` (m, of the base from the centre of the feet)}.
     """
@@ -71,16 +77,16 @@ class BaseWorkspace(Result):
 
 @check_arguments
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
-    """Finds the least and the greatest height of the base (m) with all else as the task has it.
+    """Find the interval of base heights [m], with all else as in the task.
 
-    As ``base_workspace`` does, com included.
+    The conditions are those of `base_workspace`.
 
     Args:
-        robot: The robot.
-        task: Its height is where the search begins; the nominal stand by default.
+        robot: Robot.
+        task: Task at whose height the search starts. Default: the nominal stand.
 
     Raises:
-        StanceUnreachableError: If the task itself is out of reach.
+        StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
@@ -89,21 +95,21 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
 @check_arguments
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
-    """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
+    """Find the reachable intervals of the base in height, roll, pitch, yaw, x and y.
 
-    Each direction is searched on its own, outwards from the task, to where a stand is first out of
-    reach, with the com where the task has it; if that may lie anywhere inside the support polygon,
-    where the task's stand has it, or anywhere for legs that cannot hold it there (those of two
-    joints). Shifts are those of the base; the com follows, and must stay
-    inside with the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2: beyond
-    that, angles of roll, pitch and yaw name turns that others name, too.
+    Each direction is searched outward from the task to the first unreachable stand, apart from gaps
+    below 0.8 % of the first step. The CoM stays at its place in the task; if the task permits any
+    place inside the support polygon, at its place in the task's stand, or free for legs that cannot
+    hold it there (with two joints). For shifts in x and y, the CoM follows the base and must keep
+    the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
+    describe the same rotations.
 
     Args:
-        robot: The robot.
-        task: Where the search begins; the nominal stand by default.
+        robot: Robot.
+        task: Task at which the search starts. Default: the nominal stand.
 
     Raises:
-        StanceUnreachableError: If the task itself is out of reach.
+        StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
@@ -120,70 +126,72 @@ def find_interval(
     *,
     usual_starts_only: bool = False,
 ) -> Interval:
-    """Finds how far the base can go in one direction, both ways; see ``base_workspace``.
+    """Find the reachable interval in one direction; see `base_workspace`.
 
     Args:
-        robot: The robot.
-        start: Where the search begins.
+        robot: Robot.
+        start: Stand at which the search starts.
         direction: One of ``DIRECTIONS``.
-        enough: How far (m, or rad) is not asked beyond: an end that is further may be any.
+        enough: Distance [m or rad] from the start beyond which the search ends.
         usual_starts_only: Search from the usual initial guesses only, not in all IK branches.
     """
     low, high = (
-        _limit(robot, start, direction, way, enough, usual_starts_only) for way in (-1.0, 1.0)
+        _find_limit(robot, start, direction, way, enough, usual_starts_only) for way in (-1.0, 1.0)
     )
     return Interval(low, high)
 
 
-def _limit(
+def _find_limit(
     robot: Robot, start: Stand, direction: str, sign: float, enough: float, usual_starts_only: bool
 ) -> float:
-    """Steps outwards until a stand is out of reach, then halves the step.
+    """Find the end of an interval in one direction by steps that are halved after a failure.
 
-    Short steps are tried from the last stand alone, which is quick; where that ends, the search
-    everywhere has the last word.
+    Short steps are tried from the last stand only, which is fast. The full search is used before
+    the end is accepted.
     """
-    first, most = _FIRST_STEP[direction], _WIDEST.get(direction, math.inf)
-    begin = value = _value(robot, start, direction)
+    first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
+    first_value = value = _get_coordinate(robot, start, direction)
     step, least, last = first, BISECTION_RTOL * first, start
-    shortest = _COARSE * first  # of the steps that are searched for everywhere
+    shortest = _FULL_SEARCH_RATIO * first  # step with a full search
 
-    def goes(further: float, near: Stand | None = None) -> bool:
+    def try_value(further: float, near: Stand | None = None) -> bool:
+        """Return True if the stand at a value is reached, and store both."""
         nonlocal value, last
         if abs(further) > most:
             return False
-        found = _reached(robot, start, direction, further, near, usual_starts_only)
-        if found is not None:
-            value, last = further, found
-        return found is not None
+        stand = _solve_at(robot, start, direction, further, near, usual_starts_only)
+        if stand is not None:
+            value, last = further, stand
+        return stand is not None
 
-    while step > least and abs(value - begin) < enough:
-        further, gap = value + sign * step, value + sign * _GAP * first
-        if goes(further, last) or (step > shortest and goes(further)):
+    while step > least and abs(value - first_value) < enough:
+        further, gap = value + sign * step, value + sign * _GAP_RATIO * first
+        if try_value(further, last) or (step > shortest and try_value(further)):
             continue
-        if step <= 2 * least < shortest and (goes(further) or goes(gap)):
-            step, shortest = _RESTART * first, 0.0  # there is more than the last stand leads to
+        if step <= 2 * least < shortest and (try_value(further) or try_value(gap)):
+            step, shortest = _RESTART_RATIO * first, 0.0  # beyond a gap
         else:
             step /= 2
-    while value != begin and not goes(value):  # it must be in reach of who asks for that alone
-        value = begin + sign * max(0.0, abs(value - begin) - least)
+    while value != first_value and not try_value(value):  # reachable by a search of its own
+        value = first_value + sign * max(0.0, abs(value - first_value) - least)
         least *= 2
     return value
 
 
-def _value(robot: Robot, start: Stand, direction: str) -> float:
+def _get_coordinate(robot: Robot, start: Stand, direction: str) -> float:
+    """Return the coordinate of a stand in a direction [m or rad]."""
     if direction in ("x", "y"):
-        return float(_offset(robot, start)["xy".index(direction)])
+        return float(_base_offset(robot, start)["xy".index(direction)])
     return float(getattr(start.task, direction))
 
 
-def _offset(robot: Robot, start: Stand) -> Array:
-    """Returns the base's place from the centre of the feet (2,) (m)."""
+def _base_offset(robot: Robot, start: Stand) -> Array:
+    """Return the base position from the centre of the feet, shape (2,) [m]."""
     offset: Array = start.qpos[:2] - start.centre(robot)[:2]
     return offset
 
 
-def _reached(
+def _solve_at(
     robot: Robot,
     start: Stand,
     direction: str,
@@ -191,9 +199,9 @@ def _reached(
     near: Stand | None,
     usual_starts_only: bool,
 ) -> Stand | None:
-    """Returns a stand that is reached, and can be held: from another one near it, or from all."""
+    """Return the stand at a value; None if unreachable or with too small a CoM margin."""
     try:
-        goal = make_goal(robot, _task_at(robot, start, direction, value), {})
+        goal = make_goal(robot, _make_task(robot, start, direction, value), {})
     except ConfigurationError:
         return None
     with lend(robot, SearchContext) as context:
@@ -208,13 +216,14 @@ def _reached(
     return stand
 
 
-def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
+def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
+    """Return the task of a value in a direction."""
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()
         changes |= {"com": (x, y), "com_margin": 0.0}
     if direction in ("x", "y"):
-        x, y = _offset(robot, start).tolist()
+        x, y = _base_offset(robot, start).tolist()
         place = (value, y) if direction == "x" else (x, value)
         changes = {"com": "centre", "offset": place}
     return replace(start.task, **changes)

@@ -15,7 +15,7 @@ from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import find_floor, level_ground
 from pupper_analysis.robot.terrain import build_on_ground
-from pupper_analysis.stance.branches import _unwound
+from pupper_analysis.stance.branches import _remove_turns
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
@@ -123,7 +123,7 @@ def test_angles_are_unwound_by_whole_turns() -> None:
     home = robot.home[7:]
     wide = np.full(robot.nu, 20.0)
     away = np.linspace(-9.0, 9.0, robot.nu)
-    found = _unwound(robot, home + away, -wide, wide)
+    found = _remove_turns(robot, home + away, -wide, wide)
     np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * (home + away)), atol=1e-12)
     assert np.abs(found - home).max() <= math.pi + 1e-12
 

@@ -222,8 +222,8 @@ def test_search_terminates_if_it_returns_to_its_start(
         assert len(tried) < 100
         return original(search, programme, qpos)  # type: ignore[arg-type]
 
-    original = search_module._Search.met
-    monkeypatch.setattr(search_module._Search, "met", met)
+    original = search_module._Search.solve_program
+    monkeypatch.setattr(search_module._Search, "solve_program", met)
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, pa.StandTask(pitch=-1.24609375), explain=False)
     assert len(tried) > 1

@@ -6,7 +6,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
-from pupper_analysis.stance.soft_ground import _plane, solve_stand_on_soft_ground
+from pupper_analysis.stance.soft_ground import _fit_plane, solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import NAMES, load
 
@@ -68,7 +68,7 @@ def test_sole_with_lifted_corners_carries_the_same_force_and_moment() -> None:
         given = np.maximum(0.0, random.normal(2e-4, 4e-4, 4))
         if not given.any():
             continue
-        found = _plane(corners, [law] * 4, given.tolist())
+        found = _fit_plane(corners, [law] * 4, given.tolist())
         lifted += bool((found < -law.margin).any())
         np.testing.assert_allclose(load_of(found), load_of(given), atol=1e-10 * load_of(given)[0])
     assert lifted > 10

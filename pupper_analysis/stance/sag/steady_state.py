@@ -403,7 +403,7 @@ class SteadyState(Result):
             sliding feet.
         height_drift: Rate of the base height by creep (m/s). A simulated height is the predicted
             height within D for about D / |height_drift| seconds.
-        residual: Largest element of the residual of the equations (N, N m, m).
+        residual: Largest element of the residual of the equations (N or m).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
             relative to the mass matrix (rad^2/s^2): the square of the lowest natural frequency
             without damping.
