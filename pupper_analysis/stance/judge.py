@@ -60,8 +60,8 @@ class Stand(Tabular):
         stance_feet: Feet that carry load.
         normals: {stance foot: unit normal out of the ground, shape (3,)}.
         contact_points: {stance foot: position of its contact, shape (3,) (m)}.
-        foot_error: Largest distance of a foot from its target (m or rad). If larger: the opening of a
-            closed loop or joint coupling, the violation of a joint limit with margin, or another
+        foot_error: Largest distance of a foot from its target (m or rad). If larger: the opening of
+            a closed loop or joint coupling, the violation of a joint limit with margin, or another
             violation without an error of its own (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
