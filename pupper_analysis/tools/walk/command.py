@@ -1,4 +1,4 @@
-"""``pupper-analysis walk``: what a policy asks of a robot's motors."""
+"""Command ``pupper-analysis walk``: simulates a walking policy and measures motor torques."""
 
 from __future__ import annotations
 
@@ -106,29 +106,34 @@ def command(
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy
 
-    wanted = shared.parse_point("command", asked, 3)
-    brain = Policy.load(policy, contract)
-    meant = which.select_robot(words) or "v3"
-    robot = load_walking_robot(meant, style, everything=everything)
-    given: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
+    checked_command = shared.parse_point("command", asked, 3)
+    loaded_policy = Policy.load(policy, contract)
+    source = which.select_robot(words) or "v3"
+    robot = load_walking_robot(source, style, everything=everything)
+    arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
-        given["seeds"] = seeds
+        arguments["seeds"] = seeds
     result: Walk | TrackedIntervals | Orders
-    with shared.show_progress(f"{robot.name} walks by {brain.name}"):
+    with shared.show_progress(f"{robot.name} walks by {loaded_policy.name}"):
         if orders:
-            result = rank_orders(robot, brain, **given)
+            result = rank_orders(robot, loaded_policy, **arguments)
         elif vary is not None:
-            known = (
+            measured = (
                 None
                 if fitted is None
-                else read_measured_intervals(fitted, robot, brain.contract.latency)
+                else read_measured_intervals(fitted, robot, loaded_policy.contract.latency)
             )
-            named = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
+            quantities = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
             result = tracked_intervals(
-                robot, brain, wanted, quantities=named, measured=known, **given
+                robot,
+                loaded_policy,
+                checked_command,
+                quantities=quantities,
+                measured=measured,
+                **arguments,
             )
         else:
-            result = simulate_walk(robot, brain, wanted, **given)
+            result = simulate_walk(robot, loaded_policy, checked_command, **arguments)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -1,4 +1,4 @@
-"""What a policy and its robot agree on: what it observes, and what its actions mean."""
+"""Contract of a policy and its robot: the observation, and the meaning of the actions."""
 
 from __future__ import annotations
 
@@ -29,14 +29,13 @@ TERM_SIZES = {
     "last-action": None,
     "phase": None,
 }
-"""{term: its size; None where that is the number of joints, or of phases twice}.
+"""Number of elements of each term; None if the number follows from the joints or the phases.
 
-Velocities and the direction of gravity are those of the base in its own frame,
-joint positions are less the default ones, the up-command is where the vertical is to be in the
-base's frame, the phase cosines and then sines of the feet's phases.
-"""
+Velocities and the direction of gravity are those of the base, in the base frame. Joint positions
+are relative to the default positions. The up-command is the commanded vertical in the base frame.
+The phase contains the cosines and then the sines of all phases."""
 
-_ALIKE = {
+_TERM_ALIASES = {
     "base_lin_vel": "linear-velocity",
     "base_ang_vel": "angular-velocity",
     "projected_gravity": "gravity",
@@ -49,19 +48,19 @@ _ALIKE = {
     "last_action": "last-action",
     "gait_phase": "phase",
 }
-"""What Isaac Lab, mjlab and Unitree's environments call them."""
+"""Names of terms in Isaac Lab, mjlab and Unitree's environments: {name: term}."""
 
 BY_FRAME, BY_TERM = "by-frame", "by-term"
-"""How a history is laid out: frame after frame, or the frames of a term together."""
+"""Layouts of a history: frame after frame, or all frames of a term after each other."""
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A part of an observation.
+    """Term of an observation.
 
     Attributes:
-        name: Of ``TERMS``.
-        scale: By what it is multiplied: one number, or one for each of its elements.
+        name: One of `TERM_SIZES`.
+        scale: Factor: one number, or one number per element.
     """
 
     name: str
@@ -70,27 +69,28 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Contract:
-    """What a policy observes, and what its actions mean.
+    """Observation of a policy, and meaning of its actions, for n joints.
 
     Attributes:
-        terms: Of one frame of the observation, in their order.
-        joints: In the policy's order; empty where its file names none: the robot's actuators then.
-        default: (n,) joint positions that an action of zero commands (rad).
-        action_scale: (n,) rad for an action of 1.
-        lower: (n,) least commanded position (rad).
-        upper: (n,) greatest commanded position (rad).
-        kp: (n,) the servos' stiffness (N m/rad); None: the robot's own servos.
-        kd: (n,) the servos' damping (N m s/rad); likewise.
-        rate: How often it is asked (Hz).
-        latency: From an observation to its command at the servos (s).
-        clip: Each element of an observation is cut off at this.
-        history: How many frames an observation has.
-        newest_first: Whether the newest of these is the first.
+        terms: Terms of one frame of the observation, in order.
+        joints: Joint names in the order of the policy; empty if the file states none. The order is
+            then that of the robot's actuators.
+        default: Joint positions for an action of zero, shape (n,) [rad].
+        action_scale: Joint displacement for an action of 1, shape (n,) [rad].
+        lower: Lower bounds of the commanded positions, shape (n,) [rad].
+        upper: Upper bounds of the commanded positions, shape (n,) [rad].
+        kp: Servo stiffness, shape (n,) [N m/rad]; None for the servos of the robot.
+        kd: Servo damping, shape (n,) [N m s/rad]; None for the servos of the robot.
+        rate: Number of actions per second [Hz].
+        latency: Delay from an observation to its command at the servos [s].
+        clip: Bound on the magnitude of each element of an observation.
+        history: Number of frames in an observation.
+        newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
-        phase_rate: Of the gait's phase (Hz), where one is observed.
-        phase_offsets: Of the feet (rad).
-        signs: (n,) -1 where a joint of the policy turns the other way than the robot's.
-        sources: Where each of these is from: {field: what stated it}.
+        phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
+        phase_offsets: Phase of each foot at the start [rad].
+        signs: Shape (n,); -1 if the joint of the policy turns in the opposite direction.
+        sources: Origin of each stated key: {key: file}.
     """
 
     terms: tuple[Term, ...]
@@ -114,30 +114,30 @@ class Contract:
 
     @property
     def num_joints(self) -> int:
-        """How many joints it commands."""
+        """Number of commanded joints."""
         return len(self.default)
 
     def term_size(self, term: Term) -> int:
-        """Returns how many numbers a term has."""
+        """Return the number of elements of a term."""
         if term.name == "phase":
             return 2 * len(self.phase_offsets)
         return TERM_SIZES[term.name] or self.num_joints
 
     @property
     def frame_size(self) -> int:
-        """How many numbers a frame has."""
+        """Number of elements of one frame."""
         return sum(self.term_size(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> Contract:
-        """Returns the contract of a policy whose joint i is taken for that joint ``order[i]`` is.
+        """Return the contract of a policy whose joint i drives the joint that ``order[i]`` drove.
 
-        Defaults, scales, limits and gains stay with the policy's outputs, as they do on a robot
-        that is wired so.
+        Default positions, scales, limits and gains remain with the outputs of the policy, as on a
+        robot with exchanged cables.
         """
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
 
-_STATED = {
+_KEY_OF_QUANTITY = {
     "default angle": "default",
     "action scale": "action-scale",
     "kp": "kp",
@@ -146,33 +146,39 @@ _STATED = {
     "upper limit": "upper",
     "latency": "latency",
 }
-"""{quantity of a source's statements: the key}; a policy's step is ``rate``."""
+"""Contract key of each quantity in the statements of a source. The step of the policy gives
+``rate``."""
 
 
 def convert_source_statements(source: Source) -> dict[str, Any]:
-    """Returns what a policy's file states, as a TOML would: what ``contract`` compares."""
-    found: dict[str, Any] = {}
-    for one in source.statements:
-        value = math.nan if one.value is None else one.value  # which is refused by its key
-        if one.quantity == "policy step":
-            found["rate"] = 1.0 / value if value > 0 else math.nan
-        elif (key := _STATED.get(one.quantity)) and (one.index is None or one.count == 1):
-            found[key] = value
+    """Return the statements of a policy file as contract keys, as in a TOML file."""
+    values: dict[str, Any] = {}
+    for statement in source.statements:
+        value = (
+            math.nan if statement.value is None else statement.value
+        )  # NaN is refused later, with its key
+        if statement.quantity == "policy step":
+            values["rate"] = 1.0 / value if value > 0 else math.nan
+        elif (key := _KEY_OF_QUANTITY.get(statement.quantity)) and (
+            statement.index is None or statement.count == 1
+        ):
+            values[key] = value
         elif key:
-            found.setdefault(key, []).append(value)
+            values.setdefault(key, []).append(value)
     if source.order:
-        found["joints"] = list(source.order)
+        values["joints"] = list(source.order)
     if source.observations:
-        found["observation"] = [name.strip() for name, _, _ in source.observations]
-    return found
+        values["observation"] = [name.strip() for name, _, _ in source.observations]
+    return values
 
 
 def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
-    """Returns what Pupper's neural_controller makes of an RTNeural JSON's observations.
+    """Return the contract keys that Pupper's neural_controller implies for an RTNeural JSON.
 
-    Its frame of 36 (33 without a commanded orientation) is that of
-    ``neural_controller.cpp``: angular velocity, gravity, command, the commanded vertical, joint
-    positions, last action; the newest frame first; clipped at 100; one action each 20 ms.
+    The frame is that of ``neural_controller.cpp``, with 36 elements, or 33 without a commanded
+    orientation: angular velocity, gravity, command, commanded vertical, joint positions, last
+    action. The newest frame is the first; elements are clipped at 100; one action every 20 ms.
+    Empty if the JSON has no ``observation_history``.
     """
     if "observation_history" not in values:
         return {}
@@ -186,175 +192,192 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
     return {"history": history, "observation": observation, **layout}
 
 
-_KEYS = (
+_CONTRACT_KEYS = (
     "observation", "joints", "default", "action-scale", "lower", "upper", "kp", "kd", "rate",
     "latency", "clip", "history", "newest-first", "layout", "phase-rate", "phase-offsets", "signs",
 )  # fmt: skip
+"""Valid contract keys."""
 
 
 @dataclass(frozen=True)
-class _Stated:
-    """What files state together; each key is checked as it is read."""
+class _MergedValues:
+    """Contract keys of several files, merged; each value is checked when read."""
 
     values: Mapping[str, Any]
-    homes: Mapping[str, str]
+    origins: Mapping[str, str]
     path: Path
     joints: int
 
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
-        """Returns (size,) numbers, of one or as many; None where nothing states them."""
+        """Return a vector of `size` elements from one or `size` numbers.
+
+        None if the key is missing and has no default.
+        """
         value = self.values.get(key, fallback)
         if value is None:
             return None
         size = self.joints if size is None else size
         try:
-            found: Array = np.broadcast_to(real_array(key, value), (size,)).copy()
+            vector: Array = np.broadcast_to(real_array(key, value), (size,)).copy()
         except (ConfigurationError, ValueError) as error:
-            raise self.refuse(key, diagnose("no-numbers", count=size)) from error
-        finite = np.isfinite(found) | (np.isinf(found) if key in ("lower", "upper") else False)
+            raise self.make_error(key, diagnose("no-numbers", count=size)) from error
+        finite = np.isfinite(vector) | (np.isinf(vector) if key in ("lower", "upper") else False)
         if not finite.all():
-            raise self.refuse(key, diagnose("no-numbers", count=size))
-        return found
+            raise self.make_error(key, diagnose("no-numbers", count=size))
+        return vector
 
     def number(self, key: str, fallback: float | None, low: float, high: float) -> float:
-        """Returns a number within bounds, the lower one excluded where it is zero by name."""
+        """Return a number within closed bounds.
+
+        Raise ModelError if the key is missing and has no default, or the value is not valid.
+        """
         value = self.values.get(key, fallback)
         if value is None:
-            raise self.refuse(key, diagnose("contract-lacks", key=key))
+            raise self.make_error(key, diagnose("contract-lacks", key=key))
         good = isinstance(value, int | float) and not isinstance(value, bool)
         if not good or not low <= value <= high:
-            raise self.refuse(key, diagnose("not-between", given=str(value), low=low, high=high))
+            raise self.make_error(
+                key, diagnose("not-between", given=str(value), low=low, high=high)
+            )
         return float(value)
 
-    def refuse(self, key: str, problem: Diagnostic) -> ModelError:
-        """Returns the error that names a key, and the file that states it."""
+    def make_error(self, key: str, problem: Diagnostic) -> ModelError:
+        """Return the error for a key, with the file that states the key."""
         problem = diagnose("contract-key", key=key, problem=problem)
-        return ModelError(self.homes.get(key.partition(":")[0], str(self.path)), problem)
+        return ModelError(self.origins.get(key.partition(":")[0], str(self.path)), problem)
 
 
 def make_contract(
-    path: Path, stated: Sequence[tuple[str, Mapping[str, Any]]], inputs: int, outputs: int
+    path: Path, statements: Sequence[tuple[str, Mapping[str, Any]]], inputs: int, outputs: int
 ) -> Contract:
-    """Returns the contract that some files state together.
+    """Merge the statements of several files into a contract.
 
     Args:
-        path: The policy's file.
-        stated: (name, what it states) of each, the last of which counts.
-        inputs: The network's.
-        outputs: The network's.
+        path: File of the policy.
+        statements: (file, contract keys) of each file; the last file has precedence.
+        inputs: Number of inputs of the network.
+        outputs: Number of outputs of the network.
 
     Raises:
-        ModelError: If something is missing, of another size than the network, or no key.
+        ModelError: If a key is unknown, missing or not valid, or a size does not fit the network.
     """
     values: dict[str, Any] = {}
-    homes: dict[str, str] = {}
-    for home, own in stated:
-        for key in own:
-            if key not in _KEYS:
-                problem = diagnose("contract-key-unknown", key=key, known=_KEYS)
-                raise ModelError(home, problem)
-            homes[key] = home
-        values |= own
-    given = _Stated(values, homes, path, outputs)
-    terms = _terms(given)
+    origins: dict[str, str] = {}
+    for origin, values_of_origin in statements:
+        for key in values_of_origin:
+            if key not in _CONTRACT_KEYS:
+                problem = diagnose("contract-key-unknown", key=key, known=_CONTRACT_KEYS)
+                raise ModelError(origin, problem)
+            origins[key] = origin
+        values |= values_of_origin
+    merged = _MergedValues(values, origins, path, outputs)
+    terms = _read_terms(merged)
     joints = values.get("joints", ())
-    named = isinstance(joints, Sequence) and not isinstance(joints, str)
-    if not named or not all(isinstance(one, str) for one in joints):
-        raise given.refuse("joints", diagnose("contract-joints", count=outputs, given=str(joints)))
+    is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
+    if not is_list or not all(isinstance(joint, str) for joint in joints):
+        raise merged.make_error(
+            "joints", diagnose("contract-joints", count=outputs, given=str(joints))
+        )
     if joints and (len(joints) != outputs or len(set(joints)) != outputs):
         problem = diagnose("contract-joints", count=outputs, given=len(set(joints)))
-        raise given.refuse("joints", problem)
+        raise merged.make_error("joints", problem)
     layout = values.get("layout", BY_TERM)
     if layout not in (BY_FRAME, BY_TERM):
         problem = diagnose("contract-value", given=str(layout), known=(BY_FRAME, BY_TERM))
-        raise given.refuse("layout", problem)
+        raise merged.make_error("layout", problem)
     phases = values.get("phase-offsets", ())
-    offsets = given.vector("phase-offsets", 0.0, len(phases) if isinstance(phases, list) else 1)
-    scale = given.vector("action-scale", None)
-    default = given.vector("default", None)
+    offsets = merged.vector("phase-offsets", 0.0, len(phases) if isinstance(phases, list) else 1)
+    scale = merged.vector("action-scale", None)
+    default = merged.vector("default", None)
     if scale is None or default is None:
         key = "action-scale" if scale is None else "default"
-        raise given.refuse(key, diagnose("contract-lacks", key=key))
-    lower, upper = given.vector("lower", -math.inf), given.vector("upper", math.inf)
-    signs = given.vector("signs", 1.0)
+        raise merged.make_error(key, diagnose("contract-lacks", key=key))
+    lower, upper = merged.vector("lower", -math.inf), merged.vector("upper", math.inf)
+    signs = merged.vector("signs", 1.0)
     assert lower is not None
     assert upper is not None
     assert signs is not None
     assert offsets is not None
     if (crossed := np.flatnonzero(lower > upper)).size:
         low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
-        raise given.refuse("lower", diagnose("not-between", given=low, low=-math.inf, high=high))
-    history, newest = _memory(given)
+        raise merged.make_error(
+            "lower", diagnose("not-between", given=low, low=-math.inf, high=high)
+        )
+    history, newest_first = _read_history(merged)
     if (np.abs(signs) != 1).any():
-        raise given.refuse("signs", diagnose("contract-value", given=str(signs), known=("-1", "1")))
-    found = Contract(
+        raise merged.make_error(
+            "signs", diagnose("contract-value", given=str(signs), known=("-1", "1"))
+        )
+    contract = Contract(
         terms=terms,
         joints=tuple(joints),
         default=default,
         action_scale=scale,
         lower=lower,
         upper=upper,
-        kp=given.vector("kp", None),
-        kd=given.vector("kd", None),
-        rate=given.number("rate", None, 1.0, 1000.0),
-        latency=given.number("latency", 0.0, 0.0, 1.0),
-        clip=given.number("clip", math.inf, 1e-3, math.inf),
+        kp=merged.vector("kp", None),
+        kd=merged.vector("kd", None),
+        rate=merged.number("rate", None, 1.0, 1000.0),
+        latency=merged.number("latency", 0.0, 0.0, 1.0),
+        clip=merged.number("clip", math.inf, 1e-3, math.inf),
         history=history,
-        newest_first=newest,
+        newest_first=newest_first,
         layout=layout,
-        phase_rate=given.number("phase-rate", 0.0, 0.0, 20.0),
+        phase_rate=merged.number("phase-rate", 0.0, 0.0, 20.0),
         phase_offsets=offsets,
         signs=signs,
-        sources=homes,
+        sources=origins,
     )
     for term in terms:
         size = np.size(term.scale)
-        if size not in (1, found.term_size(term)):
-            problem = diagnose("no-numbers", count=found.term_size(term))
-            raise given.refuse(f"observation: {term.name}", problem)
-    if found.frame_size * found.history != inputs:
-        parts = ", ".join(f"{term.name} {found.term_size(term)}" for term in terms)
+        if size not in (1, contract.term_size(term)):
+            problem = diagnose("no-numbers", count=contract.term_size(term))
+            raise merged.make_error(f"observation: {term.name}", problem)
+    if contract.frame_size * contract.history != inputs:
+        parts = ", ".join(f"{term.name} {contract.term_size(term)}" for term in terms)
         problem = diagnose(
             "observation-size",
             parts=parts,
-            history=found.history,
-            total=found.frame_size * found.history,
+            history=contract.history,
+            total=contract.frame_size * contract.history,
             inputs=inputs,
         )
         raise ModelError(path, problem)
-    return found
+    return contract
 
 
-def _memory(given: _Stated) -> tuple[int, bool]:
-    """Returns how many frames an observation has, and whether the newest is the first."""
-    history = given.number("history", 1, 1, 1000)
+def _read_history(merged: _MergedValues) -> tuple[int, bool]:
+    """Return the number of frames of an observation, and True if the newest frame is the first."""
+    history = merged.number("history", 1, 1, 1000)
     if history % 1:
-        raise given.refuse("history", diagnose("whole-number-needed", given=str(history)))
-    newest = given.values.get("newest-first", False)
-    if not isinstance(newest, bool):
-        problem = diagnose("contract-value", given=str(newest), known=("true", "false"))
-        raise given.refuse("newest-first", problem)
-    return int(history), newest
+        raise merged.make_error("history", diagnose("whole-number-needed", given=str(history)))
+    newest_first = merged.values.get("newest-first", False)
+    if not isinstance(newest_first, bool):
+        problem = diagnose("contract-value", given=str(newest_first), known=("true", "false"))
+        raise merged.make_error("newest-first", problem)
+    return int(history), newest_first
 
 
-def _terms(given: _Stated) -> tuple[Term, ...]:
-    """Returns the terms of an observation, each a name, or a table of its name and scale."""
-    listed = given.values.get("observation")
-    if not isinstance(listed, list) or not listed:
-        raise given.refuse("observation", diagnose("contract-lacks", key="observation"))
+def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
+    """Return the terms of an observation; each entry is a name, or a table of name and scale."""
+    entries = merged.values.get("observation")
+    if not isinstance(entries, list) or not entries:
+        raise merged.make_error("observation", diagnose("contract-lacks", key="observation"))
     terms = []
-    for one in listed:
-        name = one.get("term") if isinstance(one, dict) else one
-        name = _ALIKE.get(name, name) if isinstance(name, str) else str(name)
+    for entry in entries:
+        name = entry.get("term") if isinstance(entry, dict) else entry
+        name = _TERM_ALIASES.get(name, name) if isinstance(name, str) else str(name)
         if name not in TERM_SIZES:
             problem = diagnose("contract-value", given=name, known=tuple(TERM_SIZES))
-            raise given.refuse("observation", problem)
-        scale = one.get("scale", 1.0) if isinstance(one, dict) else 1.0
+            raise merged.make_error("observation", problem)
+        scale = entry.get("scale", 1.0) if isinstance(entry, dict) else 1.0
         try:
             numbers = real_array("scale", scale)
         except ConfigurationError as error:
-            raise given.refuse(f"observation: {name}", diagnose("no-numbers", count=1)) from error
+            raise merged.make_error(
+                f"observation: {name}", diagnose("no-numbers", count=1)
+            ) from error
         if numbers.ndim > 1 or not np.isfinite(numbers).all():
-            raise given.refuse(f"observation: {name}", diagnose("no-numbers", count=1))
+            raise merged.make_error(f"observation: {name}", diagnose("no-numbers", count=1))
         terms.append(Term(name, numbers if numbers.ndim else float(numbers)))
     return tuple(terms)

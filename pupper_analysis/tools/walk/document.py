@@ -1,4 +1,4 @@
-"""Documents of walks: how a command is followed, how far a robot may change, whose a policy is."""
+"""Documents of `walk`: gaits, tracked intervals, and rankings of readings of a policy."""
 
 from __future__ import annotations
 
@@ -21,42 +21,46 @@ Array = NDArray[np.float64]
 
 @build_document.register(Walk)
 def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
-    """Returns how a policy walks a robot; see ``build_document``."""
+    """Create the document of the gaits of a policy; see ``build_document``."""
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
     word = "walk-follows" if walk.passed else "walk-falls" if fallen else "walk-does-not-follow"
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
         (
-            _view(walk, robot),
-            _motors(walk),
-            _runs(walk),
+            _make_view(walk, robot),
+            _make_motor_table(walk),
+            _make_run_table(walk),
             torque_plot(walk),
         ),
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
-        findings=(*_findings(walk), *map(doc.tell, walk.remarks)),
+        findings=(*_list_findings(walk), *map(doc.tell, walk.remarks)),
         notes=robot_notes(robot),
     )
 
 
-_SEEN = 75
-"""Configurations of the end of a run that are shown: 3 s, as many as a page has of a motion."""
+_MAX_SHOWN_CONFIGURATIONS = 75
+"""Number of configurations at the end of a run that are shown: 3 s."""
 
 
-def _view(walk: Walk, robot: Robot | None) -> doc.View:
-    """Returns the first run's last seconds in three dimensions, the base kept where it is."""
+def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
+    """Create the 3-D view of the end of the first run, with the base in place."""
     gait, motions = walk.gaits[0], []
-    for name, kept in (("walk-begins", slice(0, 1)), ("walk-end-of-run", slice(-_SEEN, None))):
-        qpos = gait.motion[kept].copy()
+    for name, selection in (
+        ("walk-begins", slice(0, 1)),
+        ("walk-end-of-run", slice(-_MAX_SHOWN_CONFIGURATIONS, None)),
+    ):
+        qpos = gait.motion[selection].copy()
         qpos[:, :2] = 0.0
-        motions.append(doc.Motion(text(name), gait.motion_time[kept], qpos))
+        motions.append(doc.Motion(text(name), gait.motion_time[selection], qpos))
     scene = None if robot is None else doc.MotionScene(robot, motions)
     return doc.View(text("walk-view"), scene, text("walk-view-note"))
 
 
-def _findings(walk: Walk) -> Iterable[doc.Words]:
+def _list_findings(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the findings: speed, torque, power, contacts, and the number of runs that track."""
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
         "walk-speed-line",
@@ -67,15 +71,15 @@ def _findings(walk: Walk) -> Iterable[doc.Words]:
         turning=f"{first.turning:.2f}",
         asked_turning=f"{first.command[2]:g}",
     )
-    rms = _worst(walk, "torque_rms")
+    rms = _max_over_runs(walk, "torque_rms")
     share = np.where(np.isfinite(walk.limits), rms / walk.limits, rms / rms.max(initial=1e-9))
-    most = int(np.argmax(share))
+    hardest = int(np.argmax(share))
     yield text(
         "walk-torque-line",
-        joint=doc.Name(walk.joints[most]),
-        rms=f"{rms[most]:.2f}",
-        peak=f"{_worst(walk, 'torque_peak')[most]:.2f}",
-        share=f"{100 * _worst(walk, 'at_limit')[most]:.1f}",
+        joint=doc.Name(walk.joints[hardest]),
+        rms=f"{rms[hardest]:.2f}",
+        peak=f"{_max_over_runs(walk, 'torque_peak')[hardest]:.2f}",
+        share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
     )
     yield text(
         "walk-power-line",
@@ -96,15 +100,17 @@ def _findings(walk: Walk) -> Iterable[doc.Words]:
         yield text("walk-touching", bodies=doc.Name(", ".join(touching)))
 
 
-def _worst(walk: Walk, name: str) -> Array:
-    """Returns the greatest of all runs, for each motor."""
+def _max_over_runs(walk: Walk, name: str) -> Array:
+    """Return the largest value of all runs, per motor."""
     worst: Array = np.max([getattr(gait, name) for gait in walk.gaits], axis=0)
     return worst
 
 
-def _motors(walk: Walk) -> doc.Table:
+def _make_motor_table(walk: Walk) -> doc.Table:
+    """Create the table of motor torques and speeds."""
     rms, peak, share, speed = (
-        _worst(walk, name) for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
+        _max_over_runs(walk, name)
+        for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
     )
     static = walk.gaits[0].static
     rows = tuple(
@@ -129,32 +135,38 @@ def _motors(walk: Walk) -> doc.Table:
         doc.Column(text("walk-fastest"), "rad/s"),
     )
     notes = (text("walk-statics-how"),)
-    return doc.Table(text("walk-joints"), columns, rows, notes, (_how(walk),))
+    return doc.Table(text("walk-joints"), columns, rows, notes, (_describe_simulation(walk),))
 
 
-def _how(walk: Walk) -> doc.Text:
+def _describe_simulation(walk: Walk) -> doc.Text:
+    """Describe the simulation: rate, gains, integrator, time step, warm-up."""
     contract = walk.contract
     gains = text("walk-own-gains")
     if contract.kp is not None and contract.kd is not None:
-        gains = text("walk-given-gains", kp=_range(contract.kp), kd=_range(contract.kd))
+        gains = text(
+            "walk-given-gains", kp=_format_range(contract.kp), kd=_format_range(contract.kd)
+        )
     same = abs(walk.rate - contract.rate) <= 1e-6 * contract.rate
     rate = f"{walk.rate:.6g}" if same else f"{walk.rate:.6g} ({contract.rate:g})"
     return text("walk-how", rate=rate, gains=gains, integrator=walk.integrator,
                 timestep=f"{1e3 * walk.timestep:g}", warm_up=f"{walk.warm_up:g}")  # fmt: skip
 
 
-def _range(values: Array) -> str:
+def _format_range(values: Array) -> str:
+    """Format the smallest and largest value."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g}-{high:g}"
 
 
-def _outcome(gait: Gait) -> doc.Words:
+def _describe_outcome(gait: Gait) -> doc.Words:
+    """Describe the outcome of a run."""
     if gait.fall is not None:
         return doc.tell(gait.fall, "bad")
     return text("walk-tracks" if gait.tracks else "walk-tracks-not")
 
 
-def _runs(walk: Walk) -> doc.Table:
+def _make_run_table(walk: Walk) -> doc.Table:
+    """Create the table of runs."""
     rows = tuple(
         (
             doc.Name(str(gait.seed)),
@@ -166,7 +178,7 @@ def _runs(walk: Walk) -> doc.Table:
             doc.Name(f"{np.degrees(gait.roll):.1f}, {np.degrees(gait.pitch):.1f}"),
             doc.number_cell(1e3 * gait.bounce, ".1f"),
             doc.number_cell(gait.margin, ".2f"),
-            _outcome(gait),
+            _describe_outcome(gait),
         )
         for gait in walk.gaits
     )
@@ -185,17 +197,17 @@ def _runs(walk: Walk) -> doc.Table:
     return doc.Table(text("walk-runs"), columns, rows)
 
 
-_DRAWN = 4
-"""Motors whose torques are drawn: those with the largest rms."""
+_NUM_DRAWN_MOTORS = 4
+"""Number of motors whose torques are drawn: those with the largest rms."""
 
 
 def torque_plot(walk: Walk) -> doc.LinePlot:
-    """Returns the torques of the motors that are asked most, in the first run's last second."""
+    """Create the plot of the largest motor torques in the last second of the first run."""
     gait = walk.gaits[0]
-    most = np.argsort(-gait.torque_rms, kind="stable")[:_DRAWN]
+    hardest = np.argsort(-gait.torque_rms, kind="stable")[:_NUM_DRAWN_MOTORS]
     lines = [
         doc.Series(doc.Name(walk.joints[index]), gait.torque_time, gait.torques[:, index])
-        for index in most
+        for index in hardest
     ]
     time = doc.Axis(text("walk-time"), "s", ".1f")
     torque = doc.Axis(text("walk-torque"), "N m", ".1f")
@@ -203,65 +215,72 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
 
 
 @build_document.register(TrackedIntervals)
-def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
-    """Returns how far a robot may change; see ``build_document``."""
-    outside = [one for one in found.intervals if one.inside is False]
-    if not found.seeds:
+def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
+    """Create the document of tracked intervals; see ``build_document``."""
+    outside = [interval for interval in result.intervals if interval.inside is False]
+    if not result.seeds:
         word = "walk-does-not-follow"
     elif outside:
         word = "walk-outside"
     else:
-        word = "walk-follows" if found.passed else "walk-follows-in-part"
-    against = [_quantity(one.quantity) for one in outside]
-    reasons = [text("walk-outside-of", names=join_words(against))] if outside else []
-    if len(found.seeds) < found.asked:
-        count = found.asked - len(found.seeds)
-        reasons.append(text("walk-unchanged-fails", count=count, asked=found.asked))
+        word = "walk-follows" if result.passed else "walk-follows-in-part"
+    names = [_name_quantity(interval.quantity) for interval in outside]
+    reasons = [text("walk-outside-of", names=join_words(names))] if outside else []
+    if len(result.seeds) < result.asked:
+        count = result.asked - len(result.seeds)
+        reasons.append(text("walk-unchanged-fails", count=count, asked=result.asked))
     return doc.Document(
         text("walk-intervals-title"),
-        text("walk-of", robot=doc.Name(found.name), policy=doc.Name(found.policy)),
-        (_intervals(found),) if found.intervals else (),
-        passed=found.passed,
+        text("walk-of", robot=doc.Name(result.name), policy=doc.Name(result.policy)),
+        (_make_interval_table(result),) if result.intervals else (),
+        passed=result.passed,
         verdict=text(word),
         failures=tuple(reasons),
         findings=(
-            text("walk-commanded", command=_command(found.command)),
-            *_absolute(found),
-            *map(doc.tell, found.remarks),
+            text("walk-commanded", command=_format_command(result.command)),
+            *_list_absolute_limits(result),
+            *map(doc.tell, result.remarks),
         ),
         notes=robot_notes(robot),
     )
 
 
-def _absolute(found: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yields what payload (kg) and pushes (N s) are that the runs of all starts still track."""
-    for one in found.intervals:
-        if one.quantity == "payload":
-            yield text("walk-carries", mass=f"{one.common[1] * found.mass:.3g}")
-        elif one.quantity.startswith("push"):
-            low, high = (f"{abs(value) * found.mass:.3g}" for value in one.common)
-            yield text(f"walk-{one.quantity}", low=low, high=high)
+def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
+    """Yield the payload [kg] and impulses [N s] up to which the runs of all seeds track."""
+    for interval in result.intervals:
+        if interval.quantity == "payload":
+            yield text("walk-carries", mass=f"{interval.common[1] * result.mass:.3g}")
+        elif interval.quantity.startswith("push"):
+            low, high = (f"{abs(value) * result.mass:.3g}" for value in interval.common)
+            yield text(f"walk-{interval.quantity}", low=low, high=high)
 
 
-def _command(command: Array) -> doc.Name:
+def _format_command(command: Array) -> doc.Name:
+    """Format a command."""
     return doc.Name(f"{command[0]:g}, {command[1]:g} m/s, {command[2]:g} rad/s")
 
 
-def _quantity(name: str) -> doc.Text:
+def _name_quantity(name: str) -> doc.Text:
+    """Return the name of a quantity."""
     return text(f"walk-quantity-{name}")
 
 
-def _intervals(found: TrackedIntervals) -> doc.Table:
+def _make_interval_table(result: TrackedIntervals) -> doc.Table:
+    """Create the table of tracked intervals."""
     rows = tuple(
         (
-            _quantity(one.quantity),
-            doc.Name("x" if one.unit == "x" else one.unit),
-            _end(one, one.least.max(), one.below),
-            _end(one, one.most.min(), one.above),
-            doc.Name(f"{one.least.min():.3g}, {one.most.max():.3g}"),
-            *(_measured(one) if any(one.measured for one in found.intervals) else ()),
+            _name_quantity(interval.quantity),
+            doc.Name("x" if interval.unit == "x" else interval.unit),
+            _make_bound_cell(interval, interval.least.max(), interval.below),
+            _make_bound_cell(interval, interval.most.min(), interval.above),
+            doc.Name(f"{interval.least.min():.3g}, {interval.most.max():.3g}"),
+            *(
+                _make_measured_cells(interval)
+                if any(interval.measured for interval in result.intervals)
+                else ()
+            ),
         )
-        for one in found.intervals
+        for interval in result.intervals
     )
     columns = [
         doc.Column(text("walk-quantity"), left=True),
@@ -270,96 +289,102 @@ def _intervals(found: TrackedIntervals) -> doc.Table:
         doc.Column(text("walk-most")),
         doc.Column(text("walk-spread"), detail=True),
     ]
-    if any(one.measured for one in found.intervals):
+    if any(interval.measured for interval in result.intervals):
         columns += [doc.Column(text("walk-measured")), doc.Column(text("walk-inside"), left=True)]
-    how = text("walk-intervals-how", count=found.rollouts, seconds=f"{found.seconds:g}",
-               seeds=len(found.seeds))  # fmt: skip
+    how = text("walk-intervals-how", count=result.rollouts, seconds=f"{result.seconds:g}",
+               seeds=len(result.seeds))  # fmt: skip
     note = text("walk-intervals-note")
     return doc.Table(text("walk-intervals"), tuple(columns), rows, (note,), (how,))
 
 
-def _end(one: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
-    """Returns an end up to which all runs track; marked where it is that of what was tried."""
-    open_end = tracked != one.nominal and bool(np.isnan(beyond).all())
+def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
+    """Create the cell of an interval bound.
+
+    Marked with * if the range ended before an untracked value.
+    """
+    open_end = tracked != interval.nominal and bool(np.isnan(beyond).all())
     return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))
 
 
-def _measured(one: TrackedInterval) -> tuple[doc.Cell, doc.Cell]:
-    if one.measured is None:
+def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]:
+    """Create the cells of a measured interval."""
+    if interval.measured is None:
         return doc.Name("-"), doc.Name("-")
-    low, high = one.measured
-    key, mark = ("walk-inside-yes", "good") if one.inside else ("walk-inside-no", "bad")
+    low, high = interval.measured
+    key, mark = ("walk-inside-yes", "good") if interval.inside else ("walk-inside-no", "bad")
     return doc.Name(f"{low:.3g} - {high:.3g}"), text(key).marked(mark)
 
 
 @build_document.register(Orders)
-def orders_document(found: Orders, robot: Robot | None = None) -> doc.Document:
-    """Returns which reading of a policy walks best; see ``build_document``."""
-    best, own = found.candidates[0], found.candidates[found.stated]
+def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
+    """Create the document of a ranking of readings; see ``build_document``."""
+    best, stated = result.candidates[0], result.candidates[result.stated]
     if not best.tracked:
-        word, line = "walk-of-none", text("walk-none-tracks", count=len(found.candidates))
-    elif not found.passed:
+        word, line = "walk-of-none", text("walk-none-tracks", count=len(result.candidates))
+    elif not result.passed:
         word = "walk-of-another"
         line = text(
             "walk-better",
-            change=_change(best),
+            change=_describe_change(best),
             torque=f"{best.torque:.2f}",
-            own=f"{own.torque:.2f}",
+            own=f"{stated.torque:.2f}",
             tracked=best.tracked,
-            own_tracked=own.tracked,
-            count=len(found.commands),
+            own_tracked=stated.tracked,
+            count=len(result.commands),
         )
-    elif found.determined:
-        word, line = "walk-of-this", text("walk-best-is-stated", torque=f"{own.torque:.2f}")
+    elif result.determined:
+        word, line = "walk-of-this", text("walk-best-is-stated", torque=f"{stated.torque:.2f}")
     else:
-        others = [place for place in found.alike if place != found.stated]
+        other_places = [place for place in result.alike if place != result.stated]
         word = "walk-not-determined"
         line = text(
-            "walk-as-well", names=join_words(_change(found.candidates[one]) for one in others)
+            "walk-as-well",
+            names=join_words(_describe_change(result.candidates[place]) for place in other_places),
         )
     return doc.Document(
         text("walk-orders-title"),
-        text("walk-of", robot=doc.Name(found.name), policy=doc.Name(found.policy)),
-        (_candidates(found),),
-        passed=found.passed,
+        text("walk-of", robot=doc.Name(result.name), policy=doc.Name(result.policy)),
+        (_make_candidate_table(result),),
+        passed=result.passed,
         verdict=text(word),
-        warned=found.passed and not found.determined,
-        failures=() if found.passed else (line,),
-        findings=(*((line,) if found.passed else ()), text("walk-orders-not")),
+        warned=result.passed and not result.determined,
+        failures=() if result.passed else (line,),
+        findings=(*((line,) if result.passed else ()), text("walk-orders-not")),
         notes=robot_notes(robot),
     )
 
 
-def _change(one: Candidate) -> doc.Words:
-    """Says what of a reading is other than the policy states."""
-    if one.change == "stated":
+def _describe_change(candidate: Candidate) -> doc.Words:
+    """Describe the difference of a reading from the stated contract."""
+    if candidate.change == "stated":
         return text("walk-change-stated")
-    if one.change == "sign":
-        return text("walk-change-sign", joints=join_words(map(doc.Name, one.flipped)))
-    if one.change == "by-kind" and not one.detail:
+    if candidate.change == "sign":
+        return text("walk-change-sign", joints=join_words(map(doc.Name, candidate.flipped)))
+    if candidate.change == "by-kind" and not candidate.detail:
         return text("walk-change-kinds")
-    return text(f"walk-change-{one.change}", detail=doc.Name(one.detail))
+    return text(f"walk-change-{candidate.change}", detail=doc.Name(candidate.detail))
 
 
-_MOST_SHOWN = 12
-"""Readings in a table: the best, and what the policy states."""
+_MAX_SHOWN_CANDIDATES = 12
+"""Maximum number of readings in the table, in addition to the stated reading."""
 
 
-def _candidates(found: Orders) -> doc.Table:
-    places = sorted({*range(min(_MOST_SHOWN, len(found.candidates))), found.stated})
+def _make_candidate_table(result: Orders) -> doc.Table:
+    """Create the table of the best readings."""
+    places = sorted({*range(min(_MAX_SHOWN_CANDIDATES, len(result.candidates))), result.stated})
     rows = []
     for place in places:
-        one = found.candidates[place]
-        mark = "good" if place in found.alike else ""
+        candidate = result.candidates[place]
+        mark = "good" if place in result.alike else ""
         rows.append(
             (
                 doc.Name(str(place + 1)),
-                _change(one),
-                doc.number_cell(one.tracked, ".0f", mark),
-                doc.number_cell(one.fallen, ".0f", "bad" if one.fallen else ""),
-                doc.number_cell(one.torque, ".2f"),
-                doc.number_cell(one.error, ".2f"),
-                doc.number_cell(one.cost, ".2f"),
+                _describe_change(candidate),
+                doc.number_cell(candidate.tracked, ".0f", mark),
+                doc.number_cell(candidate.fallen, ".0f", "bad" if candidate.fallen else ""),
+                doc.number_cell(candidate.torque, ".2f"),
+                doc.number_cell(candidate.error, ".2f"),
+                doc.number_cell(candidate.cost, ".2f"),
             )
         )
     columns = (
@@ -371,12 +396,12 @@ def _candidates(found: Orders) -> doc.Table:
         doc.Column(text("walk-error"), "1"),
         doc.Column(text("walk-cost"), "N m"),
     )
-    commands = join_words(map(_command, found.commands), "semicolon")
+    commands = join_words(map(_format_command, result.commands), "semicolon")
     how = text(
         "walk-orders-how",
-        count=len(found.candidates),
+        count=len(result.candidates),
         commands=commands,
-        seconds=f"{found.seconds:g}",
+        seconds=f"{result.seconds:g}",
         clear=f"{100 * (MIN_COST_RATIO - 1):.0f}",
     )
     return doc.Table(text("walk-orders"), columns, tuple(rows), (how,))

@@ -1,4 +1,4 @@
-"""What a policy asks of a robot's motors as it walks, and how well it follows its command."""
+"""Gait of a simulated policy: motor torques, power, contacts, tracking of the command."""
 
 from __future__ import annotations
 
@@ -34,60 +34,63 @@ from pupper_analysis.tools.walk.runs import (
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
-"""Of a run, and what of it is not looked at (s): a robot that starts walking needs a second."""
+"""Duration of a run [s], and of its warm-up [s], which is not evaluated. A robot needs about a
+second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""A speed is followed that is off by no more than this share of the command, and so many m/s: a
-choice. Pupper's public policy reaches 0.93 of its command; the slack is for one of zero."""
+"""Tolerance of a tracked speed: fraction of the command, plus `SPEED_ATOL` [m/s] for a command of
+zero. Chosen: Pupper's public policy reaches 0.93 of its command."""
 
 TURN_ATOL = 0.1
-"""Likewise of turning (rad/s)."""
+"""Absolute tolerance of a tracked turning rate [rad/s], in addition to `SPEED_RTOL`. Chosen, not
+tuned."""
 
 MIN_FOLLOWED_FRACTION = 0.5
-"""Of any command that is not zero, however slow, half is followed: beside 0.13 m/s the slack is
-most of the command."""
+"""Upper bound of the error, as 1 - fraction of a command that is not zero. Needed for slow
+commands: at 0.13 m/s the tolerance is most of the command. Chosen, not tuned."""
 
 LIMIT_FRACTION = 0.99
-"""Of its limit: a motor that gives more is at it."""
+"""Fraction of its torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
-_FASTEST = 100.0
-"""Of commands (m/s, rad/s): beyond, a unit is wrong."""
+_MAX_COMMAND = 100.0
+"""Largest magnitude of a command [m/s, rad/s]. A larger number has a wrong unit. Chosen, not
+tuned."""
 
-_FRAME = 1 / 25
-"""s between the configurations that are kept to be looked at."""
+_MOTION_PERIOD = 1 / 25
+"""Period of the recorded configurations [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait(Result):
-    """One run of a policy on a robot: means are over what follows the warm-up.
+    """One run of a policy on a robot. Means and peaks are those after the warm-up.
 
     Attributes:
-        command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
-        seed: Of its start; 0: exactly the default pose, at rest.
-        fall: Why it is a fall, if it is one; else None.
-        duration: Until a fall, or to the end (s).
-        velocity: (2,) mean speed forward and to the left, in the base's heading (m/s).
-        turning: Mean turning to the left (rad/s).
-        tracks: Whether it has not fallen, and follows its command.
-        torque_rms: (nu,) root of the mean square of each motor's torque (N m).
-        torque_peak: (nu,) its greatest torque (N m).
-        at_limit: (nu,) share of the time in which it gives all it can.
-        speed_peak: (nu,) its greatest speed (rad/s).
-        power: Mean of the positive mechanical power of all motors: nothing is won back (W).
-        transport: Cost of transport: that power over weight and speed over ground; None where it
-            does not move.
-        duty: {foot: share of the time in which it touches the ground}.
-        touching: Bodies besides the feet that touched the ground.
-        static: (nu,) root of the mean square of what statics ask of each motor at the same moments
-            (N m); of the first run (seed 0) alone, else None.
-        roll: Standard deviation of the base's roll (rad).
-        pitch: Of its pitch (rad).
-        bounce: Of its height (m).
-        margin: How far it stays from a fall: 1 as upright and high as it stood, 0 where it falls.
-        motion_time: (m,) samples (s).
-        motion: (m, nq) the configurations at these, to be looked at.
-        torque_time: (k,) samples of a second at the end (s).
-        torques: (k, nu) the motors' torques at these (N m).
+        command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
+            (rad/s), shape (3,).
+        seed: Seed of the initial state; 0 is the default pose at rest.
+        fall: Description of the fall; None without a fall.
+        duration: Time until the fall, or until the end.
+        velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,).
+        turning: Mean turning rate to the left.
+        tracks: True if the robot does not fall and tracks its command.
+        torque_rms: Root mean square of each motor's torque, shape (nu,).
+        torque_peak: Largest magnitude of each motor's torque, shape (nu,).
+        at_limit: Fraction of the time in which each motor is saturated, shape (nu,).
+        speed_peak: Largest speed of each joint, shape (nu,).
+        power: Mean of the positive mechanical power of all motors, without recuperation.
+        transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
+        duty: {foot: fraction of the time in contact with the ground}.
+        touching: Bodies other than feet that touched the ground.
+        static: Root mean square of each motor's static torque at the same times, shape (nu,);
+            None unless the seed is 0.
+        roll: Standard deviation of the base roll.
+        pitch: Standard deviation of the base pitch.
+        bounce: Standard deviation of the base height.
+        margin: Distance from a fall: 1 with the initial tilt and height, 0 at a fall.
+        motion_time: Times of the recorded configurations, shape (m,).
+        motion: Recorded configurations, shape (m, nq).
+        torque_time: Times of the recorded torques, in the last second, shape (k,).
+        torques: Recorded motor torques, shape (k, nu).
     """
 
     command: Array = field(metadata={"unit": "m/s or rad/s"})
@@ -118,21 +121,21 @@ class Gait(Result):
 
 @dataclass(frozen=True, eq=False)
 class Walk(Result):
-    """What a policy asks of a robot.
+    """Gaits of a policy on a robot.
 
     Attributes:
-        name: The robot's name.
-        policy: The name of the policy's file.
-        contract: What it observes, and what its actions mean.
-        joints: The robot's, in actuator order.
-        limits: (nu,) torque that each motor can give (N m); infinite without a limit.
-        mass: kg.
-        gaits: One for each seed; the first starts exactly in the default pose.
-        integrator: MuJoCo's.
-        timestep: s.
-        rate: How often the policy was asked (Hz): a whole number of time steps.
-        warm_up: What is not looked at (s).
-        remarks: Errors and assumptions of the robot's files that it rests on.
+        name: Name of the robot.
+        policy: File name of the policy.
+        contract: Contract of the policy.
+        joints: Joint names, in actuator order.
+        limits: Torque limit of each motor, shape (nu,); infinite without a limit.
+        mass: Mass of the robot.
+        gaits: One gait per seed; the first starts in the default pose at rest.
+        integrator: MuJoCo's integrator.
+        timestep: Time step of the simulation.
+        rate: Simulated rate of the policy; its period is a whole number of time steps.
+        warm_up: Duration of the warm-up.
+        remarks: Errors and assumptions of the robot's files on which the result depends.
     """
 
     name: str
@@ -150,34 +153,35 @@ class Walk(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether every run follows its command."""
+        """True if all runs track the command."""
         return all(gait.tracks for gait in self.gaits)
 
 
 def check_command(command: ArrayLike) -> Array:
-    """Returns a command (3,), checked.
+    """Return a command as an array of shape (3,).
 
     Raises:
-        ConfigurationError: If it is not three finite numbers below 100.
+        ConfigurationError: If the command is not three finite numbers with magnitudes of at most
+            100.
     """
     try:
-        found = np.array(command, dtype=np.float64)
+        checked = np.array(command, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise ConfigurationError("command", diagnose("no-numbers", count=3)) from error
-    if found.shape != (3,) or not np.isfinite(found).all():
+    if checked.shape != (3,) or not np.isfinite(checked).all():
         raise ConfigurationError("command", diagnose("no-numbers", count=3))
-    most = float(found[np.abs(found).argmax()])
-    if abs(most) > _FASTEST:
-        problem = diagnose("not-between", given=most, low=-_FASTEST, high=_FASTEST)
+    largest = float(checked[np.abs(checked).argmax()])
+    if abs(largest) > _MAX_COMMAND:
+        problem = diagnose("not-between", given=largest, low=-_MAX_COMMAND, high=_MAX_COMMAND)
         raise ConfigurationError("command", problem)
-    return found
+    return checked
 
 
 def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
-    """Checks how many runs are asked for, and how long they are.
+    """Check the number of runs, their duration [s] and the warm-up [s].
 
     Raises:
-        ConfigurationError: If a number is out of its range.
+        ConfigurationError: If a number is out of range.
     """
     for name, value, low, high in (
         ("seconds", seconds, 3, 600),
@@ -200,28 +204,31 @@ def simulate_walk(
     warm_up: float = WARM_UP_SECONDS,
     workers: int | None = None,
 ) -> Walk:
-    """Lets a policy walk a robot in MuJoCo, as its files have it, and measures what it does.
+    """Simulate a policy on a robot in MuJoCo and evaluate its gait.
 
-    The servos have the policy's gains where it states them, and the robot's limits of torque. It
-    starts in the policy's default pose, its lowest foot on the ground, and has its command at once.
+    The model is that of the robot's files. Its servos get the gains of the policy, if the policy
+    states gains, and keep their torque limits. The robot starts in the default pose of the policy,
+    with its lowest foot on the ground, and gets its command at the start.
 
     Args:
-        robot: The robot.
-        policy: The policy.
-        command: Speed forward and to the left (m/s), and turning to the left (rad/s).
-        seeds: How many runs, whose starts differ by 0.05 rad and 0.05 m/s at most.
-        seconds: Of each, 3 to 600.
-        warm_up: What of it is not looked at (s).
-        workers: Threads; by default one per core. The result is the same for any number.
+        robot: Robot.
+        policy: Policy.
+        command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
+        seeds: Number of runs. Initial states differ by at most 0.05 rad, 0.05 m/s and 0.05 rad/s.
+        seconds: Duration of each run [s], 3 to 600.
+        warm_up: Duration of the warm-up [s].
+        workers: Number of threads; by default the number of cores. The result does not depend on
+            this number.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
-    wanted = check_command(command)
+    checked_command = check_command(command)
     check_runs(seeds, seconds, warm_up)
     stage = prepare_stage(robot, policy)
-    cases = [stage.case(wanted, seed) for seed in range(seeds)]
+    cases = [stage.case(checked_command, seed) for seed in range(seeds)]
     runs = simulate_cases(stage, cases, seconds, warm_up, workers)
     gaits = tuple(measure_gait(stage, run, warm_up) for run in runs)
     return Walk(
@@ -241,9 +248,9 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: Run) -> Array:
-    """Returns the torques (n, nu) of the robot's motors at the beginning of each step (N m).
+    """Return the motor torques of a run at the start of each step, shape (n, nu) [N m].
 
-    By the servos' law, as MuJoCo's: clip(gain ctrl + bias, force range) times the gear.
+    Computed with MuJoCo's actuator law: clip(gain ctrl + bias, force range) x gear.
     """
     model, convention = run.case.model, stage.robot.mj_convention
     driven = np.flatnonzero(convention.actuator_index >= 0)
@@ -275,7 +282,7 @@ def joint_torques(stage: Stage, run: Run) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How a run follows its command: see ``Gait``."""
+    """Mean velocity and turning rate of a run, and tracking of the command; see `Gait`."""
 
     velocity: Array
     turning: float
@@ -283,16 +290,16 @@ class Tracking:
 
 
 def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
-    """Returns how a run follows its command after the warm-up."""
-    first = round(warm_up / stage.timestep)
+    """Evaluate mean speed, turning rate and tracking of a run after the warm-up [s]."""
+    start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
-    seen = run.states[first:]
-    if len(seen) < 2 or not np.isfinite(seen).all():
+    states = run.states[start:]
+    if len(states) < 2 or not np.isfinite(states).all():
         return Tracking(np.zeros(2), 0.0, False)
-    turned = rotations_from_quaternions(seen[:, 1 + index[3:7]])
-    heading = np.unwrap(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
-    time = (len(seen) - 1) * stage.timestep
-    steps = np.diff(seen[:, 1 + index[:2]], axis=0)
+    base_rotations = rotations_from_quaternions(states[:, 1 + index[3:7]])
+    heading = np.unwrap(np.arctan2(base_rotations[:, 1, 0], base_rotations[:, 0, 0]))
+    time = (len(states) - 1) * stage.timestep
+    steps = np.diff(states[:, 1 + index[:2]], axis=0)
     cosine, sine = np.cos(heading[:-1]), np.sin(heading[:-1])
     velocity = np.array(
         [
@@ -303,52 +310,59 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
     velocity /= time
     turning = float(heading[-1] - heading[0]) / time
     command = run.case.command
-    off = float(np.linalg.norm(velocity - command[:2]))
+    speed_error = float(np.linalg.norm(velocity - command[:2]))
     tracks = not run.fallen
-    for error, slack, asked in (
-        (off, SPEED_ATOL, float(np.linalg.norm(command[:2]))),
+    for error, slack, commanded in (
+        (speed_error, SPEED_ATOL, float(np.linalg.norm(command[:2]))),
         (abs(turning - command[2]), TURN_ATOL, abs(command[2])),
     ):
-        most = (1 - MIN_FOLLOWED_FRACTION) * asked if asked else math.inf
-        tracks &= error <= min(SPEED_RTOL * asked + slack, most)
+        max_error = (1 - MIN_FOLLOWED_FRACTION) * commanded if commanded else math.inf
+        tracks &= error <= min(SPEED_RTOL * commanded + slack, max_error)
     return Tracking(velocity, turning, bool(tracks))
 
 
 def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
-    """Returns what a run asks of the motors, and how it follows its command."""
+    """Evaluate a run after the warm-up [s]."""
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
-    whole = np.asarray(np.isfinite(run.states).all(axis=1))
+    is_finite = np.asarray(np.isfinite(run.states).all(axis=1))
     torques = joint_torques(stage, run)[first:]
     torques = np.nan_to_num(torques, nan=0.0)
     convention = robot.mj_convention
     rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
     rates = np.nan_to_num(rates, nan=0.0)
     limits = robot.effort_limits
-    followed = evaluate_tracking(stage, run, warm_up)
+    tracking = evaluate_tracking(stage, run, warm_up)
     power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
-    speed = float(np.linalg.norm(followed.velocity))
+    speed = float(np.linalg.norm(tracking.velocity))
     weight = robot.weight
-    ticks = run.states[first :: stage.substeps]
-    ticks = ticks[np.isfinite(ticks).all(axis=1)]
-    seen, touching = find_ground_contacts(stage, run.case.model, ticks, statics=not run.case.seed)
-    duty = {foot: sum(foot in one.feet for one in seen) / max(1, len(seen)) for foot in robot.feet}
-    turned = rotations_from_quaternions(ticks[:, 1 + convention.qpos_index[3:7]])
-    allowed = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
-    used = 1.0 if run.fallen else max(run.lean / allowed[0], run.lost / allowed[1], 0.0)
-    every = max(1, round(_FRAME / step))
-    shown = run.states[::every][whole[::every]]
-    last = round(1.0 / step)
+    sampled_states = run.states[first :: stage.substeps]
+    sampled_states = sampled_states[np.isfinite(sampled_states).all(axis=1)]
+    samples, touching = find_ground_contacts(
+        stage, run.case.model, sampled_states, statics=not run.case.seed
+    )
+    duty = {
+        foot: sum(foot in sample.feet for sample in samples) / max(1, len(samples))
+        for foot in robot.feet
+    }
+    base_rotations = rotations_from_quaternions(sampled_states[:, 1 + convention.qpos_index[3:7]])
+    fall_limits = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
+    used_fraction = (
+        1.0 if run.fallen else max(run.lean / fall_limits[0], run.lost / fall_limits[1], 0.0)
+    )
+    stride = max(1, round(_MOTION_PERIOD / step))
+    motion_states = run.states[::stride][is_finite[::stride]]
+    torque_samples = round(1.0 / step)
     times = run.states[first:-1, 0]
     return Gait(
         command=run.case.command,
         seed=run.case.seed,
         fall=describe_fall(stage, run, len(run.states) * step) if run.fallen else None,
         duration=len(run.states) * step,
-        velocity=followed.velocity,
-        turning=followed.turning,
-        tracks=followed.tracks,
-        torque_rms=_rms(torques),
+        velocity=tracking.velocity,
+        turning=tracking.turning,
+        tracks=tracking.tracks,
+        torque_rms=_root_mean_square(torques),
         torque_peak=np.abs(torques).max(axis=0),
         at_limit=np.asarray(np.mean(np.abs(torques) >= LIMIT_FRACTION * limits, axis=0)),
         speed_peak=np.abs(rates).max(axis=0),
@@ -356,34 +370,36 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,
-        static=_rms(np.array([one.static for one in seen])) if seen and not run.case.seed else None,
-        roll=float(np.std(np.arctan2(turned[:, 2, 1], turned[:, 2, 2]))),
-        pitch=float(np.std(np.arcsin(np.clip(-turned[:, 2, 0], -1, 1)))),
-        bounce=float(np.std(ticks[:, 1 + convention.qpos_index[2]])),
-        margin=max(0.0, 1.0 - used),
-        motion_time=shown[:, 0].copy(),
-        motion=np.round(shown[:, 1 + convention.qpos_index], 5),
-        torque_time=times[-last:].copy(),
-        torques=np.round(torques[-last:], 5),
+        static=_root_mean_square(np.array([sample.static for sample in samples]))
+        if samples and not run.case.seed
+        else None,
+        roll=float(np.std(np.arctan2(base_rotations[:, 2, 1], base_rotations[:, 2, 2]))),
+        pitch=float(np.std(np.arcsin(np.clip(-base_rotations[:, 2, 0], -1, 1)))),
+        bounce=float(np.std(sampled_states[:, 1 + convention.qpos_index[2]])),
+        margin=max(0.0, 1.0 - used_fraction),
+        motion_time=motion_states[:, 0].copy(),
+        motion=np.round(motion_states[:, 1 + convention.qpos_index], 5),
+        torque_time=times[-torque_samples:].copy(),
+        torques=np.round(torques[-torque_samples:], 5),
     )
 
 
 def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
-    """Says how a run fell that began so long ago (s)."""
+    """Describe the fall of a run that started `duration` [s] before."""
     time, end = Quantity(duration, "s"), run.states[-1]
     if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)
-    lean = Quantity(stage.upright.lean(end), "rad")
+    tilt = Quantity(stage.upright.lean(end), "rad")
     height = Quantity(float(end[1 + stage.robot.mj_convention.qpos_index[2]]), "m")
-    return diagnose("fell-over", tilt=lean, height=height, time=time)
+    return diagnose("fell-over", tilt=tilt, height=height, time=time)
 
 
 class ContactSample(NamedTuple):
-    """Which feet touch at a moment, and what statics ask of the motors (nu,) there (N m).
+    """Feet in contact at one time, and the static motor torques there, shape (nu,) [N m].
 
-    Statics: the same joints, nothing moving, vertical forces at the points that touch, which carry
-    the weight as close beneath the centre of mass as they can. Where that is outside, a robot
-    standing so would tip; it does not while it walks.
+    The static torques hold the same joint positions without motion. Vertical forces at the contact
+    points carry the weight, with their centre as close below the centre of mass as possible. If the
+    centre of mass is outside the contact points, a standing robot would tip.
     """
 
     feet: tuple[str, ...]
@@ -393,12 +409,20 @@ class ContactSample(NamedTuple):
 def find_ground_contacts(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
 ) -> tuple[list[ContactSample], tuple[str, ...]]:
-    """Returns which feet touch the ground in some states, and what else touches it in any.
+    """Return contacts of feet with the ground for each state, and other bodies that touch it.
 
-    Without ``statics`` what these ask is zeros, and takes no time.
+    Args:
+        stage: Policy on its robot.
+        model: Simulated model.
+        states: States of the simulation, shape (n, size).
+        statics: True to compute static torques; otherwise the torques are zero.
+
+    Returns:
+        One sample per state, and the names of bodies other than feet that touch the ground in any
+        state.
     """
     robot, data = stage.robot, mujoco.MjData(model)
-    found, others = [], set()
+    samples, other_bodies = [], set()
     for state in states:
         mujoco.mj_setState(model, data, state, STATE)
         if statics:
@@ -414,44 +438,52 @@ def find_ground_contacts(
         geoms = np.where(bodies[:, 0] == 0, pairs[:, 1], pairs[:, 0])
         feet = [robot.foot_geoms.get(int(geom)) for geom in geoms]
         ground = (bodies == 0).any(axis=1) & np.array([foot is not None for foot in feet], bool)
-        named = {str(feet[index]) for index in np.flatnonzero(ground)}
-        touching = tuple(foot for foot in robot.feet if foot in named)
-        asked = np.zeros(robot.nu)
+        touching_names = {str(feet[index]) for index in np.flatnonzero(ground)}
+        touching = tuple(foot for foot in robot.feet if foot in touching_names)
+        torques = np.zeros(robot.nu)
         if statics:
-            points, bearing = data.contact.pos[near[ground]], model.geom_bodyid[geoms[ground]]
-            asked = _statics(stage, model, data, points, bearing)
-        found.append(ContactSample(touching, asked))
-        others |= bodies_on_ground(model, data, robot.foot_geoms)
-    return found, tuple(sorted(others))
+            points, bodies_of_points = (
+                data.contact.pos[near[ground]],
+                model.geom_bodyid[geoms[ground]],
+            )
+            torques = _compute_static_torques(stage, model, data, points, bodies_of_points)
+        samples.append(ContactSample(touching, torques))
+        other_bodies |= bodies_on_ground(model, data, robot.foot_geoms)
+    return samples, tuple(sorted(other_bodies))
 
 
-_UPRIGHT, _EVEN = 1e3, 1e-5
-"""How much the forces' sum counts beside their place, and that they be even where that is free."""
+_SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
+"""Weights in the least-squares problem of static forces: of the sum of the forces, and of equal
+forces (regularisation), relative to their centre [1/m]. Chosen, not tuned."""
 
 
-def _statics(
+def _compute_static_torques(
     stage: Stage, model: mujoco.MjModel, data: mujoco.MjData, points: Array, bodies: NDArray[Any]
 ) -> Array:
-    """Returns the motors' torques (nu,) of statics on some points.
+    """Return the motor torques of a static pose, shape (nu,) [N m].
 
-    Vertical forces n >= 0 at the points p: least |sum n p / W - c|, with sum n = W.
+    Non-negative least squares of the force fractions n at the points p: minimise |sum n p - c|^2
+    with sum n = 1, where c is the projected centre of mass.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 
-    free = data.qfrc_bias - data.qfrc_passive
+    generalised_forces = data.qfrc_bias - data.qfrc_passive
     weight = float(np.linalg.norm(model.opt.gravity)) * float(model.body_subtreemass[1:].max())
     if len(points):
         com = data.subtree_com[stage.model.body(stage.robot.mj_base).id, :2]
-        apart = (points[:, :2] - com).T
-        rows = np.vstack([apart, np.full(len(points), _UPRIGHT), _EVEN * np.eye(len(points))])
-        shares, _ = nnls(rows, np.r_[0.0, 0.0, _UPRIGHT, np.zeros(len(points))])
+        offsets = (points[:, :2] - com).T
+        rows = np.vstack(
+            [offsets, np.full(len(points), _SUM_WEIGHT), _REGULARISATION * np.eye(len(points))]
+        )
+        shares, _ = nnls(rows, np.r_[0.0, 0.0, _SUM_WEIGHT, np.zeros(len(points))])
         jacobian = np.empty((3, model.nv))
         for point, body, share in zip(points, bodies, shares, strict=True):
             mujoco.mj_jac(model, data, jacobian, None, point, int(body))
-            free = free - weight * share * jacobian[2]
-    torques: Array = free[stage.robot.mj_convention.qvel_index[6:]]
+            generalised_forces = generalised_forces - weight * share * jacobian[2]
+    torques: Array = generalised_forces[stage.robot.mj_convention.qvel_index[6:]]
     return torques
 
 
-def _rms(values: Array) -> Array:
+def _root_mean_square(values: Array) -> Array:
+    """Return the root mean square over the first axis."""
     return np.asarray(np.sqrt((values**2).mean(axis=0)))

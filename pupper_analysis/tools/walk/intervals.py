@@ -1,4 +1,4 @@
-"""How far a robot may change before a policy no longer tracks its command."""
+"""Intervals of robot parameters within which a policy tracks its command."""
 
 from __future__ import annotations
 
@@ -28,23 +28,25 @@ from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
-"""Of each run (s): what falls, falls in the first three."""
+"""Duration of a run [s], and of its warm-up [s]. Falls occur within the first 3 s."""
 
 NUM_HALVINGS = 5
-"""Of the range between what is tracked and what is not: to 3 % of it."""
+"""Number of bisections between a tracked and an untracked value: the interval end is known to 3 %
+of the range."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
+"""Function that applies a value of a quantity to a copy of the model."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What of a robot is changed.
+    """Parameter of the robot, or of its simulation, that is varied.
 
     Attributes:
-        unit: ``x`` of a factor.
-        nominal: Its value where nothing is changed.
-        range: (least, greatest) that is tried: beyond it, no robot of the kind is.
-        apply: Changes a copy of the model; None of a delay or a push, which are none of it.
+        unit: Unit; ``x`` for a factor.
+        nominal: Value of the unchanged robot.
+        range: Smallest and largest value that are tried. Chosen, not tuned.
+        apply: Function that changes a copy of the model; None for a delay or a push.
     """
 
     unit: str
@@ -52,102 +54,113 @@ class Quantity:
     range: tuple[float, float]
     apply: Change | None
 
-    def between(self, one: float, other: float) -> float:
-        """Returns the middle of two values: of factors, their geometric mean."""
-        return math.sqrt(one * other) if self.unit == "x" else (one + other) / 2
+    def between(self, first: float, second: float) -> float:
+        """Return the mean of two values; for factors the geometric mean."""
+        return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
 
-def _base(stage: Stage, model: mujoco.MjModel) -> int:
+def _find_base(stage: Stage, model: mujoco.MjModel) -> int:
+    """Return the body id of the base."""
     return int(model.body(stage.robot.mj_base).id)
 
 
-def _mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    model.body_mass[_base(stage, model)] *= value
-    model.body_inertia[_base(stage, model)] *= value
+def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale mass and inertia of the base body."""
+    model.body_mass[_find_base(stage, model)] *= value
+    model.body_inertia[_find_base(stage, model)] *= value
 
 
-def _payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Puts a part of the robot's mass on to it as a point at the base's centre of mass."""
-    model.body_mass[_base(stage, model)] += value * stage.robot.total_mass
+def _add_payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Add a point mass at the CoM of the base: a fraction of the robot's mass."""
+    model.body_mass[_find_base(stage, model)] += value * stage.robot.total_mass
 
 
-def _com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    model.body_ipos[_base(stage, model), 0] += value
+def _shift_base_com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Shift the CoM of the base body forward [m]."""
+    model.body_ipos[_find_base(stage, model), 0] += value
 
 
-def _friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
+def _scale_friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale the sliding friction of all geoms and pairs."""
     model.geom_friction[:, 0] *= value
     model.pair_friction[:, :2] *= value
 
 
-def _motors(stage: Stage) -> NDArray[np.int64]:
+def _find_motors(stage: Stage) -> NDArray[np.int64]:
+    """Return the ids of the robot's actuators."""
     motors = stage.robot.mj_convention.actuator_index
     return motors[motors >= 0]
 
 
-def _kp(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    model.actuator_gainprm[_motors(stage), 0] *= value
-    model.actuator_biasprm[_motors(stage), 1] *= value
+def _scale_kp(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale the stiffness of all servos."""
+    model.actuator_gainprm[_find_motors(stage), 0] *= value
+    model.actuator_biasprm[_find_motors(stage), 1] *= value
 
 
-def _kd(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    model.actuator_biasprm[_motors(stage), 2] *= value
+def _scale_kd(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale the damping of all servos."""
+    model.actuator_biasprm[_find_motors(stage), 2] *= value
 
 
-def _strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    model.actuator_forcerange[_motors(stage)] *= value
+def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale the force range of all actuators."""
+    model.actuator_forcerange[_find_motors(stage)] *= value
 
 
-def _legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Scales what is beyond the first joint of each limb with a foot; masses stay."""
-    base, limbs = _base(stage, model), set()
+def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scale the lengths beyond the first joint of each limb with a foot; masses are unchanged."""
+    base, bodies_beyond = _find_base(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
         chain = []
         while body not in (0, base):
             chain.append(body)
             body = int(model.body_parentid[body])
-        limbs |= set(chain[:-1])
-    beyond = sorted(limbs)
-    model.body_pos[beyond] *= value
-    model.body_ipos[beyond] *= value
-    model.geom_pos[np.isin(model.geom_bodyid, beyond)] *= value
-    model.site_pos[np.isin(model.site_bodyid, beyond)] *= value
+        bodies_beyond |= set(chain[:-1])
+    leg_bodies = sorted(bodies_beyond)
+    model.body_pos[leg_bodies] *= value
+    model.body_ipos[leg_bodies] *= value
+    model.geom_pos[np.isin(model.geom_bodyid, leg_bodies)] *= value
+    model.site_pos[np.isin(model.site_bodyid, leg_bodies)] *= value
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "mass": Quantity("x", 1.0, (0.25, 4.0), _mass),
-    "com": Quantity("m", 0.0, (-0.1, 0.1), _com),
-    "friction": Quantity("x", 1.0, (0.05, 4.0), _friction),
-    "kp": Quantity("x", 1.0, (0.1, 8.0), _kp),
-    "kd": Quantity("x", 1.0, (0.05, 8.0), _kd),
+    "mass": Quantity("x", 1.0, (0.25, 4.0), _scale_base_mass),
+    "com": Quantity("m", 0.0, (-0.1, 0.1), _shift_base_com),
+    "friction": Quantity("x", 1.0, (0.05, 4.0), _scale_friction),
+    "kp": Quantity("x", 1.0, (0.1, 8.0), _scale_kp),
+    "kd": Quantity("x", 1.0, (0.05, 8.0), _scale_kd),
     "delay": Quantity("s", 0.0, (0.0, 0.2), None),
-    "strength": Quantity("x", 1.0, (0.05, 4.0), _strength),
-    "legs": Quantity("x", 1.0, (0.5, 2.0), _legs),
-    "payload": Quantity("1", 0.0, (0.0, 2.0), _payload),
+    "strength": Quantity("x", 1.0, (0.05, 4.0), _scale_strength),
+    "legs": Quantity("x", 1.0, (0.5, 2.0), _scale_legs),
+    "payload": Quantity("1", 0.0, (0.0, 2.0), _add_payload),
     "push-forward": Quantity("m/s", 0.0, (-3.0, 3.0), None),
     "push-left": Quantity("m/s", 0.0, (-3.0, 3.0), None),
 }
-"""Mass and com (forward) are those of the base's body, friction that of all contacts, the legs'
-length that beyond the first joint of each limb, at the same masses. A payload is in parts of the
-robot's mass, at its base's com; a push, of one action, is its impulse over the robot's mass."""
+"""Varied quantities. ``mass`` and ``com`` (forward) are those of the base body; ``friction`` is
+that of all contacts; ``legs`` scales lengths beyond the first joint of each limb at constant mass.
+``payload`` is a fraction of the robot's mass, at the CoM of the base. A push lasts one action; its
+value is impulse / mass of the robot."""
 
-_PUSHES = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
+_PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
+"""Direction of each push in the world frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedInterval(Result):
-    """Between which values of a quantity a policy still tracks its command.
+    """Interval of one quantity within which a policy tracks its command, for each seed.
 
     Attributes:
-        quantity: Of ``QUANTITIES``.
-        unit: ``x`` of a factor.
-        nominal: Where nothing is changed.
-        least: (seeds,) the least value found with which it tracks.
-        most: (seeds,) the greatest.
-        below: (seeds,) greatest value below ``least`` with which it does not; not a number where
-            it tracks at the end of the range that was tried.
-        above: (seeds,) least value above ``most`` with which it does not; likewise.
-        measured: (2,) where the real robot's value is, with 95 %, by a fit; None without.
+        quantity: One of `QUANTITIES`.
+        unit: Unit; ``x`` for a factor.
+        nominal: Value of the unchanged robot.
+        least: Smallest tracked value found, shape (seeds,).
+        most: Largest tracked value found, shape (seeds,).
+        below: Largest untracked value found below ``least``, shape (seeds,); NaN if the lower bound
+            of the range is tracked or is the nominal value.
+        above: Smallest untracked value found above ``most``, shape (seeds,); NaN if the upper bound
+            of the range is tracked or is the nominal value.
+        measured: 95 % interval of the real robot's value, from a fit; None without a fit.
     """
 
     quantity: str
@@ -162,12 +175,12 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Where the runs of all seeds track."""
+        """Interval within which the runs of all seeds track."""
         return float(self.least.max()), float(self.most.min())
 
     @property
     def inside(self) -> bool | None:
-        """Whether all runs track wherever the real robot may be; None if it was not measured."""
+        """True if the measured interval is within the common one; None without a measurement."""
         if self.measured is None:
             return None
         low, high = self.common
@@ -176,19 +189,20 @@ class TrackedInterval(Result):
 
 @dataclass(frozen=True, eq=False)
 class TrackedIntervals(Result):
-    """How far a robot may change before a policy no longer tracks its command.
+    """Intervals of all varied quantities.
 
     Attributes:
-        name: The robot's name.
-        mass: kg.
-        policy: The name of the policy's file.
-        command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
-        asked: How many starts were asked for.
-        seeds: Those of them that track the unchanged robot; the others are left out.
-        intervals: One for each quantity, the others unchanged.
-        rollouts: How many runs were simulated.
-        seconds: Simulated in each.
-        remarks: Errors and assumptions of the robot's files that it rests on.
+        name: Name of the robot.
+        mass: Mass of the robot.
+        policy: File name of the policy.
+        command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
+            (rad/s), shape (3,).
+        asked: Number of requested seeds.
+        seeds: Seeds with which the unchanged robot tracks; the other seeds are not used.
+        intervals: One interval per quantity, with all other quantities unchanged.
+        rollouts: Number of simulated runs.
+        seconds: Duration of each run.
+        remarks: Errors and assumptions of the robot's files on which the result depends.
     """
 
     name: str
@@ -205,30 +219,34 @@ class TrackedIntervals(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it tracks the unchanged robot, and wherever a fit says that the real one is."""
+        """True if the unchanged robot tracks with all seeds within all measured intervals."""
         return len(self.seeds) == self.asked and all(
-            one.inside is not False for one in self.intervals
+            interval.inside is not False for interval in self.intervals
         )
 
 
 def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
-    """Returns a run of a robot of which one quantity has another value."""
+    """Return a run in which one quantity has the given value."""
     quantity, latency = QUANTITIES[name], stage.policy.contract.latency
-    if name in _PUSHES:
+    if name in _PUSH_DIRECTIONS:
         impulse = value * stage.robot.total_mass
-        push = (impulse * _PUSHES[name][0], impulse * _PUSHES[name][1])
+        push = (impulse * _PUSH_DIRECTIONS[name][0], impulse * _PUSH_DIRECTIONS[name][1])
         return Case(stage.model, command, latency, seed, push=push)
     if quantity.apply is None:
         return Case(stage.model, command, latency + value, seed)
     model = copy.copy(stage.model)
     quantity.apply(stage, model, value)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    lift = _lowest(stage, stage.model) - _lowest(stage, model) if name == "legs" else 0.0
+    lift = (
+        _lowest_foot_height(stage, stage.model) - _lowest_foot_height(stage, model)
+        if name == "legs"
+        else 0.0
+    )
     return Case(model, command, latency, seed, lift)
 
 
-def _lowest(stage: Stage, model: mujoco.MjModel) -> float:
-    """Returns the height of the lowest foot's geom in the default pose (m)."""
+def _lowest_foot_height(stage: Stage, model: mujoco.MjModel) -> float:
+    """Return the height of the lowest foot geom's centre in the default pose [m]."""
     data = mujoco.MjData(model)
     stage.robot.mj_convention.set_state(data, stage.default)
     mujoco.mj_kinematics(model, data)
@@ -247,27 +265,28 @@ def tracked_intervals(
     measured: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
 ) -> TrackedIntervals:
-    """Finds between which values of each quantity a policy still tracks its command.
+    """Find the interval of each quantity within which a policy tracks its command.
 
-    Each quantity is changed alone, both ways, and its range halved five times between what is
-    tracked and what is not; the same starts are used for all (paired seeds). What is tracked need
-    not be an interval: one end of perhaps several is found. The same for any number of workers.
+    Each quantity is changed alone, in both directions. The range between a tracked and an untracked
+    value is bisected `NUM_HALVINGS` times. All values use the same seeds. The set of tracked values
+    need not be an interval; one of its ends is found. The result does not depend on the number of
+    workers.
 
     Args:
-        robot: The robot.
-        policy: The policy.
-        command: Speed forward and to the left (m/s), and turning to the left (rad/s).
-        seeds: How many starts; the first is exactly the default pose.
-        quantities: Of ``QUANTITIES``.
-        seconds: Of each run, 3 to 600.
-        measured: {quantity: where the real robot's value is}; see ``read_measured_intervals``.
-        workers: Threads; by default one per core.
+        robot: Robot.
+        policy: Policy.
+        command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
+        seeds: Number of seeds; the first is the default pose at rest.
+        quantities: Names of `QUANTITIES`. ``strength`` is left out if no motor has a force limit.
+        seconds: Duration of each run [s], 3 to 600.
+        measured: {quantity: interval of the real robot}; see `read_measured_intervals`.
+        workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted = check_command(command)
+    checked_command = check_command(command)
     check_runs(seeds, seconds, WARM_UP_SECONDS)
     for name in quantities:
         if name not in QUANTITIES:
@@ -275,52 +294,61 @@ def tracked_intervals(
             raise ConfigurationError("vary", problem)
     stage, count = prepare_stage(robot, policy), 0
 
-    def track(asked: list[tuple[str, float, int]]) -> list[bool]:
+    def track(trials: list[tuple[str, float, int]]) -> list[bool]:
         nonlocal count
-        count += len(asked)
-        cases = [make_changed_case(stage, name, value, wanted, seed) for name, value, seed in asked]
+        count += len(trials)
+        cases = [
+            make_changed_case(stage, name, value, checked_command, seed)
+            for name, value, seed in trials
+        ]
         runs = simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers)
         return [evaluate_tracking(stage, run, WARM_UP_SECONDS).tracks for run in runs]
 
-    tried = [("delay", 0.0, seed) for seed in range(seeds)]
-    kept = tuple(seed for (_, _, seed), good in zip(tried, track(tried), strict=True) if good)
-    limited = bool(stage.model.actuator_forcelimited[_motors(stage)].any())
+    unchanged = [("delay", 0.0, seed) for seed in range(seeds)]
+    tracking_seeds = tuple(
+        seed for (_, _, seed), tracks in zip(unchanged, track(unchanged), strict=True) if tracks
+    )
+    limited = bool(stage.model.actuator_forcelimited[_find_motors(stage)].any())
     names = [name for name in quantities if name != "strength" or limited]
-    ends: dict[tuple[str, int, int], list[float]] = {}  # [tracked, not tracked]
+    brackets: dict[tuple[str, int, int], list[float]] = {}  # [tracked, not tracked]
     for name in names:
         quantity = QUANTITIES[name]
-        for side, end in enumerate(quantity.range):
-            for seed in kept:
-                missing = math.nan if end == quantity.nominal else end
-                ends[name, side, seed] = [quantity.nominal, missing]
-    going = [key for key, (_, end) in ends.items() if not math.isnan(end)]
-    for (name, side, seed), good in zip(
-        going, track([(key[0], ends[key][1], key[2]) for key in going]), strict=True
+        for side, bound in enumerate(quantity.range):
+            for seed in tracking_seeds:
+                untracked = math.nan if bound == quantity.nominal else bound
+                brackets[name, side, seed] = [quantity.nominal, untracked]
+    open_keys = [key for key, (_, bound) in brackets.items() if not math.isnan(bound)]
+    for (name, side, seed), tracks in zip(
+        open_keys, track([(key[0], brackets[key][1], key[2]) for key in open_keys]), strict=True
     ):
-        if good:
-            ends[name, side, seed] = [ends[name, side, seed][1], math.nan]
+        if tracks:
+            brackets[name, side, seed] = [brackets[name, side, seed][1], math.nan]
     for _ in range(NUM_HALVINGS):
-        going = [key for key, (_, end) in ends.items() if not math.isnan(end)]
-        middles = [QUANTITIES[key[0]].between(*ends[key]) for key in going]
-        asked = [(key[0], value, key[2]) for key, value in zip(going, middles, strict=True)]
-        for key, value, good in zip(going, middles, track(asked), strict=True):
-            ends[key][0 if good else 1] = value
-    found = []
+        open_keys = [key for key, (_, bound) in brackets.items() if not math.isnan(bound)]
+        middles = [QUANTITIES[key[0]].between(*brackets[key]) for key in open_keys]
+        trials = [(key[0], value, key[2]) for key, value in zip(open_keys, middles, strict=True)]
+        for key, value, tracks in zip(open_keys, middles, track(trials), strict=True):
+            brackets[key][0 if tracks else 1] = value
+    intervals = []
     for name in names:
-        least, most = (np.array([ends[name, side, seed] for seed in kept]) for side in (0, 1))
-        if kept:
+        least, most = (
+            np.array([brackets[name, side, seed] for seed in tracking_seeds]) for side in (0, 1)
+        )
+        if tracking_seeds:
             quantity = QUANTITIES[name]
             values = (least[:, 0], most[:, 0], least[:, 1], most[:, 1])
-            known = (measured or {}).get(name)
-            found.append(TrackedInterval(name, quantity.unit, quantity.nominal, *values, known))
+            measured_interval = (measured or {}).get(name)
+            intervals.append(
+                TrackedInterval(name, quantity.unit, quantity.nominal, *values, measured_interval)
+            )
     return TrackedIntervals(
         name=robot.name,
         mass=robot.total_mass,
         policy=policy.name,
-        command=wanted,
+        command=checked_command,
         asked=seeds,
-        seeds=kept,
-        intervals=tuple(found),
+        seeds=tracking_seeds,
+        intervals=tuple(intervals),
         rollouts=count,
         seconds=float(seconds),
         remarks=list_file_remarks(robot),
@@ -334,24 +362,26 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
     "kd": "kd",
     "delay": "delay",
 }
-"""{kind of a fit's parameters: the quantity}. A fit's friction is that of joints, not of ground."""
+"""Quantity of each kind of a fit's parameters. The friction of a fit is that of joints and
+therefore not used."""
 
 
 def read_measured_intervals(
     path: str | Path, robot: Robot, latency: float = 0.0
 ) -> dict[str, tuple[float, float]]:
-    """Returns where a real robot's quantities are with 95 %, as ``fit`` found.
+    """Return the 95 % intervals of a real robot's quantities from the result of ``fit``.
 
-    Mass and centre of mass are the base's; of several joints' gains the widest interval counts, as
-    a factor of what is stated; a delay is what there is more than the policy's latency.
+    Mass and centre of mass are those of the base. Gains are factors on the stated value; of several
+    joints the union of the intervals is returned. A delay is reduced by the latency of the policy.
 
     Args:
-        path: A fit's JSON: ``fit.json``, or that of ``--json``.
-        robot: The robot.
-        latency: Of the policy (s).
+        path: JSON of a fit: ``fit.json``, or the output of ``--json``.
+        robot: Robot.
+        latency: Latency of the policy [s].
 
     Raises:
-        ModelError: If it is no fit's, or has nothing of what can be varied.
+        ModelError: If the file is not the result of a fit, or contains no quantity that can be
+            varied.
     """
     try:
         data = orjson.loads(read_input(Path(path), MAX_TEXT_BYTES))
@@ -360,34 +390,34 @@ def read_measured_intervals(
     except orjson.JSONDecodeError as error:
         raise ModelError(path, diagnose("policy-not-json", problem=str(error))) from error
     bases = {robot.mj_base, robot.base}
-    found: dict[str, tuple[float, float]] = {}
-    for one in _estimates(data):
+    intervals: dict[str, tuple[float, float]] = {}
+    for estimate in _find_estimates(data):
         try:
-            kind, subject, component = one["kind"], one["subject"], one["component"]
-            stated, low, high = (float(one[name]) for name in ("stated", "low", "high"))
+            kind, subject, component = estimate["kind"], estimate["subject"], estimate["component"]
+            nominal, low, high = (float(estimate[name]) for name in ("stated", "low", "high"))
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(path, diagnose("no-fit")) from error
-        if kind not in QUANTITY_OF_FIT_KIND or not all(map(math.isfinite, (stated, low, high))):
+        if kind not in QUANTITY_OF_FIT_KIND or not all(map(math.isfinite, (nominal, low, high))):
             continue
         if kind in ("mass", "com") and (subject not in bases or component not in ("", "x")):
             continue
         if kind == "delay":
             low, high = max(low - latency, 0.0), max(high - latency, 0.0)
         elif kind == "com":
-            low, high = low - stated, high - stated
-        elif stated > 0:
-            low, high = low / stated, high / stated
+            low, high = low - nominal, high - nominal
+        elif nominal > 0:
+            low, high = low / nominal, high / nominal
         else:
             continue
-        before = found.get(QUANTITY_OF_FIT_KIND[kind], (low, high))
-        found[QUANTITY_OF_FIT_KIND[kind]] = (min(low, before[0]), max(high, before[1]))
-    if not found:
+        before = intervals.get(QUANTITY_OF_FIT_KIND[kind], (low, high))
+        intervals[QUANTITY_OF_FIT_KIND[kind]] = (min(low, before[0]), max(high, before[1]))
+    if not intervals:
         raise ModelError(path, diagnose("no-fit"))
-    return found
+    return intervals
 
 
-def _estimates(data: Any) -> list[Any]:
-    """Returns the rows of a fit's JSON, whichever of the two it is."""
+def _find_estimates(data: Any) -> list[Any]:
+    """Return the rows of a fit's JSON, in either of its two forms."""
     for key in ("estimates", "parameters"):
         rows = data.get(key) if isinstance(data, dict) else None
         if isinstance(rows, list):

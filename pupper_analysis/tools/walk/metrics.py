@@ -1,4 +1,4 @@
-"""What a study may measure of a policy: {name: the arguments of a metric of it}."""
+"""Metrics of a walking policy for `study`: {name: arguments of the metric}."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 
 
-def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
-    """Returns a metric of ``POLICY[@VX,VY,W]``, 0.5 m/s forward by default, and a hash of it."""
+def _bind_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
+    """Create a metric from ``POLICY[@VX,VY,W]``, and a hash of the policy files and the command.
+
+    Without a command, the robot walks forward at 0.5 m/s.
+    """
     from pupper_analysis.base.runs import register_input
     from pupper_analysis.tools.walk.gait import check_command, simulate_walk
     from pupper_analysis.tools.walk.policy import Policy
 
-    file, at, asked = text.partition("@")
+    file, separator, command_text = text.partition("@")
     try:
-        command = check_command([float(one) for one in asked.split(",")] if at else (0.5, 0.0, 0.0))
+        command = check_command(
+            [float(number) for number in command_text.split(",")] if separator else (0.5, 0.0, 0.0)
+        )
     except ValueError as error:
         raise ConfigurationError("measure", diagnose("no-numbers", count=3)) from error
     policy, digest = Policy.load(file), hashlib.sha256(repr(command.tolist()).encode())
@@ -35,18 +40,22 @@ def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[An
     return walked, digest.hexdigest()[:16]
 
 
-_SHARED = {"function": None, "simulates": True}  # made of the policy's file
+_COMMON_ARGUMENTS = {
+    "function": None,
+    "simulates": True,
+}  # the function is created from the policy file
 
 METRICS: dict[str, dict[str, Any]] = {
     "walk_margin": {
-        **_SHARED,
-        "of_file": partial(_of_policy, lambda gait: gait.margin if gait.tracks else 0.0),
+        **_COMMON_ARGUMENTS,
+        "of_file": partial(_bind_policy, lambda gait: gait.margin if gait.tracks else 0.0),
         "unit": "1",
         "fallen": 0.0,
     },
     "walk_torque": {
-        **_SHARED,
-        "of_file": partial(_of_policy, lambda gait: float(gait.torque_rms.max())),
+        **_COMMON_ARGUMENTS,
+        "of_file": partial(_bind_policy, lambda gait: float(gait.torque_rms.max())),
         "unit": "N m",
     },
 }
+"""Arguments of each metric; see `study`."""

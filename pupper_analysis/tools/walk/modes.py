@@ -1,6 +1,6 @@
-"""What a policy brings to other commands: ``push --policy`` and ``payload --policy``.
+"""Option ``--policy`` of the commands ``push`` and ``payload``.
 
-They are answered by `walk`'s own search, so that no two commands say different things.
+Both modes use the search of `walk`, so that all commands give the same result.
 """
 
 from __future__ import annotations
@@ -43,28 +43,29 @@ COMMAND_OPTION = click.option(
     help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
 )
 
-_QUESTIONS = {
+_QUANTITIES_OF_COMMAND = {
     "push": (("push-forward", "push-left"), "How hard it can be pushed while this policy walks it"),
     "payload": (("payload",), "What it carries while this policy walks it"),
 }
-"""{command: (quantities that are varied, what it answers)}."""
+"""Varied quantities of each command, and the help text of its option ``--policy``."""
 
 
 def load_walking_robot(
-    meant: str | VariantSpec | RobotFiles, style: str, *, everything: bool
+    source: str | VariantSpec | RobotFiles, style: str, *, everything: bool
 ) -> Robot:
-    """Loads a robot as its files have it, and prints what was added to them."""
-    robot = load_selected_robot(meant)
-    if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
+    """Load a robot as in its files, and print notes on additions."""
+    robot = load_selected_robot(source)
+    # In Markdown the notes are part of the page.
+    if isinstance(source, RobotFiles) and style == "text":
         print_notes(robot, everything=everything)
     return robot
 
 
-def _with_policy(name: str, command: Command) -> Command:
-    """Returns a command that has the mode as well."""
-    before = command.callback
-    assert before is not None
-    quantities, question = _QUESTIONS[name]
+def _add_policy_mode(name: str, command: Command) -> Command:
+    """Return a copy of a command with the option ``--policy``."""
+    callback = command.callback
+    assert callback is not None
+    quantities, question = _QUANTITIES_OF_COMMAND[name]
     options = (
         shared.file_option(
             "--policy",
@@ -77,25 +78,27 @@ def _with_policy(name: str, command: Command) -> Command:
         click.option("--seconds", type=float, help="With --policy: of a run (s). [default: 5]"),
     )
     added: Any = click.command(**{})(add_options(options)(lambda: None)).params
-    own = tuple(str(option.name) for option in added)
-    used = {"words", *(one.name for one in fields(RobotOptions)), *own}
-    used |= {"style", "everything", "json_path", "report_path", "force"}
+    option_names = tuple(str(option.name) for option in added)
+    allowed = {"words", *(field.name for field in fields(RobotOptions)), *option_names}
+    allowed |= {"style", "everything", "json_path", "report_path", "force"}
 
-    def chosen(**given: Any) -> None:
-        mine = {option: given.pop(option) for option in own}
-        if mine["policy"] is None:
-            refuse_alone(("--policy",), *own[1:])
-            before(**given)
+    def run(**values: Any) -> None:
+        policy_options = {option: values.pop(option) for option in option_names}
+        if policy_options["policy"] is None:
+            refuse_alone(("--policy",), *option_names[1:])
+            callback(**values)
             return
-        refuse_unused("--policy", {"--policy": used})
-        _vary(name, quantities, **mine, which=RobotOptions.taken_from(given), **given)
+        refuse_unused("--policy", {"--policy": allowed})
+        _run_policy_mode(
+            name, quantities, **policy_options, which=RobotOptions.taken_from(values), **values
+        )
 
     extended = copy.copy(command)
-    extended.params, extended.callback = [*command.params, *added], chosen
+    extended.params, extended.callback = [*command.params, *added], run
     return extended
 
 
-def _vary(
+def _run_policy_mode(
     name: str,
     quantities: tuple[str, ...],
     *,
@@ -112,33 +115,34 @@ def _vary(
     report_path: Path | None,
     **_: object,
 ) -> None:
-    """Answers the command, of one robot or, as the command itself, of several."""
+    """Find the tracked intervals of one robot, or of several for ``push``, and show the result."""
     from pupper_analysis.tools.walk.intervals import tracked_intervals
     from pupper_analysis.tools.walk.policy import Policy
 
-    wanted = shared.parse_point("command", asked, 3)
-    brain = Policy.load(policy, contract)
-    several = name == "push"
-    meant = (which.select_robots(words) if several else [which.select_robot(words) or "v3"]) or [
+    command = shared.parse_point("command", asked, 3)
+    loaded_policy = Policy.load(policy, contract)
+    is_push = name == "push"
+    sources = (which.select_robots(words) if is_push else [which.select_robot(words) or "v3"]) or [
         "v3"
     ]
-    robots = [load_walking_robot(one, style, everything=everything) for one in meant]
-    robots = name_uniquely(meant, robots) if several else robots
-    given: dict[str, Any] = {"seeds": seeds, "seconds": seconds}
-    given = {key: value for key, value in given.items() if value is not None}
-    found = {}
+    robots = [load_walking_robot(item, style, everything=everything) for item in sources]
+    robots = name_uniquely(sources, robots) if is_push else robots
+    arguments: dict[str, Any] = {"seeds": seeds, "seconds": seconds}
+    arguments = {key: value for key, value in arguments.items() if value is not None}
+    results = {}
     for robot in robots:
-        with shared.show_progress(f"{robot.name} walks by {brain.name}"):
-            one = tracked_intervals(robot, brain, wanted, quantities=quantities, **given)
-        found[robot.name] = one
-    shared.show_results(found.items(), style, robots=robots, everything=everything)
-    result: Any = found if several else found[robots[0].name]
+        with shared.show_progress(f"{robot.name} walks by {loaded_policy.name}"):
+            results[robot.name] = tracked_intervals(
+                robot, loaded_policy, command, quantities=quantities, **arguments
+            )
+    shared.show_results(results.items(), style, robots=robots, everything=everything)
+    result: Any = results if is_push else results[robots[0].name]
     shared.write_page(report_path, result, robots)
-    passed = all(one.passed for one in found.values())
+    passed = all(item.passed for item in results.values())
     shared.finish_command(json_path, result, passed=passed)
 
 
 MODES: Mapping[str, Callable[[Command], Command]] = {
-    name: partial(_with_policy, name) for name in _QUESTIONS
+    name: partial(_add_policy_mode, name) for name in _QUANTITIES_OF_COMMAND
 }
-"""{command of another tool: what gives it a mode}."""
+"""Function that adds a mode to a command of another tool: {command: function}."""

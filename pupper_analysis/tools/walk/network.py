@@ -1,7 +1,7 @@
-"""The network of a policy: a list of operations on arrays, evaluated by NumPy in double precision.
+"""Network of a policy: a list of array operations, evaluated by NumPy in double precision.
 
-Every value is (runs, 1, n): each run's row is multiplied by itself, so what a run gives does not
-depend, exactly, on how many others are evaluated with it.
+All values have the shape (runs, 1, n). The row of each run is multiplied separately, so that the
+result of a run is bitwise independent of the number of other runs.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from pupper_analysis.base.errors import ModelError
 
 Array = NDArray[np.float64]
 Operation = Callable[..., Any]
+"""Function of arrays that returns an array, or a tuple of arrays."""
 
 MAX_WEIGHTS = 50_000_000
-"""What a network may have: the largest that walks on a robot's computer has some 1e6."""
+"""Maximum number of weights of a network. Chosen: networks that walk on the computer of a robot
+have about 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
 """Most elements of an operation's result, unless an input has as many (chosen, not tuned): refuses
@@ -29,13 +31,13 @@ graphs whose values double from layer to layer. The widest layers of walking pol
 
 
 def sigmoid(value: Array) -> Array:
-    """Returns 1 / (1 + exp(-x)), which overflows nowhere."""
+    """Return 1 / (1 + exp(-x)) without overflow."""
     halved: Array = 0.5 * (1.0 + np.tanh(0.5 * value))
     return halved
 
 
 def elu(value: Array, alpha: float = 1.0) -> Array:
-    """Returns x, or alpha (exp(x) - 1) where x is negative."""
+    """Return x for positive x, else alpha (exp(x) - 1)."""
     return np.where(value > 0, value, alpha * np.expm1(np.minimum(value, 0.0)))
 
 
@@ -47,71 +49,93 @@ ACTIVATIONS: Mapping[str, Operation] = {
     "sigmoid": sigmoid,
     "swish": lambda value: value * sigmoid(value),
 }
-"""By the names of Keras."""
+"""Activation functions by their names in Keras."""
 
 
 def dense(value: Array, weights: Array, bias: Array) -> Array:
-    """Returns x W + b."""
+    """Return x W + b."""
     product: Array = np.matmul(value, weights) + bias
     return product
 
 
 def gru(
-    value: Array, hidden: Array, given: Array, own: Array, biases: Array, *, after: bool = True
+    value: Array,
+    hidden: Array,
+    input_weights: Array,
+    state_weights: Array,
+    biases: Array,
+    *,
+    reset_after: bool = True,
 ) -> Array:
-    """Returns the next hidden state of a gated recurrent unit (Cho et al., 2014).
+    """Return the next hidden state of a gated recurrent unit (Cho et al., 2014).
 
     Args:
-        value: (runs, 1, n) its input.
-        hidden: (runs, 1, u) its state.
-        given: (n, 3 u) weights of the input, of the gates z (update), r (reset) and the candidate.
-        own: (u, 3 u) those of the state.
-        biases: (2, 3 u) beside the input's and the state's products.
-        after: Whether the reset acts on the state's product (Keras, cuDNN), or on the state itself.
+        value: Input, shape (runs, 1, n).
+        hidden: Hidden state, shape (runs, 1, u).
+        input_weights: Weights of the input, shape (n, 3 u), in the order update, reset, candidate.
+        state_weights: Weights of the state, shape (u, 3 u), in the same order.
+        biases: Biases of the products with input and state, shape (2, 3 u).
+        reset_after: True if the reset gate multiplies the product with the state (Keras, cuDNN),
+            False if it multiplies the state.
     """
     size = hidden.shape[-1]
-    one, two = np.matmul(value, given) + biases[0], np.matmul(hidden, own) + biases[1]
-    gates = sigmoid(one[..., : 2 * size] + two[..., : 2 * size])
+    input_part, state_part = (
+        np.matmul(value, input_weights) + biases[0],
+        np.matmul(hidden, state_weights) + biases[1],
+    )
+    gates = sigmoid(input_part[..., : 2 * size] + state_part[..., : 2 * size])
     update, reset = gates[..., :size], gates[..., size:]
-    last = two[..., 2 * size :]
-    if after:
-        last = reset * last
+    candidate_part = state_part[..., 2 * size :]
+    if reset_after:
+        candidate_part = reset * candidate_part
     else:
-        last = np.matmul(reset * hidden, own[:, 2 * size :]) + biases[1, 2 * size :]
-    fresh = np.tanh(one[..., 2 * size :] + last)
-    following: Array = (1.0 - update) * fresh + update * hidden
-    return following
+        candidate_part = (
+            np.matmul(reset * hidden, state_weights[:, 2 * size :]) + biases[1, 2 * size :]
+        )
+    candidate = np.tanh(input_part[..., 2 * size :] + candidate_part)
+    next_hidden: Array = (1.0 - update) * candidate + update * hidden
+    return next_hidden
 
 
 def lstm(
-    value: Array, hidden: Array, cell: Array, given: Array, own: Array, bias: Array
+    value: Array,
+    hidden: Array,
+    cell: Array,
+    input_weights: Array,
+    state_weights: Array,
+    bias: Array,
 ) -> tuple[Array, Array]:
-    """Returns the next hidden state and cell of a long short-term memory.
+    """Return the next hidden state and cell of a long short-term memory.
 
     Args:
-        value: (runs, 1, n) its input.
-        hidden: (runs, 1, u) its state.
-        cell: (runs, 1, u) its cell.
-        given: (n, 4 u) weights of the input, of the gates i, f, the candidate, and o.
-        own: (u, 4 u) those of the state.
-        bias: (4 u,).
+        value: Input, shape (runs, 1, n).
+        hidden: Hidden state, shape (runs, 1, u).
+        cell: Cell state, shape (runs, 1, u).
+        input_weights: Weights of the input, shape (n, 4 u), in the order input gate, forget gate,
+            candidate, output gate.
+        state_weights: Weights of the state, shape (u, 4 u), in the same order.
+        bias: Biases, shape (4 u,).
+
+    Source: Hochreiter and Schmidhuber, 1997, with the forget gate of Gers et al., 2000.
     """
     size = hidden.shape[-1]
-    total = np.matmul(value, given) + np.matmul(hidden, own) + bias
-    enters, stays, fresh, leaves = (total[..., size * k : size * (k + 1)] for k in range(4))
-    following = sigmoid(stays) * cell + sigmoid(enters) * np.tanh(fresh)
-    return sigmoid(leaves) * np.tanh(following), following
+    total = np.matmul(value, input_weights) + np.matmul(hidden, state_weights) + bias
+    input_gate, forget_gate, candidate, output_gate = (
+        total[..., size * k : size * (k + 1)] for k in range(4)
+    )
+    next_cell = sigmoid(forget_gate) * cell + sigmoid(input_gate) * np.tanh(candidate)
+    return sigmoid(output_gate) * np.tanh(next_cell), next_cell
 
 
 @dataclass(frozen=True)
 class Node:
-    """One operation.
+    """One operation of a network.
 
     Attributes:
-        name: Of its layer, for messages.
-        apply: Called with its inputs; returns its output, or a tuple of them.
-        inputs: Names of values.
-        outputs: Names of values.
+        name: Name of the layer, for messages.
+        apply: Function of the inputs; returns the output, or a tuple of outputs.
+        inputs: Names of the input values.
+        outputs: Names of the output values.
     """
 
     name: str
@@ -122,16 +146,16 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """What maps observations to actions.
+    """Network that maps observations to actions.
 
     Attributes:
-        nodes: In the order in which they are evaluated.
-        constants: {name: its weights}.
-        observation: The name of its input.
-        action: The name of its output.
-        memory: (name of a state, the value that it is next, its size) of each recurrent layer.
-        inputs: The size of an observation.
-        outputs: The size of an action.
+        nodes: Operations in the order of evaluation.
+        constants: {name: weights}.
+        observation: Name of the observation.
+        action: Name of the action.
+        memory: Name of each recurrent state, name of its next value, and its size.
+        inputs: Number of elements of an observation.
+        outputs: Number of elements of an action.
     """
 
     nodes: tuple[Node, ...]
@@ -144,29 +168,29 @@ class Network:
 
     @property
     def num_parameters(self) -> int:
-        """How many numbers it has."""
+        """Number of weights."""
         return sum(constant.size for constant in self.constants.values())
 
     def initial_memory(self, runs: int) -> tuple[Array, ...]:
-        """Returns the state of its recurrent layers at the beginning of some runs."""
+        """Return the recurrent states at the start of runs: zeros."""
         return tuple(np.zeros((runs, 1, size)) for _, _, size in self.memory)
 
     def forward(
         self, observations: Array, memory: Sequence[Array] = ()
     ) -> tuple[Array, tuple[Array, ...]]:
-        """Returns the actions (runs, outputs) of observations (runs, inputs), and the next state.
+        """Return the actions (runs, outputs) and the next recurrent states.
 
         Args:
-            observations: One row for each run.
-            memory: Of its recurrent layers, by ``initial_memory`` or from the step before.
+            observations: Observations, shape (runs, inputs).
+            memory: Recurrent states, from `initial_memory` or from the previous call.
         """
         values: dict[str, Any] = dict(self.constants)
         values[self.observation] = np.ascontiguousarray(observations)[:, None, :]
         values |= {name: state for (name, _, _), state in zip(self.memory, memory, strict=True)}
         for node in self.nodes:
-            made = node.apply(*(values[name] for name in node.inputs))
-            made = made if isinstance(made, tuple) else (made,)
-            values |= dict(zip(node.outputs, made, strict=False))
+            results = node.apply(*(values[name] for name in node.inputs))
+            results = results if isinstance(results, tuple) else (results,)
+            values |= dict(zip(node.outputs, results, strict=False))
         actions = values[self.action][:, 0, :]
         return actions, tuple(values[name] for _, name, _ in self.memory)
 
@@ -216,23 +240,23 @@ def assemble_network(
                 path, diagnose("layer-input-missing", layer=node.name, name=missing[0])
             )
         try:
-            made = node.apply(*(values[name] for name in node.inputs))
+            results = node.apply(*(values[name] for name in node.inputs))
         except (ValueError, IndexError, TypeError) as error:
             sizes = [tuple(np.shape(values[name])) for name in node.inputs]
             problem = diagnose("layer-sizes", layer=node.name, sizes=str(sizes))
             raise ModelError(path, problem) from error
-        made = made if isinstance(made, tuple) else (made,)
-        sizes = [tuple(np.shape(value)) for value in made]
+        results = results if isinstance(results, tuple) else (results,)
+        sizes = [tuple(np.shape(value)) for value in results]
         largest = max((np.size(values[name]) for name in node.inputs), default=0)
-        if max(map(np.size, made)) > max(MAX_VALUE_SIZE, largest):
+        if max(map(np.size, results)) > max(MAX_VALUE_SIZE, largest):
             raise ModelError(path, diagnose("layer-sizes", layer=node.name, sizes=str(sizes)))
-        values |= dict(zip(node.outputs, made, strict=False))
+        values |= dict(zip(node.outputs, results, strict=False))
     if ends[1] not in values:
         raise ModelError(path, diagnose("layer-input-missing", layer="output", name=ends[1]))
-    end = np.shape(values[ends[1]])
-    if len(end) != 3 or end[:2] != (1, 1) or not end[2]:
-        raise ModelError(path, diagnose("layer-sizes", layer=ends[1], sizes=str(end)))
+    action_shape = np.shape(values[ends[1]])
+    if len(action_shape) != 3 or action_shape[:2] != (1, 1) or not action_shape[2]:
+        raise ModelError(path, diagnose("layer-sizes", layer=ends[1], sizes=str(action_shape)))
     for name, following, size in memory:
         if following not in values or np.shape(values[following]) != (1, 1, size):
             raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(size)))
-    return Network(tuple(nodes), dict(constants), *ends, tuple(memory), inputs, end[2])
+    return Network(tuple(nodes), dict(constants), *ends, tuple(memory), inputs, action_shape[2])

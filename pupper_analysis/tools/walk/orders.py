@@ -1,4 +1,4 @@
-"""Is a policy this robot's: orders, signs, scales, histories, ranked by how it walks with each."""
+"""Ranking of readings of a policy: joint orders, signs, scales and histories."""
 
 from __future__ import annotations
 
@@ -29,35 +29,39 @@ from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, s
 Array = NDArray[np.float64]
 
 DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
-"""Forward, to the left, and turning: one alone is walked with wrong orders, too."""
+"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With one command alone, wrong
+orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""The best is distinguished from the next where that costs so many times as much: a choice. On v3
-the next to Pupper's own costs 1.2 times as much."""
+"""Smallest ratio between the costs of the second and the first candidate at which the first is
+unique. Chosen: on v3 the ratio is 1.2 for Pupper's own policy."""
 
 SCALE_FACTORS = (0.5, 2.0)
-"""Times the stated scale of actions: what is off by less walks as well."""
+"""Factors on the stated action scale that are tried. With smaller deviations a policy still
+walks."""
 
-_MOST_LIMBS = 4
-"""Limbs of which all orders are tried; of more, only exchanged pairs."""
+_MAX_PERMUTED_LIMBS = 4
+"""Maximum number of limbs of which all orders are tried; of more limbs, only pairs are exchanged.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Result):
-    """A reading of a policy, and how it walks so.
+    """One reading of a policy, with the result of simulated walking.
 
     Attributes:
-        change: What is other than the policy states: ``stated``, ``limbs``, ``by-kind``, ``sign``,
-            ``scale``, ``history``.
-        detail: To what a scale or a history is changed; of limbs whose first joints are taken for
-            which; else empty.
-        joints: The robot's joints in the policy's order.
-        flipped: Those that turn the other way than stated.
-        tracked: How many of the commands are tracked.
-        fallen: In how many it falls.
-        torque: Root of the mean square of all motors' torques, in all runs (N m).
-        error: How far speed and turning are off, as a share of the command; mean of all.
-        cost: torque (1 + error): what ranks those that track as many.
+        change: Difference from the stated contract: ``stated``, ``limbs``, ``by-kind``, ``sign``,
+            ``scale`` or ``history``.
+        detail: Changed scale or history; exchanged limbs, named by their first joints; empty
+            otherwise.
+        joints: Joints of the robot in the order of the policy.
+        flipped: Joints with the opposite of the stated sign.
+        tracked: Number of tracked commands.
+        fallen: Number of commands with a fall.
+        torque: Root mean square of all motor torques in all runs.
+        error: Mean deviation of speed and turning rate, relative to the command; 1 for a fall.
+        cost: torque (1 + error), by which candidates with as many tracked commands are ranked (N
+            m).
     """
 
     change: str
@@ -73,18 +77,19 @@ class Candidate(Result):
 
 @dataclass(frozen=True, eq=False)
 class Orders(Result):
-    """Readings of a policy (orders and signs of joints, scales, histories), the best first.
+    """Ranked readings of a policy: orders and signs of joints, scales, histories.
 
-    Not tried is an offset of a zero: a policy walks with 0.3 rad of it.
+    Offsets of joint zeros are not tried: a policy also walks with offsets of 0.3 rad.
 
     Attributes:
-        name: The robot's name.
-        policy: The name of the policy's file.
-        commands: (n, 3) those that were tried (m/s, m/s, rad/s).
-        candidates: The best first: most commands tracked, then the least cost.
-        stated: The place of what the policy states among them, from 0.
-        lead: The cost of the next that tracks as many over that of the first; None where none does.
-        seconds: Simulated in each run.
+        name: Name of the robot.
+        policy: File name of the policy.
+        commands: Tried commands, shape (n, 3) (m/s, m/s, rad/s).
+        candidates: Readings, the best first: most tracked commands, then the smallest cost.
+        stated: Index of the stated reading in `candidates`.
+        lead: Cost of the second candidate / cost of the first, if both track as many commands; else
+            None.
+        seconds: Duration of each run.
     """
 
     name: str
@@ -98,26 +103,26 @@ class Orders(Result):
 
     @property
     def determined(self) -> bool:
-        """Whether the first is clearly the best."""
+        """True if the first candidate tracks a command and is unique; see `MIN_COST_RATIO`."""
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO
         )
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Places of those that walk as well as the first, itself among them."""
+        """Indices of all candidates that are as good as the first; empty if none tracks."""
         best = self.candidates[0]
         return tuple(
             place
-            for place, one in enumerate(self.candidates)
+            for place, candidate in enumerate(self.candidates)
             if best.tracked
-            and one.tracked == best.tracked
-            and one.cost <= MIN_COST_RATIO * best.cost
+            and candidate.tracked == best.tracked
+            and candidate.cost <= MIN_COST_RATIO * best.cost
         )
 
     @property
     def passed(self) -> bool:
-        """Whether what the policy states is the best, or as good as that."""
+        """True if the stated reading is among the best."""
         return self.stated in self.alike
 
 
@@ -130,51 +135,57 @@ def rank_orders(
     seconds: float = DEFAULT_SECONDS,
     workers: int | None = None,
 ) -> Orders:
-    """Ranks readings of a policy by how it walks a robot with each.
+    """Rank readings of a policy by simulated walking.
 
-    Tried are all orders of limbs that have as many joints, each also with the joints by kind (all
-    first ones, then all second ones) instead of by limb; the other sign of each joint, and of
-    all joints of a kind; half and twice the scale of actions; the history the other way round, and
-    laid out the other way. Each walks forward, to the left, and turns.
+    Tried are: all orders of limbs with equally many joints, each also with the joints grouped by
+    kind instead of by limb; the opposite sign of each joint, and of all joints of one kind; half
+    and twice the action scale; the reversed history, and the other layout of the history.
 
     Args:
-        robot: The robot.
-        policy: The policy.
-        commands: (n, 3) what it is commanded (m/s, m/s, rad/s).
-        seconds: Of each run, 3 to 600.
-        workers: Threads; by default one per core.
+        robot: Robot.
+        policy: Policy.
+        commands: Commands, shape (n, 3) [m/s, m/s, rad/s].
+        seconds: Duration of each run [s], 3 to 600.
+        workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted = np.array([check_command(command) for command in np.atleast_2d(commands)])
+    checked_commands = np.array([check_command(command) for command in np.atleast_2d(commands)])
     check_runs(1, seconds, WARM_UP_SECONDS)
     contract = policy.contract
-    stated = tuple(robot.joint_names[index] for index in find_joint_indices(robot, policy))
-    contract = replace(contract, joints=stated)
-    found = [
-        _walked(robot, replace(policy, contract=read), wanted, seconds, change, workers)
-        for change, read in _readings(robot, contract)
+    joints = tuple(robot.joint_names[index] for index in find_joint_indices(robot, policy))
+    contract = replace(contract, joints=joints)
+    candidates = [
+        _evaluate_reading(
+            robot,
+            replace(policy, contract=changed_contract),
+            checked_commands,
+            seconds,
+            change,
+            workers,
+        )
+        for change, changed_contract in _list_readings(robot, contract)
     ]
-    own = found[0]
-    ranked = sorted(found, key=lambda one: (-one.tracked, one.cost))
+    stated_candidate = candidates[0]
+    ranked = sorted(candidates, key=lambda reading: (-reading.tracked, reading.cost))
     lead = None
     if len(ranked) > 1 and ranked[1].tracked == ranked[0].tracked:
         lead = ranked[1].cost / ranked[0].cost
     return Orders(
         name=robot.name,
         policy=policy.name,
-        commands=wanted,
+        commands=checked_commands,
         candidates=tuple(ranked),
-        stated=ranked.index(own),
+        stated=ranked.index(stated_candidate),
         lead=lead,
         seconds=float(seconds),
     )
 
 
 def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
-    """Returns the limbs, each as the places of its joints: those below one child of the base."""
+    """Return the indices of the joints of each limb: joints below the same child of the base."""
     model = robot.mj_model
     base = model.body(robot.mj_base).id
     limbs: dict[int, list[int]] = {}
@@ -187,68 +198,72 @@ def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
 
 
 Change = tuple[str, str, tuple[str, ...]]
+"""Kind of a change, its detail, and the flipped joints."""
 
 
-def _readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
-    """Yields what is changed (what, to what, which joints are flipped), and the contract then."""
-    stated = contract.joints
-    limbs = group_limbs(robot, stated)
+def _list_readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
+    """Yield each change with the changed contract."""
+    stated_joints = contract.joints
+    limbs = group_limbs(robot, stated_joints)
     yield ("stated", "", ()), contract
-    for change, detail, joints in _permuted(stated, limbs):
+    for change, detail, joints in _permute_joints(stated_joints, limbs):
         yield (change, detail, ()), replace(contract, joints=joints)
     kinds = max(len(limb) for limb in limbs)
-    flips = [(place,) for place in range(len(stated))]
-    of_kind = [tuple(limb[kind] for limb in limbs if len(limb) > kind) for kind in range(kinds)]
-    for places in (*flips, *(places for places in of_kind if len(places) > 1)):
+    flips = [(place,) for place in range(len(stated_joints))]
+    places_by_kind = [
+        tuple(limb[kind] for limb in limbs if len(limb) > kind) for kind in range(kinds)
+    ]
+    for places in (*flips, *(places for places in places_by_kind if len(places) > 1)):
         signs = contract.signs.copy()
         signs[list(places)] *= -1.0
-        names = tuple(stated[place] for place in places)
+        names = tuple(stated_joints[place] for place in places)
         yield ("sign", "", names), replace(contract, signs=signs)
     for scale in SCALE_FACTORS:
         changed = replace(contract, action_scale=scale * contract.action_scale)
         yield ("scale", f"x {scale:g}", ()), changed
     if contract.history > 1:
-        turned = not contract.newest_first
-        other = BY_TERM if contract.layout == BY_FRAME else BY_FRAME
-        first = "newest first" if turned else "oldest first"
-        yield ("history", first, ()), replace(contract, newest_first=turned)
-        yield ("history", other, ()), replace(contract, layout=other)
+        newest_first = not contract.newest_first
+        other_layout = BY_TERM if contract.layout == BY_FRAME else BY_FRAME
+        description = "newest first" if newest_first else "oldest first"
+        yield ("history", description, ()), replace(contract, newest_first=newest_first)
+        yield ("history", other_layout, ()), replace(contract, layout=other_layout)
 
 
-def _permuted(
-    stated: tuple[str, ...], limbs: Sequence[Sequence[int]]
+def _permute_joints(
+    stated_joints: tuple[str, ...], limbs: Sequence[Sequence[int]]
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yields other orders of joints, what was exchanged, and which limbs by their first joints."""
-    seen = {stated}
+    """Yield permuted orders: kind of change, exchanged limbs by their first joints, joints."""
+    yielded = {stated_joints}
     for size, count in Counter(len(limb) for limb in limbs).items():
-        alike = [limb for limb in limbs if len(limb) == size]
-        for order in _orders(count):
-            joints = list(stated)
-            for limb, other in zip(alike, order, strict=True):
-                for place, from_place in zip(limb, alike[other], strict=True):
-                    joints[place] = stated[from_place]
-            pairs = [(stated[limb[0]], joints[limb[0]]) for limb in alike]
-            detail = ", ".join(f"{one} > {other}" for one, other in pairs if one != other)
-            by_kind = _by_kind(joints, alike)
-            for change, one in (("limbs", tuple(joints)), ("by-kind", by_kind)):
-                if one not in seen:
-                    seen.add(one)
-                    yield change, detail, one
+        equal_limbs = [limb for limb in limbs if len(limb) == size]
+        for order in _list_limb_orders(count):
+            joints = list(stated_joints)
+            for limb, source_limb in zip(equal_limbs, order, strict=True):
+                for place, from_place in zip(limb, equal_limbs[source_limb], strict=True):
+                    joints[place] = stated_joints[from_place]
+            pairs = [(stated_joints[limb[0]], joints[limb[0]]) for limb in equal_limbs]
+            detail = ", ".join(f"{old} > {new}" for old, new in pairs if old != new)
+            by_kind = _group_by_kind(joints, equal_limbs)
+            for change, permuted in (("limbs", tuple(joints)), ("by-kind", by_kind)):
+                if permuted not in yielded:
+                    yielded.add(permuted)
+                    yield change, detail, permuted
 
 
-def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    if count <= _MOST_LIMBS:
+def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Yield permutations of limbs; see `_MAX_PERMUTED_LIMBS`."""
+    if count <= _MAX_PERMUTED_LIMBS:
         yield from permutations(range(count))
         return
-    for one in range(count):
-        for other in range(one):
+    for first in range(count):
+        for second in range(first):
             order = list(range(count))
-            order[one], order[other] = other, one
+            order[first], order[second] = second, first
             yield tuple(order)
 
 
-def _by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
-    """Returns joints of limbs that are alike, all first ones first; back if they are so."""
+def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
+    """Return the joints grouped by kind (all first joints first), or by limb if grouped already."""
     places = sorted(place for limb in limbs for place in limb)
     grouped = [place for limb in limbs for place in limb]
     if grouped == places:  # by limb
@@ -259,7 +274,7 @@ def _by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str
     return tuple(ordered)
 
 
-def _walked(
+def _evaluate_reading(
     robot: Robot,
     policy: Policy,
     commands: Array,
@@ -267,23 +282,24 @@ def _walked(
     change: Change,
     workers: int | None,
 ) -> Candidate:
+    """Simulate one reading with all commands."""
     stage = prepare_stage(robot, policy)
     cases = [stage.case(command) for command in commands]
     tracked = fallen = 0
     squares, errors = [], []
     for run in simulate_cases(stage, cases, seconds, WARM_UP_SECONDS, workers):
-        followed, command = evaluate_tracking(stage, run, WARM_UP_SECONDS), run.case.command
-        tracked += followed.tracks
+        tracking, command = evaluate_tracking(stage, run, WARM_UP_SECONDS), run.case.command
+        tracked += tracking.tracks
         fallen += run.fallen
         squares.append(np.nan_to_num(joint_torques(stage, run)) ** 2)
-        off = np.array([*(followed.velocity - command[:2]), followed.turning - command[2]])
-        asked = max(float(np.linalg.norm(command)), SPEED_ATOL)  # a stand is commanded 0
-        errors.append(1.0 if run.fallen else float(np.linalg.norm(off)) / asked)
+        difference = np.array([*(tracking.velocity - command[:2]), tracking.turning - command[2]])
+        magnitude = max(float(np.linalg.norm(command)), SPEED_ATOL)  # a stand is commanded 0
+        errors.append(1.0 if run.fallen else float(np.linalg.norm(difference)) / magnitude)
     torque = float(np.sqrt(np.mean([square.mean() for square in squares])))
     error = float(np.mean(errors))
-    what, detail, flipped = change
+    kind, detail, flipped = change
     return Candidate(
-        change=what,
+        change=kind,
         detail=detail,
         joints=policy.contract.joints,
         flipped=flipped,

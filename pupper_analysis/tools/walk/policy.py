@@ -1,4 +1,4 @@
-"""A policy: a network, and the contract by which it is run."""
+"""Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with their contracts."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ from pupper_analysis.tools.walk.network import (
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A policy that was read.
+    """Policy: network and contract.
 
     Attributes:
-        name: The name of its file.
-        network: What maps observations to actions.
-        contract: What it observes, and what its actions mean.
+        name: File name.
+        network: Network that maps observations to actions.
+        contract: Observation of the policy, and meaning of its actions.
     """
 
     name: str
@@ -68,32 +68,35 @@ class Policy:
 
     @classmethod
     def load(cls, path: str | Path, contract: str | Path | None = None) -> Policy:
-        """Reads a policy; nothing in it is executed, but for TorchScript by torch's interpreter.
+        """Read a policy.
+
+        No code of the file is executed, except TorchScript, by torch's
+        interpreter.
 
         Args:
-            path: An ONNX file, RTNeural's JSON, or (with torch installed) TorchScript, as .pt.
-            contract: A TOML that states what the file does not, and counts where both do; by
-                default the one beside it, of its name with ``.toml``, if there is one.
+            path: ONNX file, RTNeural's JSON, or TorchScript (requires torch).
+            contract: TOML file with contract keys, which has precedence over the policy file; by
+                default the file of the same name with the suffix ``.toml``, if it exists.
 
         Raises:
-            MissingPackageError: If it is TorchScript, and torch is not installed.
-            ModelError: If it cannot be used; the message names the layer, or the key.
+            MissingPackageError: If the policy is TorchScript and torch is not installed.
+            ModelError: If a file cannot be used; the message names the layer or the key.
         """
         path = Path(path)
         try:
-            # Not with_suffix: "." has no name to give another suffix to.
-            beside = Path(contract or path.parent / f"{path.stem}.toml")
-            there = contract is not None or is_input(beside)
-            toml: dict[str, Any] = read_toml(beside)[1] if there else {}
+            # Not with_suffix, which fails for the path ".".
+            toml_path = Path(contract or path.parent / f"{path.stem}.toml")
+            has_toml = contract is not None or is_input(toml_path)
+            toml: dict[str, Any] = read_toml(toml_path)[1] if has_toml else {}
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
-        network, own = _read_policy(path)
-        stated = [(str(path), own), *([(str(beside), toml)] if there else [])]
-        agreed = make_contract(path, stated, network.inputs, network.outputs)
-        return cls(path.name, network, agreed)
+        network, values = _read_policy(path)
+        statements = [(str(path), values), *([(str(toml_path), toml)] if has_toml else [])]
+        merged = make_contract(path, statements, network.inputs, network.outputs)
+        return cls(path.name, network, merged)
 
     def with_contract(self, **changed: Any) -> Policy:
-        """Returns the policy with other fields of its contract."""
+        """Return the policy with changed contract fields."""
         return replace(self, contract=replace(self.contract, **changed))
 
 
@@ -131,33 +134,34 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
         if path.suffix == ".json":
             values = read_rtneural(path)
             network, sources = build_rtneural_network(path, values), [*tables.read(Request(path))]
-            own = make_rtneural_values(values, network.inputs, network.outputs)
-        elif path.suffix in TORCHSCRIPT_SUFFIXES:  # states its weights only
-            network, sources, own = build_torchscript_network(path), [], {}
+            contract_values = make_rtneural_values(values, network.inputs, network.outputs)
+        elif path.suffix in TORCHSCRIPT_SUFFIXES:  # contains weights only
+            network, sources, contract_values = build_torchscript_network(path), [], {}
         else:
-            network, sources, own = (
+            network, sources, contract_values = (
                 build_onnx_network(path, read_onnx(path)),
                 [*onnx.read(Request(path))],
                 {},
             )
         for source in sources:
-            own = convert_source_statements(source) | own
-    return network, own
+            contract_values = convert_source_statements(source) | contract_values
+    return network, contract_values
 
 
-_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
-"""NumPy's types of TensorProto's."""
+_NUMPY_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
+"""NumPy type of each TensorProto data type."""
 
-_LISTS = {1: 4, 6: 5, 7: 7, 11: 10}
-"""The field that holds numbers of a type, where they are not raw."""
-
-
-def _floats(values: Sequence[Any]) -> list[float]:
-    return [one for value in values for (one,) in struct.iter_unpack("<f", bytes(value))]
+_FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
+"""TensorProto field that contains numbers of each data type, if the numbers are not raw bytes."""
 
 
-def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
-    """Returns a tensor's name and its numbers."""
+def _unpack_floats(values: Sequence[Any]) -> list[float]:
+    """Unpack single-precision numbers."""
+    return [number for value in values for (number,) in struct.iter_unpack("<f", bytes(value))]
+
+
+def _read_tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
+    """Return name and numbers of a tensor."""
     tensor = gather_fields(data)
     name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
     kind = tensor.get(2, [0])[0]
@@ -167,212 +171,239 @@ def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     if count > MAX_WEIGHTS or any(dim < 0 for dim in dims):
         problem = diagnose("too-many-weights", layer=name, count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
-    if kind not in _TYPES or tensor.get(14, [0])[0]:
+    if kind not in _NUMPY_TYPES or tensor.get(14, [0])[0]:
         raise ModelError(path, diagnose("weights-elsewhere", layer=name))
     if 9 in tensor:
         raw = bytes(tensor[9][0])
-        size = np.dtype(_TYPES[kind]).itemsize
-        found = np.frombuffer(raw[: len(raw) // size * size], dtype=_TYPES[kind])
+        size = np.dtype(_NUMPY_TYPES[kind]).itemsize
+        numbers = np.frombuffer(raw[: len(raw) // size * size], dtype=_NUMPY_TYPES[kind])
     elif kind in (1, 11):
         form = "<f4" if kind == 1 else "<f8"
-        found = np.frombuffer(b"".join(map(bytes, tensor.get(_LISTS[kind], ()))), dtype=form)
+        numbers = np.frombuffer(
+            b"".join(map(bytes, tensor.get(_FIELD_OF_TYPE[kind], ()))), dtype=form
+        )
     else:
-        found = np.array(decode_integers(tensor.get(_LISTS.get(kind, 5), ())))
-    if found.size != count:
-        problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {found.size}")
+        numbers = np.array(decode_integers(tensor.get(_FIELD_OF_TYPE.get(kind, 5), ())))
+    if numbers.size != count:
+        problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {numbers.size}")
         raise ModelError(path, problem)
-    return name, found.reshape(dims).astype(np.float64)
+    return name, numbers.reshape(dims).astype(np.float64)
 
 
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
-    """Returns the network of an ONNX file.
+    """Build the network of an ONNX file.
 
     Args:
-        path: The file, for messages.
-        file: What was read of it.
+        path: File, for messages.
+        file: Content of the file.
 
     Raises:
-        ModelError: If it has none, or operators that policies do not consist of.
+        ModelError: If the file contains no network, or an operator that is not supported.
     """
     with refuse_malformed(path):
-        return _network(path, file)
+        return _build_onnx_network(path, file)
 
 
-def _network(path: Path, file: OnnxFile) -> Network:
+def _build_onnx_network(path: Path, file: OnnxFile) -> Network:
+    """Build the network of an ONNX graph.
+
+    Inputs and outputs after the first are recurrent states.
+    """
     graph = file.graph
-    constants = dict(_tensor(path, one) for one in graph.get(5, ()))
+    constants = dict(_read_tensor(path, message) for message in graph.get(5, ()))
     inputs, outputs = list(file.inputs.items()), list(file.outputs)
     nodes = [
-        _node(path, gather_fields(one), number, constants) for number, one in enumerate(graph[1], 1)
+        _build_node(path, gather_fields(message), number, constants)
+        for number, message in enumerate(graph[1], 1)
     ]
     if len(inputs) != len(outputs):
         problem = diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
         raise ModelError(path, problem)
     memory = []
-    for (name, dims), following in zip(inputs[1:], outputs[1:], strict=True):
+    for (name, dims), next_name in zip(inputs[1:], outputs[1:], strict=True):
         if not dims or max(dims[:-1], default=1) > 1:
             raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(dims)))
-        memory.append((name, following, dims[-1]))
+        memory.append((name, next_name, dims[-1]))
     size = inputs[0][1][-1] if inputs[0][1] else 0
     used = {name for node in nodes for name in node.inputs}
-    kept = {name: value for name, value in constants.items() if name in used}
-    return assemble_network(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
+    used_constants = {name: value for name, value in constants.items() if name in used}
+    return assemble_network(path, nodes, used_constants, (inputs[0][0], outputs[0]), memory, size)
 
 
-def _node(path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]) -> Node:
+def _build_node(
+    path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]
+) -> Node:
+    """Build one operation; a Constant adds its value to ``constants``."""
     kind = get_text(node, 4)
     name = get_text(node, 3) or f"layer {number} ({kind})"
     inputs = tuple(get_text(node, 1, index) for index in range(len(node.get(1, ()))))
     outputs = tuple(get_text(node, 2, index) for index in range(len(node[2])))
-    given: dict[str, Any] = {}
-    for one in node.get(5, ()):
-        attribute = gather_fields(one)
+    attributes: dict[str, Any] = {}
+    for message in node.get(5, ()):
+        attribute = gather_fields(message)
         key = get_text(attribute, 1)
         if 5 in attribute:
-            given[key] = _tensor(path, attribute[5][0])[1]
+            attributes[key] = _read_tensor(path, attribute[5][0])[1]
         elif 3 in attribute:
-            given[key] = decode_integers(attribute[3])[0]
+            attributes[key] = decode_integers(attribute[3])[0]
         elif 8 in attribute:
-            given[key] = decode_integers(attribute[8])
+            attributes[key] = decode_integers(attribute[8])
         elif 2 in attribute:
-            given[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
+            attributes[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
         elif 4 in attribute:
-            given[key] = get_text(attribute, 4)
-    if kind == "Constant" and "value" in given:
-        constants[outputs[0]] = given["value"]
+            attributes[key] = get_text(attribute, 4)
+    if kind == "Constant" and "value" in attributes:
+        constants[outputs[0]] = attributes["value"]
         return Node(name, lambda value: value, (outputs[0],), outputs)
-    make = _OPERATORS.get(kind)
-    operation = None if make is None else make(given, len(outputs))
+    make_operation = _OPERATION_MAKERS.get(kind)
+    operation = None if make_operation is None else make_operation(attributes, len(outputs))
     if operation is None:
-        problem = diagnose("layer-unknown", layer=f"{name}: {kind}", known=sorted(_OPERATORS))
+        problem = diagnose(
+            "layer-unknown", layer=f"{name}: {kind}", known=sorted(_OPERATION_MAKERS)
+        )
         raise ModelError(path, problem)
-    if kind in _IGNORED:
+    if kind in _IDENTITY_OPERATORS:
         return Node(name, operation, inputs[:1], outputs[:1])
     if kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
-        inputs = tuple(one for index, one in enumerate(inputs) if index != 4)
+        inputs = tuple(message for index, message in enumerate(inputs) if index != 4)
     return Node(name, operation, inputs, outputs)
 
 
 Make = Callable[[dict[str, Any], int], Operation | None]
+"""Function that creates an operation from ONNX attributes and the number of outputs; returns None
+if not supported."""
 
 
-def _gemm(given: dict[str, Any], _: int) -> Operation | None:
-    if given.get("transA") or not given.get("alpha", 1.0) == given.get("beta", 1.0) == 1.0:
+def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Create x W + b; None if alpha or beta is not 1, or the input is transposed."""
+    if (
+        attributes.get("transA")
+        or not attributes.get("alpha", 1.0) == attributes.get("beta", 1.0) == 1.0
+    ):
         return None
-    turned = bool(given.get("transB"))
+    is_transposed = bool(attributes.get("transB"))
 
     def apply(value: Array, weights: Array, bias: Array | float = 0.0) -> Any:
-        return np.matmul(value, weights.T if turned else weights) + bias
+        return np.matmul(value, weights.T if is_transposed else weights) + bias
 
     return apply
 
 
-def _last_axis(given: dict[str, Any]) -> bool:
-    """Tells whether an operator acts along an observation; else batches would be mixed."""
-    return given.get("axis", 0) in (-1, 1, 2)
+def _is_last_axis(attributes: dict[str, Any]) -> bool:
+    """Return True if an operator acts along the last axis; other axes would mix runs."""
+    return attributes.get("axis", 0) in (-1, 1, 2)
 
 
-def _split(given: dict[str, Any], count: int) -> Operation | None:
-    if not _last_axis(given):
+def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
+    """Create a split along the last axis."""
+    if not _is_last_axis(attributes):
         return None
 
     def apply(value: Array, sizes: Array | None = None) -> tuple[Array, ...]:
-        parts = given.get("split") if sizes is None else sizes.astype(int).tolist()
-        places = count if parts is None else np.cumsum(parts)[:-1].tolist()
-        return tuple(np.split(value, places, axis=-1))
+        parts = attributes.get("split") if sizes is None else sizes.astype(int).tolist()
+        indices = count if parts is None else np.cumsum(parts)[:-1].tolist()
+        return tuple(np.split(value, indices, axis=-1))
 
     return apply
 
 
-def _concat(given: dict[str, Any], _: int) -> Operation | None:
-    if not _last_axis(given):
+def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Create a concatenation along the last axis."""
+    if not _is_last_axis(attributes):
         return None
 
     def apply(*values: Array) -> Any:
-        return np.concatenate([np.reshape(one, (*values[0].shape[:-1], -1)) for one in values], -1)
+        return np.concatenate(
+            [np.reshape(value, (*values[0].shape[:-1], -1)) for value in values], -1
+        )
 
     return apply
 
 
-def _clip(given: dict[str, Any], _: int) -> Operation:
+def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
+    """Create a clip to bounds from inputs or attributes."""
+
     def apply(value: Array, low: Any = None, high: Any = None) -> Any:
-        low = given.get("min", -np.inf) if low is None else low
-        return np.clip(value, low, given.get("max", np.inf) if high is None else high)
+        low = attributes.get("min", -np.inf) if low is None else low
+        return np.clip(value, low, attributes.get("max", np.inf) if high is None else high)
 
     return apply
 
 
-def _gru(given: dict[str, Any], _: int) -> Operation | None:
-    if given.get("direction", "forward") != "forward" or given.get("activations"):
+def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Create a GRU; None if it is not forward or has other activations."""
+    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
-    after = bool(given.get("linear_before_reset", 0))
+    reset_after = bool(attributes.get("linear_before_reset", 0))
 
     def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array) -> Any:
         biases = b[0].reshape(2, -1)
-        state = gru(value, hidden, w[0].T, r[0].T, biases, after=after)
+        state = gru(value, hidden, w[0].T, r[0].T, biases, reset_after=reset_after)
         return state, state
 
     return apply
 
 
-def _lstm(given: dict[str, Any], _: int) -> Operation | None:
-    if given.get("direction", "forward") != "forward" or given.get("activations"):
+def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
+    """Create an LSTM; None if it is not forward or has other activations."""
+    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
 
-    def turned(weights: Array) -> Array:
-        one, out, stay, fresh = np.split(weights, 4)  # i, o, f, c in ONNX
-        return np.concatenate([one, stay, fresh, out])
+    def reorder_gates(weights: Array) -> Array:
+        input_gate, output_gate, forget_gate, candidate = np.split(weights, 4)  # i, o, f, c in ONNX
+        return np.concatenate([input_gate, forget_gate, candidate, output_gate])
 
     def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array, cell: Array) -> Any:
-        bias = turned(b[0, : len(w[0])]) + turned(b[0, len(w[0]) :])
-        state, cell = lstm(value, hidden, cell, turned(w[0]).T, turned(r[0]).T, bias)
+        bias = reorder_gates(b[0, : len(w[0])]) + reorder_gates(b[0, len(w[0]) :])
+        state, cell = lstm(value, hidden, cell, reorder_gates(w[0]).T, reorder_gates(r[0]).T, bias)
         return state, state, cell
 
     return apply
 
 
-def _plain(operation: Operation) -> Make:
+def _ignore_attributes(operation: Operation) -> Make:
+    """Return a maker of an operation without attributes."""
     return lambda _given, _count: operation
 
 
-_IGNORED = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
-"""What leaves an observation's numbers in their order."""
+_IDENTITY_OPERATORS = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
+"""Operators that keep the numbers of an observation and their order."""
 
-_OPERATORS: dict[str, Make] = {
-    "Add": _plain(np.add),
-    "Sub": _plain(np.subtract),
-    "Mul": _plain(np.multiply),
-    "Div": _plain(np.divide),
-    "MatMul": _plain(np.matmul),
-    "Neg": _plain(np.negative),
-    "Exp": _plain(np.exp),
-    "Sqrt": _plain(np.sqrt),
-    "Relu": _plain(ACTIVATIONS["relu"]),
-    "Tanh": _plain(np.tanh),
-    "Sigmoid": _plain(ACTIVATIONS["sigmoid"]),
+_OPERATION_MAKERS: dict[str, Make] = {
+    "Add": _ignore_attributes(np.add),
+    "Sub": _ignore_attributes(np.subtract),
+    "Mul": _ignore_attributes(np.multiply),
+    "Div": _ignore_attributes(np.divide),
+    "MatMul": _ignore_attributes(np.matmul),
+    "Neg": _ignore_attributes(np.negative),
+    "Exp": _ignore_attributes(np.exp),
+    "Sqrt": _ignore_attributes(np.sqrt),
+    "Relu": _ignore_attributes(ACTIVATIONS["relu"]),
+    "Tanh": _ignore_attributes(np.tanh),
+    "Sigmoid": _ignore_attributes(ACTIVATIONS["sigmoid"]),
     "Elu": lambda given, _: lambda value: elu(value, given.get("alpha", 1.0)),
     "LeakyRelu": lambda given, _: (
         lambda value: np.where(value > 0, value, given.get("alpha", 0.01) * value)
     ),
-    "Gemm": _gemm,
-    "Split": _split,
-    "Concat": _concat,
-    "Clip": _clip,
-    "GRU": _gru,
-    "LSTM": _lstm,
-    **dict.fromkeys(_IGNORED, _plain(ACTIVATIONS["linear"])),
+    "Gemm": _make_gemm,
+    "Split": _make_split,
+    "Concat": _make_concat,
+    "Clip": _make_clip,
+    "GRU": _make_gru,
+    "LSTM": _make_lstm,
+    **dict.fromkeys(_IDENTITY_OPERATORS, _ignore_attributes(ACTIVATIONS["linear"])),
 }
 
 
-_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
-"""How many arrays of weights a layer has."""
+_NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
+"""Number of weight arrays of each RTNeural layer type."""
 
 
 def read_rtneural(path: Path) -> dict[str, Any]:
-    """Returns what RTNeural's JSON holds.
+    """Read RTNeural's JSON.
 
     Raises:
-        ModelError: If it cannot be read, or has no list of layers.
+        ModelError: If the file cannot be read, or contains no list of layers.
     """
     try:
         values = orjson.loads(read_input(path, MAX_FILE_BYTES))
@@ -387,14 +418,15 @@ def read_rtneural(path: Path) -> dict[str, Any]:
 
 
 def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
-    """Returns the network of an RTNeural JSON.
+    """Build the network of an RTNeural JSON.
 
     Args:
-        path: The file, for messages.
-        values: Its content.
+        path: File, for messages.
+        values: Content of the file.
 
     Raises:
-        ModelError: If a layer is of another kind, or sizes do not fit; it names the layer.
+        ModelError: If a layer has an unknown type, or a size does not fit; the message names the
+            layer.
     """
     layers = values["layers"]
     if not layers:
@@ -402,40 +434,46 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
     nodes: list[Node] = []
     constants: dict[str, Array] = {}
     memory: list[tuple[str, str, int]] = []
-    last = "observation"
+    value_name = "observation"
     inputs = 0
     for number, layer in enumerate(layers, 1):
-        kind = _word_of(path, f"layer {number}", layer, "type", (*_ARRAYS, "activation"))
+        kind = _read_word(
+            path, f"layer {number}", layer, "type", (*_NUM_WEIGHT_ARRAYS, "activation")
+        )
         name = f"layer {number} ({kind})"
-        after = f"value {number}"
-        if kind in _ARRAYS:
-            arrays = _weights(path, name, layer, _ARRAYS[kind])
+        output_name = f"value {number}"
+        if kind in _NUM_WEIGHT_ARRAYS:
+            arrays = _read_weights(path, name, layer, _NUM_WEIGHT_ARRAYS[kind])
             if not inputs:
                 inputs = len(arrays[0])
-            named = tuple(f"{name}, weights {index}" for index in range(1, len(arrays) + 1))
-            constants |= dict(zip(named, arrays, strict=True))
+            weight_names = tuple(f"{name}, weights {index}" for index in range(1, len(arrays) + 1))
+            constants |= dict(zip(weight_names, arrays, strict=True))
             if kind == "lstm":
                 size, state = len(arrays[1]), (f"{name} h", f"{name} c")
-                ahead = (after, f"{name} c next")
-                nodes.append(Node(name, lstm, (last, *state, *named), ahead))
-                memory += zip(state, ahead, (size, size), strict=True)
+                next_states = (output_name, f"{name} c next")
+                nodes.append(Node(name, lstm, (value_name, *state, *weight_names), next_states))
+                memory += zip(state, next_states, (size, size), strict=True)
             elif kind == "gru":
-                nodes.append(Node(name, gru, (last, f"{name} h", *named), (after,)))
-                memory.append((f"{name} h", after, len(arrays[1])))
+                nodes.append(
+                    Node(name, gru, (value_name, f"{name} h", *weight_names), (output_name,))
+                )
+                memory.append((f"{name} h", output_name, len(arrays[1])))
             else:
-                nodes.append(Node(name, dense, (last, *named), (after,)))
-            last = after
-        activation = _word_of(path, name, layer, "activation", ACTIVATIONS, usual="linear")
-        if kind not in ("gru", "lstm") and activation != "linear":  # theirs are inside
-            shaped = f"{after} {activation}"
-            nodes.append(Node(name, ACTIVATIONS[activation], (last,), (shaped,)))
-            last = shaped
+                nodes.append(Node(name, dense, (value_name, *weight_names), (output_name,)))
+            value_name = output_name
+        activation = _read_word(path, name, layer, "activation", ACTIVATIONS, default="linear")
+        if (
+            kind not in ("gru", "lstm") and activation != "linear"
+        ):  # recurrent layers contain theirs
+            activated = f"{output_name} {activation}"
+            nodes.append(Node(name, ACTIVATIONS[activation], (value_name,), (activated,)))
+            value_name = activated
     with refuse_malformed(path):
-        return assemble_network(path, nodes, constants, ("observation", last), memory, inputs)
+        return assemble_network(path, nodes, constants, ("observation", value_name), memory, inputs)
 
 
-def _word_of(
-    path: Path, name: str, layer: object, key: str, known: Collection[str], usual: str = ""
+def _read_word(
+    path: Path, name: str, layer: object, key: str, valid_words: Collection[str], default: str = ""
 ) -> str:
     """Return the word that a layer has for a key.
 
@@ -444,58 +482,65 @@ def _word_of(
         name: The layer's name, for messages.
         layer: The layer as it was read.
         key: The key.
-        known: The valid words.
-        usual: The word of a layer that states none: no such key, null, or an empty text.
+        valid_words: Valid words.
+        default: Word of a layer that states none: no such key, null, or an empty text.
 
     Raises:
         ModelError: If the layer is not an object, or the value is not one of the words.
     """
     value = layer.get(key) if isinstance(layer, dict) else layer
-    if isinstance(layer, dict) and usual and (value is None or value == ""):
-        return usual
-    if isinstance(layer, dict) and isinstance(value, str) and value in known:
+    if isinstance(layer, dict) and default and (value is None or value == ""):
+        return default
+    if isinstance(layer, dict) and isinstance(value, str) and value in valid_words:
         return value
     shown = f" ({value})" if isinstance(value, str) else f" ({reprlib.repr(value)})"
-    shown = f": {value}" if usual and isinstance(value, str) else shown
-    raise ModelError(path, diagnose("layer-unknown", layer=f"{name}{shown}", known=tuple(known)))
+    shown = f": {value}" if default and isinstance(value, str) else shown
+    raise ModelError(
+        path, diagnose("layer-unknown", layer=f"{name}{shown}", known=tuple(valid_words))
+    )
 
 
-def _weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
-    """Returns the arrays of a layer; biases are vectors, or two of them for a GRU."""
-    given = layer.get("weights")
+def _read_weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
+    """Return the weight arrays of a layer: matrices, then biases with one or two dimensions."""
+    stated = layer.get("weights")
     problem = ModelError(path, diagnose("layer-weights", layer=name, count=count))
-    if not isinstance(given, list) or len(given) != count:
+    if not isinstance(stated, list) or len(stated) != count:
         raise problem
     try:
-        read = [np.array(one) for one in given]
-        arrays = [one.astype(np.float64) for one in read]
+        raw_arrays = [np.array(array) for array in stated]
+        arrays = [array.astype(np.float64) for array in raw_arrays]
     except (ValueError, TypeError, OverflowError) as error:
         raise problem from error
-    # NumPy makes numbers of texts and truth values. An array with null is one of objects.
-    if any(one.dtype.kind not in "iufO" for one in read if one.size):
+    # NumPy converts texts and truth values to numbers. An array with null has the type object.
+    if any(array.dtype.kind not in "iufO" for array in raw_arrays if array.size):
         raise problem
-    fits = all(one.ndim == 2 for one in arrays[:-1])
-    if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MAX_WEIGHTS:
+    fits = all(array.ndim == 2 for array in arrays[:-1])
+    if (
+        not fits
+        or arrays[-1].ndim not in (1, 2)
+        or sum(array.size for array in arrays) > MAX_WEIGHTS
+    ):
         raise problem
     return arrays
 
 
 TORCHSCRIPT_SUFFIXES = (".pt", ".pth", ".jit", ".ts")
-"""How files of TorchScript are called."""
+"""File name suffixes of TorchScript."""
 
-_MOST_BYTES = 4 * MAX_WEIGHTS
-"""Of a file of TorchScript: as many weights in single precision as any network may have."""
+_MAX_TORCHSCRIPT_BYTES = 4 * MAX_WEIGHTS
+"""Maximum size of a TorchScript file [bytes]: `MAX_WEIGHTS` in single precision."""
 
 
 def build_torchscript_network(path: Path) -> Network:
-    """Returns the network of a TorchScript file.
+    """Build the network of a TorchScript file.
 
     Raises:
         MissingPackageError: If torch is not installed.
-        ModelError: If it is none, or keeps a state of its own from one observation to the next.
+        ModelError: If the file contains no network, or the network keeps a state between
+            observations.
     """
     try:
-        data = read_input(path, _MOST_BYTES)
+        data = read_input(path, _MAX_TORCHSCRIPT_BYTES)
     except InputError as error:
         raise ModelError(error.path, error.cause) from error
     try:
@@ -509,11 +554,14 @@ def build_torchscript_network(path: Path) -> Network:
     except Exception as error:  # torch's reader raises whatever its C++ throws
         raise ModelError(path, diagnose("no-network")) from error
     weights = dict(module.named_parameters())
-    count = sum(int(one.numel()) for one in weights.values())
+    count = sum(int(weights_of_layer.numel()) for weights_of_layer in weights.values())
     if count > MAX_WEIGHTS:
         problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
-    first = next((one for one in weights.values() if one.ndim == 2), None)
+    first = next(
+        (weights_of_layer for weights_of_layer in weights.values() if weights_of_layer.ndim == 2),
+        None,
+    )
     if first is None:
         raise ModelError(path, diagnose("no-network"))
     kind, size = first.dtype, int(first.shape[1])
@@ -521,12 +569,15 @@ def build_torchscript_network(path: Path) -> Network:
     def apply(value: Array) -> Any:
         with torch.no_grad():
             try:
-                made = [module(torch.tensor(row, dtype=kind)).double().numpy() for row in value]
+                results = [module(torch.tensor(row, dtype=kind)).double().numpy() for row in value]
             except (RuntimeError, AttributeError) as error:  # sizes; a tuple where one is due
                 raise ValueError(str(error)) from error
-        return np.stack(made)
+        return np.stack(results)
 
-    constants = {name: one.detach().double().numpy() for name, one in weights.items()}
+    constants = {
+        name: weights_of_layer.detach().double().numpy()
+        for name, weights_of_layer in weights.items()
+    }
     node = Node("TorchScript", apply, ("observation",), ("action",))
     network = assemble_network(path, [node], constants, ("observation", "action"), [], size)
     zeros, ones = np.zeros((1, size)), np.ones((1, size))

@@ -1,7 +1,7 @@
-"""Many runs of a policy at once: a batch moves in lockstep, batches go to threads.
+"""Simulation of many runs of a policy: batches run in lockstep, and threads share the batches.
 
-What a run gives is the same exactly for any number of workers, and whatever runs beside it:
-MuJoCo steps each by itself, and the network multiplies each run's row by itself.
+The result of a run is bitwise independent of the number of workers and of the other runs: MuJoCo
+steps each run separately, and the network multiplies the row of each run separately.
 """
 
 from __future__ import annotations
@@ -34,31 +34,35 @@ from pupper_analysis.tools.walk.policy import Policy
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_BATCH = 16
-"""Runs in lockstep: enough that Python's share is small, and states fit into memory."""
+_BATCH_SIZE = 16
+"""Maximum number of runs in lockstep. Chosen, not tuned: bounds the share of Python's overhead and
+the memory of the states."""
 
 _JOINT_SPREAD, _SPEED_SPREAD = 0.05, 0.05
-"""By how much the starts of seeds differ (rad; m/s, rad/s): a robot that was put down by hand."""
+"""Bounds of the uniform differences between initial states: joint positions [rad], and base
+velocities [m/s, rad/s]. Chosen to resemble a robot put down by hand."""
 
 PUSH_TIME = 2.0
-"""When a run is pushed (s): it walks by then."""
+"""Start of the push of a run [s]. Chosen so that the robot walks by then."""
 
-_NEAR = 0.9
-"""Of what is a fall: what is nearer is looked at by the judge."""
+_CHECKED_FALL_FRACTION = 0.9
+"""Fraction of the tilt and height loss of a fall, above which the exact fall criterion is
+evaluated. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One run.
+    """Definition of one run.
 
     Attributes:
-        model: What is simulated.
-        command: (3,) speed forward and to the left (m/s), and turning (rad/s).
-        delay: Of commands at the servos (s).
-        seed: Of its start; 0: exactly the default pose, at rest.
-        lift: How much higher it stands than the stage's robot (m), as on longer legs.
-        push: (2,) forward and to the left, on the base's com during one action after ``PUSHED``
-            (N s), in the world.
+        model: Simulated model.
+        command: Commanded forward speed, speed to the left [m/s] and turning rate [rad/s], shape
+            (3,).
+        delay: Delay of commands at the servos [s].
+        seed: Seed of the initial state; 0 is the default pose at rest.
+        lift: Additional height of the initial state [m], for example for longer legs.
+        push: Impulse on the CoM of the base during one action after `PUSH_TIME`: forward and to the
+            left in the world frame, shape (2,) [N s].
     """
 
     model: mujoco.MjModel
@@ -71,15 +75,15 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What became of a case.
+    """Result of a case.
 
     Attributes:
-        case: The case.
-        states: (n, size) after each step (mjSTATE_FULLPHYSICS), up to a fall.
-        targets: (n, model.nu) what the motors were commanded in each step.
-        fallen: Whether it fell, or broke down.
-        lean: Of the base, at most after the warm-up (rad).
-        lost: Height of its centre of mass, at most after the warm-up (m).
+        case: Definition of the run.
+        states: States after each step (mjSTATE_FULLPHYSICS), up to a fall, shape (n, size).
+        targets: Applied controls of each step, shape (n, model.nu).
+        fallen: True if the robot fell or the simulation diverged.
+        lean: Largest tilt of the base after the warm-up [rad].
+        lost: Largest height loss of the reference point after the warm-up [m]; see `Upright`.
     """
 
     case: Case
@@ -92,18 +96,18 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A policy on a robot: all that its runs share.
+    """A policy on a robot: data that all runs share, for n joints of the policy.
 
     Attributes:
-        robot: The robot.
-        policy: The policy.
-        model: Its MuJoCo model, with the servos that the policy asks for.
-        joints: (n,) which joint of the robot each of the policy's is.
-        gear: (n,) ctrl per joint position of these.
-        ctrl: (model.nu,) commands of the default pose.
-        default: (nq,) the pose in which a run starts.
-        substeps: Time steps per action.
-        upright: What a fall is measured against.
+        robot: Robot.
+        policy: Policy.
+        model: MuJoCo model with the servos of the policy.
+        joints: Index of the robot's joint for each joint of the policy, shape (n,).
+        gear: ctrl per joint position, shape (n,).
+        ctrl: Controls of the default pose, shape (model.nu,).
+        default: Initial configuration, shape (nq,).
+        substeps: Number of time steps per action.
+        upright: Reference of the fall criterion.
     """
 
     robot: Robot
@@ -118,22 +122,23 @@ class Stage:
 
     @property
     def timestep(self) -> float:
-        """Of the simulation (s)."""
+        """Time step of the simulation [s]."""
         return float(self.model.opt.timestep)
 
     def case(self, command: Array, seed: int = 0) -> Case:
-        """Returns a run of the robot as it is."""
+        """Return a run of the unchanged robot."""
         return Case(self.model, command, self.policy.contract.latency, seed)
 
 
 def prepare_stage(robot: Robot, policy: Policy) -> Stage:
-    """Puts a policy on a robot, as its files have it, with the servos that the policy asks for.
+    """Combine a policy with a robot as in its files, with the servo gains of the policy.
 
     Raises:
-        ConfigurationError: If the base is fixed, or it has no feet.
-        ModelError: If a joint has no motor, if the policy states no gains and the robot has no
-            servos, or their joints do not fit.
-        UnknownNameError: If the policy names a joint that the robot has not.
+        ConfigurationError: If the base is fixed, the robot has no feet, or the rate of the policy
+            exceeds that of the time steps.
+        ModelError: If a joint has no motor, the policy states only one of kp and kd, neither policy
+            nor robot has gains, or the number of joints differs.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     robot.check_floating()
     contract = policy.contract
@@ -142,20 +147,20 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         raise ConfigurationError("robot", diagnose("walks-on-no-feet", robot=robot.name))
     kp, kd = contract.kp, contract.kd
     if kp is not None and kd is not None:
-        apart = len(joints) < robot.nu
-        own = resolve_servo_gains(robot) if apart else None
-        stiffness = np.zeros(robot.nu) if own is None else own.kp.copy()
-        damping = np.zeros(robot.nu) if own is None else own.kd.copy()
+        has_other_joints = len(joints) < robot.nu
+        own_gains = resolve_servo_gains(robot) if has_other_joints else None
+        stiffness = np.zeros(robot.nu) if own_gains is None else own_gains.kp.copy()
+        damping = np.zeros(robot.nu) if own_gains is None else own_gains.kd.copy()
         stiffness[joints], damping[joints] = kp, kd
         servos = model_with_servos(robot, stiffness, damping)
     elif kp is not None or kd is not None:
         key = "kp" if kp is None else "kd"
         raise ModelError(policy.name, diagnose("contract-lacks", key=key))
-    elif find_servos_used(robot).source is ServoSource.ADDED:  # they are nobody's
+    elif find_servos_used(robot).source is ServoSource.ADDED:  # added gains belong to no real robot
         raise ModelError(policy.name, diagnose("policy-without-gains"))
     else:
         servos = model_with_servos(robot)
-    model = copy.copy(servos.model)  # nobody reads its sensors, which are 7 % of v3's steps
+    model = copy.copy(servos.model)  # sensors are not used and take 7 % of the time of v3's steps
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     substeps = round(1.0 / (contract.rate * model.opt.timestep))
     if substeps < 1:
@@ -163,8 +168,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         raise ConfigurationError("rate", problem)
     default = robot.home.copy()
     default[:2] = 0.0
-    angles = default[7:]
-    angles[joints] = contract.signs * contract.default
+    joint_positions = default[7:]
+    joint_positions[joints] = contract.signs * contract.default
     config = Configuration(robot, default)
     feet = config.foot_positions()
     default[2] -= min(feet[foot][2] - robot.contact_radius[foot] for foot in feet)
@@ -182,11 +187,11 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
 
 
 def find_joint_indices(robot: Robot, policy: Policy) -> Integers:
-    """Returns which joint of a robot each of a policy's is, by its name, or its place.
+    """Return the index of the robot's joint for each joint of the policy, by name or by order.
 
     Raises:
-        ModelError: If the policy names none, and has another number of joints.
-        UnknownNameError: If it names a joint that the robot has not.
+        ModelError: If the policy names no joints and the number of joints differs.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     names = policy.contract.joints
     if not names:
@@ -209,133 +214,144 @@ def simulate_cases(
     warm_up: float,
     workers: int | None = None,
 ) -> Iterator[Run]:
-    """Simulates cases, and yields what became of each, in their order.
+    """Simulate cases and yield the runs in the same order.
 
     Args:
-        stage: The policy on its robot.
-        cases: The runs; their models have the sizes of the stage's.
-        duration: Simulated time of each (s).
-        warm_up: What of it is not looked at (s).
-        workers: Threads; by default one per core.
+        stage: Policy on its robot.
+        cases: Runs; their models have the sizes of the stage's model.
+        duration: Simulated time of each run [s].
+        warm_up: Time at the start without evaluation of tilt and height [s].
+        workers: Number of threads; by default the number of cores.
     """
-    batches = [cases[start : start + _BATCH] for start in range(0, len(cases), _BATCH)]
-    # Batches only as full as all workers have one.
+    batches = [cases[start : start + _BATCH_SIZE] for start in range(0, len(cases), _BATCH_SIZE)]
+    # Fewer batches than workers: use smaller batches.
     count = max(1, workers or os.cpu_count() or 1)
     if len(batches) < count and len(cases) > 1:
         size = -(-len(cases) // count)
         batches = [cases[start : start + size] for start in range(0, len(cases), size)]
     with silence_mujoco(), ThreadPoolExecutor(count) as pool:
-        waiting = [
-            pool.submit(_batch, stage, batch, duration, warm_up) for batch in batches[: 2 * count]
+        futures = [
+            pool.submit(_simulate_batch, stage, batch, duration, warm_up)
+            for batch in batches[: 2 * count]
         ]
         for batch in batches[2 * count :]:
-            yield from waiting.pop(0).result()
-            waiting.append(pool.submit(_batch, stage, batch, duration, warm_up))
-        for one in waiting:
-            yield from one.result()
+            yield from futures.pop(0).result()
+            futures.append(pool.submit(_simulate_batch, stage, batch, duration, warm_up))
+        for future in futures:
+            yield from future.result()
 
 
 class Lockstep:
-    """Some runs side by side, action by action: what `walk` measures, and `live` plays.
+    """Runs that are simulated together, action by action.
 
     Args:
-        stage: The policy on its robot.
-        cases: The runs; their pushes are not made here.
+        stage: Policy on its robot.
+        cases: Runs; pushes are applied by the caller.
 
     Attributes:
-        commands: (runs, 3) what they are commanded; may be changed between two actions.
-        going: (n,) which go on.
-        current: (n, size) the states of these.
-        tick: How many actions they have had.
+        commands: Commands of all runs, shape (runs, 3); may be changed between two actions.
+        active: Indices of the n runs that continue, shape (n,).
+        current: States of the active runs, shape (n, size).
+        tick: Number of actions so far.
     """
 
     def __init__(self, stage: Stage, cases: Sequence[Case]) -> None:
         self._stage, self._models = stage, [case.model for case in cases]
         self.commands = np.array([case.command for case in cases])
         self.active = np.arange(len(cases))
-        self.current = np.array([_start(stage, case) for case in cases])
+        self.current = np.array([_make_start_state(stage, case) for case in cases])
         self.tick = 0
         self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
         self._observer = Observer(stage, self.commands)
         self._memory = stage.policy.network.initial_memory(len(cases))
         delays = np.array([[round(case.delay / stage.timestep)] for case in cases])
-        # Which command before the newest one is due at each step of an action.
-        self._late = -((np.arange(stage.substeps) - delays) // stage.substeps)
-        self._asked = np.tile(stage.ctrl, (len(cases), int(self._late.max()) + 1, 1))
+        # Age, in actions, of the command that is applied at each step of an action.
+        self._command_delays = -((np.arange(stage.substeps) - delays) // stage.substeps)
+        self._command_history = np.tile(
+            stage.ctrl, (len(cases), int(self._command_delays.max()) + 1, 1)
+        )
 
     def advance(self, forces: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Lets those that go on act once.
+        """Simulate one action of the active runs.
 
         Args:
-            forces: (n, 6 nbody) on their bodies meanwhile; see ``FORCED``.
+            forces: Forces on the bodies during the action, shape (n, 6 nbody); see `FORCED`.
 
         Returns:
-            Their states (n, substeps, size), what their motors are commanded (n, substeps, nu), and
-            which of them broke down.
+            States (n, substeps, size); applied controls (n, substeps, nu); True for each run that
+            diverged, shape (n,).
         """
-        stage, going = self._stage, self.active
-        seen = self._observer.observe(self.current, going, self.tick)
-        actions, self._memory = stage.policy.network.forward(seen, self._memory)
-        self._observer.last[going] = actions
-        self._asked[going, 1:] = self._asked[going, :-1]
-        self._asked[going, 0] = _commands(stage, actions)
-        control = self._asked[going[:, None], self._late[going]]
-        models = [self._models[index] for index in going.tolist()]
-        asked, spec = control, {}
+        stage, active = self._stage, self.active
+        observations = self._observer.observe(self.current, active, self.tick)
+        actions, self._memory = stage.policy.network.forward(observations, self._memory)
+        self._observer.last[active] = actions
+        self._command_history[active, 1:] = self._command_history[active, :-1]
+        self._command_history[active, 0] = _compute_controls(stage, actions)
+        control = self._command_history[active[:, None], self._command_delays[active]]
+        models = [self._models[index] for index in active.tolist()]
+        controls, spec = control, {}
         if forces is not None:
-            held = np.repeat(forces[:, None], stage.substeps, axis=1)
-            asked, spec = np.concatenate([control, held], axis=2), {"control_spec": FORCED}
-        states, _ = self._runner.rollout(models, self._data, self.current, asked, **spec)
-        self._data.xfrc_applied[:] = 0.0  # what a state does not hold, the next rollout would keep
+            repeated_forces = np.repeat(forces[:, None], stage.substeps, axis=1)
+            controls, spec = (
+                np.concatenate([control, repeated_forces], axis=2),
+                {"control_spec": FORCED},
+            )
+        states, _ = self._runner.rollout(models, self._data, self.current, controls, **spec)
+        self._data.xfrc_applied[:] = (
+            0.0  # not part of the state: the next rollout would keep the forces
+        )
         self.tick += 1
         self.current = states[:, -1]
-        # MuJoCo begins anew, at time 0, where a number is none or too large.
+        # MuJoCo resets the state to time 0 after a number that is not finite or too large.
         broken = ~np.isfinite(self.current).all(axis=1)
         broken |= self.current[:, 0] < (self.tick * stage.substeps - 0.5) * stage.timestep
         return states, control, broken
 
-    def keep_runs(self, kept: NDArray[np.bool_]) -> None:
-        """Goes on with some of those that go on."""
-        self.active, self.current = self.active[kept], self.current[kept]
-        self._memory = tuple(one[kept] for one in self._memory)
+    def keep_runs(self, is_kept: NDArray[np.bool_]) -> None:
+        """Continue with a subset of the active runs only."""
+        self.active, self.current = self.active[is_kept], self.current[is_kept]
+        self._memory = tuple(states[is_kept] for states in self._memory)
 
 
-def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float) -> list[Run]:
-    """Simulates some cases in lockstep."""
+def _simulate_batch(
+    stage: Stage, cases: Sequence[Case], duration: float, warm_up: float
+) -> list[Run]:
+    """Simulate cases in lockstep, until a fall or the end."""
     count = len(cases)
     ticks = max(1, round(duration / (stage.substeps * stage.timestep)))
-    runs, steps = Lockstep(stage, cases), stage.substeps
-    kept = np.empty((count, ticks * steps, runs.current.shape[1]))
-    control_kept = np.empty((count, ticks * steps, stage.model.nu))
-    ends, fallen = np.full(count, ticks * steps), np.zeros(count, dtype=bool)
+    lockstep, steps = Lockstep(stage, cases), stage.substeps
+    recorded_states = np.empty((count, ticks * steps, lockstep.current.shape[1]))
+    recorded_controls = np.empty((count, ticks * steps, stage.model.nu))
+    num_steps, fallen = np.full(count, ticks * steps), np.zeros(count, dtype=bool)
     worst = np.zeros((count, 2))
     lifts = np.array([case.lift for case in cases])
     uprights = [raise_upright(stage.upright, case.lift) for case in cases]
     pushes = make_push_forces(stage, [case.push for case in cases])
-    pushed = round(PUSH_TIME / (steps * stage.timestep)) if pushes.any() else -1
+    push_tick = round(PUSH_TIME / (steps * stage.timestep)) if pushes.any() else -1
     for tick in range(ticks):
-        going, first, last = runs.active, tick * steps, (tick + 1) * steps
-        states, control, broken = runs.advance(pushes[going] if tick == pushed else None)
-        kept[going, first:last], control_kept[going, first:last] = states, control
-        lean, lost = measure_lean_and_loss(stage, runs.current)
-        lost += lifts[going]
+        active, first, last = lockstep.active, tick * steps, (tick + 1) * steps
+        states, control, broken = lockstep.advance(pushes[active] if tick == push_tick else None)
+        recorded_states[active, first:last], recorded_controls[active, first:last] = states, control
+        lean, lost = measure_lean_and_loss(stage, lockstep.current)
+        lost += lifts[active]
         if last * stage.timestep > warm_up:
-            worst[going] = np.fmax(worst[going], np.column_stack([lean, lost]))
-        near = (lean > _NEAR * FALLEN_TILT) | (
-            lost > _NEAR * (1 - FALLEN_HEIGHT) * (stage.upright.size + lifts[going])
+            worst[active] = np.fmax(worst[active], np.column_stack([lean, lost]))
+        near_fall = (lean > _CHECKED_FALL_FRACTION * FALLEN_TILT) | (
+            lost
+            > _CHECKED_FALL_FRACTION * (1 - FALLEN_HEIGHT) * (stage.upright.size + lifts[active])
         )
-        for place in np.flatnonzero(near & ~broken):
-            broken[place] = uprights[going[place]].has_fallen(runs.current[place])
+        for row in np.flatnonzero(near_fall & ~broken):
+            broken[row] = uprights[active[row]].has_fallen(lockstep.current[row])
         if broken.any():
-            fallen[going[broken]], ends[going[broken]] = True, last
-            runs.keep_runs(~broken)
-            if not runs.active.size:
+            fallen[active[broken]], num_steps[active[broken]] = True, last
+            lockstep.keep_runs(~broken)
+            if not lockstep.active.size:
                 break
     return [
         Run(
             case=case,
-            states=kept[index, : ends[index]],
-            targets=control_kept[index, : ends[index]],
+            states=recorded_states[index, : num_steps[index]],
+            targets=recorded_controls[index, : num_steps[index]],
             fallen=bool(fallen[index]),
             lean=float(worst[index, 0]),
             lost=float(worst[index, 1]),
@@ -345,20 +361,25 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
 
 
 def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
-    """Returns the forces (runs, 6 nbody) on bodies of pushes (N s) that last one action."""
+    """Return the forces of pushes that last one action, shape (runs, 6 nbody) [N].
+
+    Args:
+        stage: Policy on its robot.
+        impulses: Impulse of each run in the world frame, (x, y) [N s].
+    """
     forces = np.zeros((len(impulses), stage.model.nbody, 6))
     forces[:, stage.model.body(stage.robot.mj_base).id, :2] = impulses
     return (forces / (stage.substeps * stage.timestep)).reshape(len(impulses), -1)
 
 
 def raise_upright(upright: Upright, lift: float) -> Upright:
-    """Returns what a fall is measured against of a robot that stands higher by a lift (m)."""
+    """Return the reference of the fall criterion for a robot that stands higher by `lift` [m]."""
     place = upright.place + np.array([0.0, 0.0, lift])
     return replace(upright, place=place, size=upright.size + lift)
 
 
-def _start(stage: Stage, case: Case) -> Array:
-    """Returns the state (mjSTATE_FULLPHYSICS) in which a run begins."""
+def _make_start_state(stage: Stage, case: Case) -> Array:
+    """Return the initial state of a case (mjSTATE_FULLPHYSICS)."""
     data, robot = mujoco.MjData(case.model), stage.robot
     qpos, qvel = stage.default.copy(), np.zeros(robot.nv)
     qpos[2] += case.lift
@@ -370,8 +391,8 @@ def _start(stage: Stage, case: Case) -> Array:
     return full_state(case.model, data)
 
 
-def _commands(stage: Stage, actions: Array) -> Array:
-    """Returns the ctrl (runs, model.nu) of actions (runs, n)."""
+def _compute_controls(stage: Stage, actions: Array) -> Array:
+    """Return the controls (runs, model.nu) of actions (runs, n)."""
     contract = stage.policy.contract
     targets = contract.default + contract.action_scale * actions
     targets = contract.signs * np.clip(targets, contract.lower, contract.upper)
@@ -382,7 +403,7 @@ def _commands(stage: Stage, actions: Array) -> Array:
 
 
 def rotations_from_quaternions(quaternions: Array) -> Array:
-    """Returns the rotation matrices (..., 3, 3) of unit quaternions (..., 4), w first."""
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -393,11 +414,14 @@ def rotations_from_quaternions(quaternions: Array) -> Array:
 
 
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
-    """Returns how far bases lean (rad), and how much lower they are than they stood (m).
+    """Return the tilt of the base [rad] and the height loss of its reference point [m].
+
+    The reference point is fixed to the base, at the centre of mass of the default pose; see
+    `Upright`.
 
     Args:
-        stage: The policy on its robot.
-        states: (..., size).
+        stage: Policy on its robot.
+        states: States, shape (..., size).
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
     up = rotations_from_quaternions(states[..., 1 + index[3:7]])[..., 2, :]
@@ -408,70 +432,71 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
 
 
 class Observer:
-    """Makes the observations of some runs in lockstep.
+    """Computes the observations of runs in lockstep.
 
     Args:
-        stage: The policy on its robot.
-        commands: (runs, 3) what they are commanded.
+        stage: Policy on its robot.
+        commands: Commands of all runs, shape (runs, 3).
 
     Attributes:
-        last: (runs, n) their last actions.
+        last: Last actions of all runs, shape (runs, n).
     """
 
     def __init__(self, stage: Stage, commands: Array) -> None:
-        self._stage, self._commands = stage, commands
+        self._stage, self._compute_controls = stage, commands
         self._contract: Contract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.num_joints))
         shape = (len(commands), self._contract.history, self._contract.frame_size)
         self._frames = np.zeros(shape)
 
-    def observe(self, states: Array, going: Integers, tick: int) -> Array:
-        """Returns the observations (n, inputs) of those runs that go on.
+    def observe(self, states: Array, active: Integers, tick: int) -> Array:
+        """Return the observations of the active runs, shape (n, inputs).
 
         Args:
-            states: (n, size) of these.
-            going: (n,) which they are.
-            tick: How many actions they have had.
+            states: States of the active runs, shape (n, size).
+            active: Indices of the active runs, shape (n,).
+            tick: Number of actions so far.
         """
         contract = self._contract
-        frame = self._frame(states, going, tick)
+        frame = self._make_frame(states, active, tick)
         limit = contract.clip
         if math.isfinite(limit):
             frame = np.clip(frame, -limit, limit)
         if tick == 0:
-            self._frames[going] = frame[:, None, :]
+            self._frames[active] = frame[:, None, :]
         else:  # the oldest first
-            self._frames[going, :-1] = self._frames[going, 1:]
-            self._frames[going, -1] = frame
-        frames = self._frames[going]
+            self._frames[active, :-1] = self._frames[active, 1:]
+            self._frames[active, -1] = frame
+        frames = self._frames[active]
         if contract.newest_first:
             frames = frames[:, ::-1]
         if contract.layout == BY_FRAME or contract.history == 1:
-            return frames.reshape(len(going), -1)
+            return frames.reshape(len(active), -1)
         ends = np.cumsum([contract.term_size(term) for term in contract.terms])[:-1]
         parts = np.split(frames, ends, axis=2)
-        return np.concatenate([part.reshape(len(going), -1) for part in parts], axis=1)
+        return np.concatenate([part.reshape(len(active), -1) for part in parts], axis=1)
 
-    def _frame(self, states: Array, going: Integers, tick: int) -> Array:
+    def _make_frame(self, states: Array, active: Integers, tick: int) -> Array:
+        """Return the newest frame of the active runs, shape (n, frame size), before clipping."""
         stage, contract = self._stage, self._contract
         convention, joints = stage.robot.mj_convention, stage.joints
         qpos = states[:, 1 + convention.qpos_index]
         qvel = states[:, 1 + stage.model.nq + convention.qvel_index]
-        turned = rotations_from_quaternions(qpos[:, 3:7])
+        base_rotations = rotations_from_quaternions(qpos[:, 3:7])
         phase = contract.phase_offsets + (
             2 * math.pi * contract.phase_rate * tick * stage.substeps * stage.timestep
         )
-        runs = len(going)
+        num_runs = len(active)
         up = np.array([0.0, 0.0, 1.0])
         values = {
-            "linear-velocity": np.einsum("rji,rj->ri", turned, qvel[:, :3]),
+            "linear-velocity": np.einsum("rji,rj->ri", base_rotations, qvel[:, :3]),
             "angular-velocity": qvel[:, 3:6],
-            "gravity": -turned[:, 2],
-            "command": self._commands[going],
-            "up-command": np.tile(up, (runs, 1)),
+            "gravity": -base_rotations[:, 2],
+            "command": self._compute_controls[active],
+            "up-command": np.tile(up, (num_runs, 1)),
             "joint-positions": contract.signs * qpos[:, 7 + joints] - contract.default,
             "joint-velocities": contract.signs * qvel[:, 6 + joints],
-            "last-action": self.last[going],
-            "phase": np.tile(np.concatenate([np.cos(phase), np.sin(phase)]), (runs, 1)),
+            "last-action": self.last[active],
+            "phase": np.tile(np.concatenate([np.cos(phase), np.sin(phase)]), (num_runs, 1)),
         }
         return np.concatenate([values[term.name] * term.scale for term in contract.terms], axis=1)

@@ -77,7 +77,7 @@ def test_gru_as_by_loops(after: bool) -> None:
             found, memory = network.forward(row[None], memory)
         else:
             state = np.array([[hidden]])
-            found = gru(row[None, None], state, given, own, bias, after=False)[:, 0]
+            found = gru(row[None, None], state, given, own, bias, reset_after=False)[:, 0]
         one, two = product(row, given, bias[0]), product(hidden, own, bias[1])
         sig = BY_LOOPS["sigmoid"]
         z = [sig(one[k] + two[k]) for k in range(u)]
