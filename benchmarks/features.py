@@ -24,7 +24,7 @@ from tables import write_csv
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.present.verdict import in_words
+from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 
@@ -106,7 +106,7 @@ def row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Path) -
     try:
         own = pa.load_robot(urdf=urdf, mjcf=mjcf)
         found = study_stance(own, stand.task)
-        verdict = in_words(found.verdict)
+        verdict = format_verdict(found.verdict)
         unreserved = found.verdict.code is VerdictCode.HOLDS  # any other names what it rests on
         with contextlib.suppress(pa.PupperAnalysisError):
             rest = pa.steady_state(own, pa.solve_stand(own, stand.task))

@@ -169,7 +169,7 @@ def finding() -> None:
     heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
     print(heaviest.unstack(0).to_string())
     said = "The longest legs and the heaviest v3 that stay up on their servos"
-    figure = drawing.page_figure(said, 3.4, layout="constrained")
+    figure = drawing.make_page_figure(said, 3.4, layout="constrained")
     axes = figure.add_subplot()
     axes.set(xlabel="length of the legs / v3's", ylabel="mass of the robot (kg)")
     for kp, part in stands.groupby("kp"):
@@ -179,7 +179,7 @@ def finding() -> None:
         label = f"kp {kp:g} N m/rad: no other design beats these"
         axes.plot(front["leg_scale"], front["total_mass"], label=label, **look)
     drawing.title_panel(axes, "")
-    axes.legend(fontsize=drawing.FONT, frameon=False)
+    axes.legend(fontsize=drawing.FONT_SIZE, frameon=False)
     docs = Path(__file__).parents[1] / "docs" / "images"
     drawing.save_figure(figure, docs / "study_front.png")
 

@@ -19,7 +19,7 @@ from rich.console import Console
 import pupper_analysis as pa
 from pupper_analysis.present.terminal import print_document
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.tools.analyze.analysis import analyze_variant, leg_lengths
+from pupper_analysis.tools.analyze.analysis import analyze_variant, measure_leg_lengths
 from pupper_analysis.tools.analyze.document import analysis_document
 
 STEP = 0.02
@@ -61,7 +61,7 @@ def grid_pose(thigh: float, calf: float, height: float) -> tuple[float, float, f
 def _grid_search() -> Job:
     robot = pa.load_variant("original")
     stand = pa.solve_stand(robot)
-    thigh, calf = leg_lengths(robot)
+    thigh, calf = measure_leg_lengths(robot)
     config = pa.Configuration(robot, stand.qpos)
     foot = robot.contact_points[0]
     hip = config.joint_position(next(name for name in robot.joint_names if name.endswith("HFE")))
@@ -130,7 +130,7 @@ def start_up(repeats: int) -> dict[str, float]:
 
 def default_run(names: Iterable[str]) -> dict[str, float]:
     """Returns how long each stage of the default run takes for some variants, {stage: s}."""
-    from pupper_analysis.present.figures.pose import pose_figure
+    from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze import figures as render
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
 
@@ -171,7 +171,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
         stage(
             "figures of poses",
             lambda: [
-                pose_figure(robot, one.stand, one.statics, folder / f"{robot.name}.png")
+                write_pose_figure(robot, one.stand, one.statics, folder / f"{robot.name}.png")
                 for robot, one in zip(robots, analyses, strict=True)
             ],
         )

@@ -258,13 +258,13 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
         everything: Print all of it.
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
-    from pupper_analysis.present.document import tell, text
+    from pupper_analysis.present.document import diagnostic_text, text
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
 
     notes = merge_diagnostics(robot.notes)
     shown = [one for one in notes if everything or one.severity is not Severity.NOTE]
-    lines = [*map(tell, shown)]
+    lines = [*map(diagnostic_text, shown)]
     if left := len(notes) - len(shown):
         lines.append(text("things-were-added", robot=robot.name, count=left))
     print_lines(make_console(), lines, everything=everything)

@@ -24,7 +24,7 @@ from pupper_analysis.base.units import UNIT_FACTORS, Position
 if TYPE_CHECKING:
     from pupper_analysis.base.results import Result
     from pupper_analysis.present.document import Block, Report
-    from pupper_analysis.present.html.write import Reported
+    from pupper_analysis.present.html.write import ReportInput
     from pupper_analysis.robot.robot import Robot
 if TYPE_CHECKING:
     from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -486,7 +486,7 @@ def write_json(path: Path | None, content: object) -> None:
         confirm_written(path)
 
 
-def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = ()) -> None:
+def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
     """Writes results as one HTML file, if there is a file to write to."""
     from pupper_analysis.cli.process import raise_if_ended
 

@@ -209,7 +209,7 @@ def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
 def _print_first_difference(robot: Robot) -> None:
     """Prints what makes a robot's files those of two robots, as far as one thing does."""
     from pupper_analysis.base.errors import ModelError
-    from pupper_analysis.present.document import tell
+    from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
     from pupper_analysis.robot.compare.compare import compare_files
@@ -220,7 +220,7 @@ def _print_first_difference(robot: Robot) -> None:
     except ModelError:
         return  # they are not comparable as they are; the verdict has said enough
     first = diagnose("first-difference-of-files", cause=comparison.first_to_mend)
-    print_lines(make_console(), [tell(first)])
+    print_lines(make_console(), [diagnostic_text(first)])
 
 
 def robot_and_task(command: Command) -> Command:
@@ -315,7 +315,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
 def draw_stand(robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None) -> None:
     """Draws a stand, if there is a file to draw it into."""
     if path is not None:
-        from pupper_analysis.present.figures.pose import pose_figure
+        from pupper_analysis.present.figures.pose import write_pose_figure
 
-        pose_figure(robot, stand, statics, path)
+        write_pose_figure(robot, stand, statics, path)
         shared.confirm_written(path)

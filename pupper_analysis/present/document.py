@@ -59,7 +59,7 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     )
 
 
-def in_english(words: Words) -> str:
+def get_english(words: Words) -> str:
     """Returns words in English."""
     return words.en if isinstance(words, Text) else words.text
 
@@ -101,7 +101,7 @@ class Series:
         y: (n,) up, in the axis's unit; what is not finite is left out.
         points: Whether every point is marked.
         note: What it comes to, in a word or a number, beside its name in the legend.
-        marked: The number of the point that matters most; None for none.
+        marked_index: The number of the point that matters most; None for none.
         reference: Whether it is what the others are compared with.
     """
 
@@ -110,7 +110,7 @@ class Series:
     y: ArrayLike
     points: bool = False
     note: Words | None = None
-    marked: int | None = None
+    marked_index: int | None = None
     reference: bool = False
 
 
@@ -121,13 +121,13 @@ class Bar:
     Attributes:
         name: Its name.
         value: Its length, in the axis's unit.
-        other: What is marked beside it by a tick; None for nothing.
+        marker: What is marked beside it by a tick; None for nothing.
         limit: How long it may be; None for no limit.
     """
 
     name: Words
     value: float
-    other: float | None = None
+    marker: float | None = None
     limit: float | None = None
 
 
@@ -196,12 +196,12 @@ class Text:
         """In Simplified Chinese."""
         return self.chinese if isinstance(self.chinese, str) else self.chinese()
 
-    def marked(self, mark: str) -> Text:
+    def with_mark(self, mark: str) -> Text:
         """Returns the text with an emphasis."""
         return Text(self.en, self.chinese, mark)
 
 
-def tell(diagnostic: Diagnostic, mark: str = "") -> Text:
+def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
     """Returns what a diagnostic says, in both languages.
 
     Args:
@@ -232,13 +232,13 @@ class Number:
         text: Its digits.
         value: The number, in the unit that is shown; not a number where there is none.
         mark: ``"good"``, ``"bad"``, ``"warn"``, ``"best"`` or nothing.
-        share: Of a whole, from 0 to 1, to be drawn as a bar; None for no bar.
+        bar_fraction: Of a whole, from 0 to 1, to be drawn as a bar; None for no bar.
     """
 
     text: str
     value: float
     mark: str = ""
-    share: float | None = None
+    bar_fraction: float | None = None
 
 
 Words = Text | Name
@@ -320,7 +320,7 @@ class FilePlace:
 
 
 @dataclass(frozen=True)
-class Sides:
+class FileFinding:
     """What is found at one place of a file, or at two of two files side by side.
 
     Attributes:
@@ -420,7 +420,7 @@ class View:
     detail: bool = False
 
 
-Block = Table | Lines | Sides | Listing | Plot | View
+Block = Table | Lines | FileFinding | Listing | Plot | View
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import to_json
 
-SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+SARIF_SCHEMA_URL = "https://json.schemastore.org/sarif-2.1.0.json"
 
 _LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
 """SARIF's names of the levels of annotations."""
@@ -68,7 +68,7 @@ class Annotation:
         return (file, int(line)) if file and line.isdecimal() else (self.place or "", None)
 
 
-def from_root(file: str | Path) -> str:
+def relative_to_checkout(file: str | Path) -> str:
     """Returns a file's path as CI services know it, with ``/``.
 
     It is relative to the checkout (or the current folder, where there is none), and absolute if it
@@ -99,7 +99,7 @@ def write_sarif(annotations: Iterable[Annotation]) -> str:
         "columnKind": "unicodeCodePoints",
         "results": list(_results(listed, numbers)),
     }
-    return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2)
+    return json.dumps({"$schema": SARIF_SCHEMA_URL, "version": "2.1.0", "runs": [run]}, indent=2)
 
 
 def _results(
@@ -114,7 +114,7 @@ def _results(
             "message": {"text": _plain(one.message)},
         }
         file, line = one.file_and_line
-        file = from_root(file) if file else ""
+        file = relative_to_checkout(file) if file else ""
         if file:
             entry["locations"] = [{"physicalLocation": _location(file, line)}]
         same = (one.kind, file, one.title)
@@ -124,11 +124,11 @@ def _results(
         if one.known is not None:
             entry["baselineState"] = "unchanged" if one.known else "new"
         if one.diagnostic is not None:
-            entry["properties"] = code_and_values(one.diagnostic)
+            entry["properties"] = get_code_and_values(one.diagnostic)
         yield entry
 
 
-def code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
+def get_code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
     """Returns what a program wants to know of a diagnostic, as JSON has it."""
     content = json.loads(to_json(diagnostic))
     return {name: content[name] for name in ("code", "values")}
@@ -178,7 +178,7 @@ def write_github(annotations: Iterable[Annotation]) -> str:
     lines = []
     for annotation in annotations:
         file, line = annotation.file_and_line
-        parameters = [f"file={_property(from_root(file))}"] if file else []
+        parameters = [f"file={_property(relative_to_checkout(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
         parameters.append(f"title={_property(annotation.title)}")
         messages = annotation.message
@@ -211,7 +211,7 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
     for one, fails in zip(listed, failing, strict=True):
         file, line = one.file_and_line
         names = {"name": escape_control(one.title), "classname": escape_control(one.kind)}
-        names |= {"file": escape_control(from_root(file))} if file else {}
+        names |= {"file": escape_control(relative_to_checkout(file))} if file else {}
         names |= {"line": str(line)} if line is not None else {}
         case = ElementTree.SubElement(suite, "testcase", names)
         if fails:
@@ -223,10 +223,10 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
 
-WRITERS = {"github": write_github, "sarif": write_sarif, "junit": write_junit}
+ANNOTATION_WRITERS = {"github": write_github, "sarif": write_sarif, "junit": write_junit}
 """{format: what writes annotations in it}."""
 
 
-def for_machines(style: str, annotations: Iterable[Annotation]) -> str:
+def write_annotations(style: str, annotations: Iterable[Annotation]) -> str:
     """Returns annotations in one of the formats of ``WRITERS``."""
-    return WRITERS[style](annotations)
+    return ANNOTATION_WRITERS[style](annotations)

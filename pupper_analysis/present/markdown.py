@@ -17,22 +17,22 @@ from pupper_analysis.present.document import (
     Cell,
     Column,
     Document,
+    FileFinding,
     FilePlace,
     Lines,
     Listing,
     Number,
     Report,
-    Sides,
     Table,
     Words,
-    in_english,
+    get_english,
 )
 from pupper_analysis.present.formats import escape_control
 
-SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
+VERDICT_SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""
 
-MOST_LETTERS = 60_000
+MAX_COMMENT_LENGTH = 60_000
 """Of a comment, which may have 65,536, with room for what is put around it."""
 
 _ACTS = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
@@ -57,13 +57,13 @@ def write_markdown(report: Report) -> str:
     for document in report.documents:
         parts += _document(document, whole=not report.overview)
     text = "\n\n".join(parts) + "\n"
-    if len(text) <= MOST_LETTERS:
+    if len(text) <= MAX_COMMENT_LENGTH:
         return text
     short = "\n\n".join(
         [part for document in report.documents for part in _document(document, whole=False)]
     )
     message = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
-    return f"{short[:MOST_LETTERS]}\n\n{message}\n"
+    return f"{short[:MAX_COMMENT_LENGTH]}\n\n{message}\n"
 
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
@@ -73,7 +73,7 @@ def fold_lines(title: str, lines: Iterable[str]) -> str:
 
 
 def _document(document: Document, *, whole: bool) -> list[str]:
-    sign = SIGNS.get(document.mark, "")
+    sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escaped(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escaped(document.title)}"
     messages = [f"- **{_escaped(one)}**" for one in document.failures]
@@ -140,7 +140,7 @@ def _lines(block: Lines) -> list[str]:
 
 
 @_block.register
-def _sides(block: Sides) -> list[str]:
+def _sides(block: FileFinding) -> list[str]:
     tag = "" if block.tag is None else f"{_escaped(block.tag)} "
     lines = [f"- {tag}**{_escaped(block.title)}**"]
     lines += [f"  - {_place(one)}" for one in block.columns]
@@ -149,7 +149,7 @@ def _sides(block: Sides) -> list[str]:
 
 
 def _place(place: FilePlace) -> str:
-    quoted = _code(in_english(place.line).replace("\n", " "))
+    quoted = _code(get_english(place.line).replace("\n", " "))
     return f"{_escape(place.path) or _escaped(place.place)}: {quoted}"
 
 
@@ -173,7 +173,7 @@ def _longest(text: str) -> int:
 
 
 def _escaped(words: Words) -> str:
-    return _escape(in_english(words))
+    return _escape(get_english(words))
 
 
 def _escape(text: str) -> str:

@@ -25,7 +25,7 @@ from pupper_analysis.statics.support_polygon import support_polygon
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SHOWN_GROUPS = 3
+NUM_VISIBLE_GROUPS = 3
 """MuJoCo's viewer shows the geoms of groups 0 to 2, and keeps the others for collisions."""
 
 _COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
@@ -33,7 +33,7 @@ _FEWEST = 100  # triangles of a mesh, however many the robot has
 
 
 @dataclass(frozen=True, eq=False)
-class SeenShape:
+class VisibleShape:
     """A geom that is shown.
 
     Attributes:
@@ -58,24 +58,24 @@ class JointAxis:
         body: The number of the body that it moves.
         anchor: (3,) on its axis, in the body's frame (m).
         axis: (3,) in the body's frame.
-        place: (3,) on its axis, in the world (m).
-        direction: (3,) its axis in the world.
+        world_anchor: (3,) on its axis, in the world (m).
+        world_axis: (3,) its axis in the world.
         position: Where it is (rad, m).
         torque: What its motor holds (N m, N); None where that is not shown.
         limit: Of that; None where there is none.
-        share: The torque in parts of the limit; None as both of them.
+        utilisation: The torque in parts of the limit; None as both of them.
     """
 
     name: str
     body: int
     anchor: Array
     axis: Array
-    place: Array
-    direction: Array
+    world_anchor: Array
+    world_axis: Array
     position: float
     torque: float | None
     limit: float | None
-    share: float | None
+    utilisation: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,35 +99,36 @@ class StandingScene:
 
     Attributes:
         ground: The plane, through the origin.
-        points: (n, 3) where the feet touch it or their steps, which are no softer than rock (m).
+        contact_positions: (n, 3) where the feet touch it or their steps, which are no softer than
+            rock (m).
         polygon: (m, 3) the support polygon's corners, each as high as the point that it is, or
             where a com is in balance on several planes (m).
         steps: {foot: what is under it, if that is not the ground}.
         com: (3,) the centre of mass (m).
-        below: (3,) where its plumb line meets the plane through the points (m).
-        inside: Whether that is inside of the polygon.
+        com_projection: (3,) where its plumb line meets the plane through the points (m).
+        com_inside: Whether that is inside of the polygon.
         joints: In actuator order.
         contacts: The forces; empty where they are not shown.
     """
 
     ground: Ground
-    points: Array
+    contact_positions: Array
     polygon: Array
     steps: Mapping[str, Step]
     com: Array
-    below: Array
-    inside: bool
+    com_projection: Array
+    com_inside: bool
     joints: tuple[JointAxis, ...]
     contacts: tuple[Contact, ...]
 
     @property
-    def middle(self) -> Array:
+    def ground_centre(self) -> Array:
         """Where the ground's plane is in the middle of the feet (3,) (m)."""
-        x, y = self.points[:, :2].mean(axis=0)
+        x, y = self.contact_positions[:, :2].mean(axis=0)
         return np.array([x, y, self.ground.height((x, y))])
 
     @property
-    def normal(self) -> Array:
+    def ground_normal(self) -> Array:
         """The direction (3,) out of the ground's plane."""
         return self.ground.normal()
 
@@ -150,15 +151,15 @@ def describe_scene(
     over = points[:1] if robot.welded else points  # welds hold a com over any place
     return StandingScene(
         ground=ground,
-        points=points,
+        contact_positions=points,
         polygon=_balanced(robot, stand, points)
         if ground.planes and not robot.welded
-        else polygon_corners(over),
+        else compute_polygon_corners(over),
         steps=ground.steps(stand.rigid_targets),
         com=com,
-        below=np.array([com[0], com[1], height_at(points, com)]),
-        inside=stand.com_margin >= 0,
-        joints=tuple(joint_axes(config, stand.joint_positions(robot), statics)),
+        com_projection=np.array([com[0], com[1], evaluate_plane_height(points, com)]),
+        com_inside=stand.com_margin >= 0,
+        joints=tuple(describe_joint_axes(config, stand.joint_positions(robot), statics)),
         contacts=_contacts(robot, stand, statics) if statics else (),
     )
 
@@ -171,7 +172,7 @@ def _contacts(robot: Robot, stand: Stand, statics: GravityCompensation) -> tuple
     return (*feet, *(Contact(name, stand.foot_targets[name], pulls[name]) for name in pulls))
 
 
-def height_at(points: Array, place: Array) -> float:
+def evaluate_plane_height(points: Array, place: Array) -> float:
     """Returns z of the plane through points (n, 3) at a place (2,) (m); of few, the least one."""
     known = np.column_stack([points[:, :2], np.ones(len(points))])
     plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
@@ -180,11 +181,13 @@ def height_at(points: Array, place: Array) -> float:
 
 def _balanced(robot: Robot, stand: Stand, points: Array) -> Array:
     """Returns the corners (m, 3) of where a com is in balance, in the plane through the points."""
-    corners = polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
-    return np.array([(x, y, height_at(points, np.array((x, y)))) for x, y, _ in corners])
+    corners = compute_polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
+    return np.array(
+        [(x, y, evaluate_plane_height(points, np.array((x, y)))) for x, y, _ in corners]
+    )
 
 
-def polygon_corners(points: Array) -> Array:
+def compute_polygon_corners(points: Array) -> Array:
     """Returns the support polygon's corners (m, 3), each as high as the point that it is (m)."""
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # and no line, nor a point
@@ -193,7 +196,7 @@ def polygon_corners(points: Array) -> Array:
     return np.column_stack([corners, points[np.argmin(away, axis=0), 2]])
 
 
-def joint_axes(
+def describe_joint_axes(
     config: Configuration, positions: Array, statics: GravityCompensation | None
 ) -> list[JointAxis]:
     """Returns where a robot's joints are, and what their motors hold.
@@ -216,45 +219,49 @@ def joint_axes(
                 body=int(model.jnt_bodyid[joint]),
                 anchor=model.jnt_pos[joint],
                 axis=model.jnt_axis[joint],
-                place=config.joint_position(name),
-                direction=config.joint_axis(name),
+                world_anchor=config.joint_position(name),
+                world_axis=config.joint_axis(name),
                 position=float(positions[index]),
                 torque=None if statics is None else float(statics.joint_torques[index]),
                 limit=limit if np.isfinite(limit) else None,
-                share=float(statics.motor_utilisation[index]) if statics and limited else None,
+                utilisation=float(statics.motor_utilisation[index])
+                if statics and limited
+                else None,
             )
         )
     return found
 
 
-def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[SeenShape], dict[int, Mesh]]:
+def collect_visible_shapes(
+    model: mujoco.MjModel, max_faces: int
+) -> tuple[list[VisibleShape], dict[int, Mesh]]:
     """Returns the robot's shapes, and the meshes that they have.
 
     Args:
         model: MuJoCo's model of the robot.
-        most_faces: Triangles of all meshes together: finer ones are made coarser.
+        max_faces: Triangles of all meshes together: finer ones are made coarser.
     """
-    seen = shown_geoms(model)
+    seen = select_visible_geoms(model)
     shapes = []
     for geom in seen:
         form, material = read_shape(model, geom), int(model.geom_matid[geom])
         colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
         mesh = int(model.geom_dataid[geom]) if form.kind == "mesh" else None
-        shapes.append(SeenShape(int(model.geom_bodyid[geom]), form, colour, mesh))
+        shapes.append(VisibleShape(int(model.geom_bodyid[geom]), form, colour, mesh))
     numbers = sorted({shape.mesh for shape in shapes if shape.mesh is not None})
     total = sum(int(model.mesh_facenum[mesh]) for mesh in numbers)
-    share = min(1.0, most_faces / max(total, 1))
+    share = min(1.0, max_faces / max(total, 1))
     return shapes, {mesh: _mesh(model, mesh, share) for mesh in numbers}
 
 
-def shown_geoms(model: mujoco.MjModel) -> list[int]:
+def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
     """Returns the robot's shapes that are shown: those that MuJoCo's viewer shows, or else all."""
     own = [
         geom
         for geom in range(model.ngeom)
         if model.geom_bodyid[geom] and read_shape(model, geom).kind in NUM_SIZES
     ]
-    return [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
+    return [geom for geom in own if model.geom_group[geom] < NUM_VISIBLE_GROUPS] or own
 
 
 def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:

@@ -19,19 +19,19 @@ from rich.text import Text
 from pupper_analysis.present.document import (
     Block,
     Document,
+    FileFinding,
     Lines,
     Listing,
     Name,
     Number,
     Report,
-    Sides,
     Table,
     Words,
-    in_english,
+    get_english,
 )
 from pupper_analysis.present.formats import escape_control
 
-MOST_NOTES = 8
+MAX_SHORT_NOTES = 8
 """Lines of notes in a short view: what is read before a table."""
 
 _LEAST_WIDTH = 40
@@ -110,7 +110,7 @@ def print_document(out: Console, document: Document, *, everything: bool = False
     print_head(out, document, everything=everything)
     place = 0
     for block in document.blocks:
-        place += isinstance(block, Sides)
+        place += isinstance(block, FileFinding)
         if everything or not _left_out(document, block):
             _print_block(out, block, place, everything=everything)
     if document.brief and not everything:
@@ -143,7 +143,7 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
     line = Text()
     if document.verdict is not None:
-        line.append(_plain(document.verdict), f"bold {STYLES.get(document.mark, '')}".strip())
+        line.append(_plain(document.verdict), f"bold {MARK_STYLES.get(document.mark, '')}".strip())
         line.append(" ")
     line.append(_plain(document.title), "bold")
     if messages:
@@ -168,8 +168,8 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
         everything: Print them all.
     """
     shown = notes
-    if not everything and len(notes) > MOST_NOTES:
-        shown = notes[: MOST_NOTES - 1]
+    if not everything and len(notes) > MAX_SHORT_NOTES:
+        shown = notes[: MAX_SHORT_NOTES - 1]
     for note in shown:
         _say(out, Text("note: ", "yellow").append(_plain(note), "yellow"), indent=6)
     if len(shown) < len(notes):
@@ -179,7 +179,7 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
 def _print_left_out(out: Console, document: Document) -> None:
     left = [block for block in document.blocks if _left_out(document, block)]
     tables = [_plain(block.title) for block in left if isinstance(block, Table)]
-    findings = sum(isinstance(block, Sides) for block in left)
+    findings = sum(isinstance(block, FileFinding) for block in left)
     parts = [f"{findings} more of these"] * bool(findings) + tables
     if parts:
         _say(out, Text(f"with -v: {'; '.join(parts)}", "dim"))
@@ -206,14 +206,14 @@ def _of_table(table: Table, view: _View) -> list[_Line]:
 
 
 @_lines_of.register
-def _of_sides(block: Sides, view: _View) -> list[_Line]:
+def _of_sides(block: FileFinding, view: _View) -> list[_Line]:
     head = Text(f"{view.place}. ")
     if block.tag is not None:
-        head.append(f"{_plain(block.tag)} ", STYLES.get(block.tag.mark, "cyan"))
+        head.append(f"{_plain(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
     files = "   ".join(_escape(one.path) or _plain(one.place) for one in block.columns)
     rows = [f"   {files}"]
     if view.everything:
-        quoted = (row for one in block.columns for row in in_english(one.line).split("\n") if row)
+        quoted = (row for one in block.columns for row in get_english(one.line).split("\n") if row)
         rows += [f"   | {_escape(row)}" for row in quoted]
     return [
         _Line(Text("")),
@@ -228,7 +228,7 @@ def _of_lines(block: Lines, _: _View) -> list[_Line]:
     lines = [_Line(_marked(line)) for line in block.lines]
     if block.title is None:
         return lines
-    style = f"bold {STYLES.get(block.mark, '')}".strip()
+    style = f"bold {MARK_STYLES.get(block.mark, '')}".strip()
     return [_Line(Text("")), _Line(Text(_plain(block.title), style)), *lines]
 
 
@@ -255,20 +255,20 @@ def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> Non
 
 
 def _plain(words: Words) -> str:
-    return _escape(in_english(words))
+    return _escape(get_english(words))
 
 
 def _marked(words: Words) -> Text:
     """Returns words with their emphasis: of a verdict, on its first word alone."""
     plain = _plain(words)
-    style = STYLES.get(words.mark, "")
+    style = MARK_STYLES.get(words.mark, "")
     first = plain.partition(" ")[0]
     if style and first.isupper():
         return Text(first, f"bold {style}").append(plain[len(first) :], "")
     return Text(plain, style if words.mark == "quiet" else "")
 
 
-GAP = 2
+COLUMN_GAP = 2
 """Characters between columns."""
 
 _HEADER = 12
@@ -277,7 +277,13 @@ _HEADER = 12
 _SENTENCE = 24
 """Characters to which a column of sentences is wrapped at the least."""
 
-STYLES = {"good": "green", "bad": "red", "warn": "yellow", "best": "bold green", "quiet": "dim"}
+MARK_STYLES = {
+    "good": "green",
+    "bad": "red",
+    "warn": "yellow",
+    "best": "bold green",
+    "quiet": "dim",
+}
 """Of each emphasis."""
 
 
@@ -322,8 +328,8 @@ def _laid_out(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
 
 def _column(table: Table, index: int, *, wraps: bool) -> _Column:
     column, cells = table.columns[index], [row[index] for row in table.rows]
-    texts = [_escape(one.text if isinstance(one, Number) else in_english(one)) for one in cells]
-    name = _escape(in_english(column.name))
+    texts = [_escape(one.text if isinstance(one, Number) else get_english(one)) for one in cells]
+    name = _escape(get_english(column.name))
     unit = f"({_escape(column.unit)})" if column.unit not in ("", "1") else ""
     heads = map(cell_len, (*name.split(), unit))
     width = least = max(*heads, min(cell_len(name), _HEADER), *map(cell_len, texts), 0)
@@ -331,19 +337,21 @@ def _column(table: Table, index: int, *, wraps: bool) -> _Column:
     if wraps and any(" " in one for one, cell in written if not isinstance(cell, Name | Number)):
         words = (cell_len(word) for one in texts for word in one.split())
         least = min(width, max(_SENTENCE, *words))
-    shown = [Text(one, STYLES.get(cell.mark, "")) for one, cell in zip(texts, cells, strict=True)]
+    shown = [
+        Text(one, MARK_STYLES.get(cell.mark, "")) for one, cell in zip(texts, cells, strict=True)
+    ]
     return _Column(f"{name}\n{unit}".strip(), shown, column.left, width, least)
 
 
 def _least(columns: Sequence[_Column]) -> int:
-    return sum(column.least + GAP for column in columns) - GAP
+    return sum(column.least + COLUMN_GAP for column in columns) - COLUMN_GAP
 
 
 def _lines(out: Console, columns: Sequence[_Column], width: int) -> list[Text]:
     from rich.box import Box  # no table is printed without -v, and both are slow to import
     from rich.table import Table as Grid
 
-    grid = Grid(box=Box(_BOX), padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False,
+    grid = Grid(box=Box(_BOX), padding=(0, COLUMN_GAP - 1, 0, 0), pad_edge=False, show_edge=False,
                 header_style="dim", border_style="dim")  # fmt: skip
     for column in columns:
         fixed = column.width if column.least == column.width else None

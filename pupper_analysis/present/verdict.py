@@ -33,7 +33,7 @@ from pupper_analysis.simulation.verdict import (
     VerdictCode,
 )
 
-FEW = 3
+MAX_NAMED_JOINTS = 3
 """Joints that are named one by one, with what the file has there."""
 
 
@@ -55,7 +55,10 @@ class Clause:
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
-    own, fails = tuple(own_clauses(verdict.own)), verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    own, fails = (
+        tuple(make_keyframe_run_clauses(verdict.own)),
+        verdict.code is VerdictCode.OWN_DRIVES_FAIL,
+    )
     deciding = [one for one in verdict.remarks if one.code == _DECIDING.get(verdict.code)]
     messages = (
         *(Clause(False, remark) for remark in deciding),
@@ -65,7 +68,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
         *_creep(verdict),
         *(Clause(True, note) for note in verdict.notes),
-        *published_clauses(verdict.published),
+        *make_published_clauses(verdict.published),
         *_beyond(verdict),
         *(() if fails else own),
     )
@@ -73,7 +76,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     return tuple(sorted(once.values(), key=lambda clause: clause.good != verdict.passed))
 
 
-def in_words(verdict: Verdict) -> str:
+def format_verdict(verdict: Verdict) -> str:
     """Returns a verdict in one line."""
     return "; ".join(map(str, verdict_clauses(verdict)))
 
@@ -93,7 +96,7 @@ _WORDS = {
 """What it does, and what it does else, by what is asked."""
 
 
-def short_verdict(verdict: Verdict) -> str:
+def get_verdict_key(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
     if verdict.code in UNKNOWN:
         return "UNKNOWN"
@@ -114,10 +117,10 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
     lines = map(clause_text, verdict_clauses(verdict))
     if not verdict.passed:
         return tuple(lines)
-    return tuple(line.marked("warn") if line.mark == "bad" else line for line in lines)
+    return tuple(line.with_mark("warn") if line.mark == "bad" else line for line in lines)
 
 
-def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
+def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
     """Returns a verdict's lines: what is against it, assumed or asked for, and the others.
 
     What the file does by itself is among the first, good or not: no verdict goes without it.
@@ -141,7 +144,7 @@ _ALWAYS_SAID = ("servos-given", "own-run", "own-run-diverges")
 """Codes of lines that are read first, whatever they say."""
 
 
-class Judged(Protocol):
+class JudgedResult(Protocol):
     """A result that has a verdict."""
 
     @property
@@ -159,7 +162,7 @@ class Judged(Protocol):
 
 def judged_document(
     kind: Words,
-    judged: Judged,
+    judged: JudgedResult,
     blocks: Iterable[Block],
     answer: Iterable[Words],
     *,
@@ -183,7 +186,7 @@ def judged_document(
         word: The verdict in a word or two, if it is another than the judge's.
         notes: What was assumed, found or left out on the way.
     """
-    first, more = lines_to_read(judged.verdict)
+    first, more = split_verdict_lines(judged.verdict)
     return Document(
         kind,
         Name(judged.name),
@@ -200,10 +203,10 @@ def judged_document(
 
 def verdict_word(verdict: Verdict) -> Text:
     """Returns a verdict in a word or two."""
-    return verdict_of_files(short_verdict(verdict), verdict.converted)
+    return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
 
 
-def verdict_of_files(key: str, converted: str) -> Text:
+def qualify_verdict_word(key: str, converted: str) -> Text:
     """Returns the word of a verdict; of a good one it tells if both models are of one file.
 
     Args:
@@ -215,7 +218,7 @@ def verdict_of_files(key: str, converted: str) -> Text:
     return text("verdict-from-one-file", word=word) if good else word
 
 
-def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
+def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
     """Says what a file does by itself, whatever comes of it: a line for each run."""
     for run in () if own is None else (own, *((own.held,) if own.held else ())):
         how: dict[str, Any] = {
@@ -287,7 +290,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
         )
         yield Clause(True, message)
     if verdict.servos.made:
-        yield on_servos(verdict.servos, good=fed is Ending.HOLDS)
+        yield make_servo_clause(verdict.servos, good=fed is Ending.HOLDS)
     elif verdict.servos.source is ServoSource.GIVEN and fed is not Ending.UNTRIED:
         yield Clause(fed is Ending.HOLDS, diagnose("servos-given", **_gains(verdict.servos)))
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
@@ -295,7 +298,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
         yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
 
 
-def published_clauses(published: Published | None) -> Iterator[Clause]:
+def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Says how far the robot as published is from the computed one."""
     if published is None:
         return
@@ -400,9 +403,9 @@ def _creep(verdict: Verdict) -> Iterator[Clause]:
     yield Clause(True, message)
 
 
-def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
+def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
     """Says that a result rests on servos that were made up, and on which."""
-    few = servos.made if len(servos.made) <= FEW else ()
+    few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(
         "on-servos-made-up",
         count=len(servos.made),

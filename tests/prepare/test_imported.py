@@ -13,7 +13,7 @@ import trimesh
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import get_published_model, own_run
-from pupper_analysis.present.verdict import in_words, verdict_clauses
+from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from tests.support.legged import biped, quadruped, rewritten
 
@@ -61,7 +61,7 @@ def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Pa
     assert not verdict.own.falls
     assert verdict.own.timestep is None
     assert verdict.own.worst is not None
-    assert "MuJoCo's import of the URDF, from the computed pose" in in_words(verdict)
+    assert "MuJoCo's import of the URDF, from the computed pose" in format_verdict(verdict)
     assert verdict.published is not None
     assert not verdict.published.differs
     for run in verdict.published.runs:
@@ -94,7 +94,7 @@ def test_verdict_fails_if_the_mujoco_import_falls(tmp_path: Path) -> None:
     other = replace(robot, published=replace(robot.published, imported=short))
     verdict = verdict_of(other)
     assert verdict.with_feedforward == "holds"
-    assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED, in_words(verdict)
+    assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED, format_verdict(verdict)
     assert not verdict.passed
 
 
@@ -102,11 +102,11 @@ def test_verdict_fails_if_the_mujoco_import_falls(tmp_path: Path) -> None:
 def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> None:
     """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))
-    assert verdict.passed, in_words(verdict)
+    assert verdict.passed, format_verdict(verdict)
     assert "on-balls-for-soles" in {clause.message.code for clause in verdict_clauses(verdict)}
     assert verdict.own is not None
     assert verdict.own.timestep == 1e-3
-    assert "at a time step of 1 ms (it shakes at longer ones)" in in_words(verdict)
+    assert "at a time step of 1 ms (it shakes at longer ones)" in format_verdict(verdict)
 
 
 @pytest.mark.slow
@@ -116,4 +116,4 @@ def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
     verdict = verdict_of(pa.load_robot(urdf))
     assert verdict.own is None
     assert verdict.passed
-    assert "what MuJoCo's own import of the URDF does is not known" in in_words(verdict)
+    assert "what MuJoCo's own import of the URDF does is not known" in format_verdict(verdict)

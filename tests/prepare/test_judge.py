@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import list_file_remarks
-from pupper_analysis.present.verdict import in_words
+from pupper_analysis.present.verdict import format_verdict
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import features
 from tests.support.legged import edited_by, quadruped
@@ -67,7 +67,7 @@ def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
             verdict_of(pa.load_robot(urdf))
         return
     verdict = verdict_of(pa.load_robot(urdf))
-    said = in_words(verdict)
+    said = format_verdict(verdict)
     assert "on files with defects (audit lists them): " in said
     assert message in said
 
@@ -89,7 +89,7 @@ def test_a_gravity_that_is_not_the_earths_is_in_the_verdict(
 @pytest.mark.slow
 def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.files(tmp_path, features.FEATURES["frictionloss -1"])
-    said = in_words(verdict_of(pa.load_robot(mjcf)))
+    said = format_verdict(verdict_of(pa.load_robot(mjcf)))
     assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
 
 
@@ -108,4 +108,4 @@ def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, mess
     urdf = slipped(tmp_path, slip)
     (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
     assert found.rule in ("value-impossible", "effort-negative")
-    assert f"audit lists them): {message}" in in_words(verdict_of(pa.load_robot(urdf)))
+    assert f"audit lists them): {message}" in format_verdict(verdict_of(pa.load_robot(urdf)))

@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.transmission import Drive
-from pupper_analysis.present.verdict import in_words, verdict_clauses
+from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import features
 from tests.support.features import LEGS, Edit, put, section
@@ -225,7 +225,7 @@ def right(
         stated = (error.diagnostic, *error.diagnostic.values.values())
         return bool({getattr(one, "code", "") for one in stated} & set(allowed))
     message = causes(verdict)
-    assert set(message) <= {*allowed, *CONSEQUENCES}, (message, in_words(verdict))
+    assert set(message) <= {*allowed, *CONSEQUENCES}, (message, format_verdict(verdict))
     if verdict.passed and not message:
         return None
     return bool(message) and message[0] in allowed
@@ -243,7 +243,7 @@ def planted(folder: Path, plant: str) -> tuple[Path, Path]:
 @pytest.mark.slow
 def test_correct_files_have_no_cause_of_failure(tmp_path: Path) -> None:
     verdict = judged(*standing(tmp_path))
-    assert verdict.passed, in_words(verdict)
+    assert verdict.passed, format_verdict(verdict)
     assert causes(verdict) == []
 
 
@@ -271,4 +271,4 @@ def test_horizontal_gravity_is_named_as_a_cause(tmp_path: Path) -> None:
     shared.write_text(put("0 0 -9.81", "4 0 -9")(shared.read_text()))
     verdict = judged(ROOT / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
     assert not verdict.passed
-    assert "gravity-aside" in causes(verdict), in_words(verdict)
+    assert "gravity-aside" in causes(verdict), format_verdict(verdict)

@@ -14,7 +14,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import in_words
+from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.robot.robot import PublishedFile
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
@@ -55,7 +55,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
         assert abs(run.height_error) < 1e-8
         assert run.torque_error < 1e-4
     assert verdict.code is VerdictCode.HOLDS
-    assert "unmodified MJCF, from keyframe home, 5 s: CoM height" in in_words(verdict)
+    assert "unmodified MJCF, from keyframe home, 5 s: CoM height" in format_verdict(verdict)
     assert not verdict.servos.made
 
 
@@ -162,7 +162,7 @@ def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, s
     verdict = verdict_of(pair)
     assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
     assert not verdict.passed
-    assert said in in_words(verdict)
+    assert said in format_verdict(verdict)
 
 
 @pytest.mark.slow
@@ -214,7 +214,7 @@ def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str)
     assert found.remaining is not None
     assert found.remaining < 0.01
     assert verdict.code is not VerdictCode.HOLDS
-    assert element in in_words(verdict)
+    assert element in format_verdict(verdict)
 
 
 @pytest.mark.slow

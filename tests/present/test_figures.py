@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import in_english
+from pupper_analysis.present.document import get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
-    pose_figure,
+    write_pose_figure,
 )
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
@@ -92,7 +92,9 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
                  for side in (-1, 1))  # fmt: skip
     assert high == pytest.approx(stand.contact_points["FR"] @ ground.normal(), abs=1e-9)
     assert low == pytest.approx(0, abs=1e-9)
-    figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stance.stand_statics(robot, stand))
+    figure = drawn(
+        monkeypatch, write_pose_figure, robot, stand, pa.stance.stand_statics(robot, stand)
+    )
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "swing foot" in labels
     for axes in figure.axes:
@@ -112,4 +114,4 @@ def test_the_legend_of_a_height_is_the_mean_of_the_curves_last_second() -> None:
     assert curve.note is not None
     times, heights = np.asarray(curve.x), np.asarray(curve.y)
     expected = 1e3 * height - heights[times > times[-1] - 1.0].mean()
-    assert f"{expected:.2f}" in in_english(curve.note)
+    assert f"{expected:.2f}" in get_english(curve.note)

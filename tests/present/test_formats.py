@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from pupper_analysis.present.document import (
     Column,
     Document,
+    FileFinding,
     FilePlace,
     Lines,
     Listing,
     Name,
-    Sides,
     Table,
-    tell,
+    diagnostic_text,
 )
 from pupper_analysis.present.formats import Annotation, escape_control, write_github, write_junit
 from pupper_analysis.present.terminal import SafeConsole, print_document
@@ -112,7 +112,7 @@ def test_the_console_shows_what_would_act(hostile: str, terminal: bool) -> None:
     blocks = (
         Table(name, (Column(name, hostile),), ((name,),), (name,)),
         Lines((name,), title=name),
-        Sides(tell(problem(hostile)), (place,), (name,), name),
+        FileFinding(diagnostic_text(problem(hostile)), (place,), (name,), name),
         Listing(name, hostile.replace("\n", "")),
     )
     document = Document(name, name, blocks, passed=False, verdict=name, failures=(name, name))

@@ -30,12 +30,12 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     View,
-    tell,
+    diagnostic_text,
 )
 from pupper_analysis.present.documents import sources
 from pupper_analysis.present.html import plots, write
-from pupper_analysis.present.html.write import scene_of
-from pupper_analysis.present.scene import describe_scene, shapes_of
+from pupper_analysis.present.html.write import serialise_scene
+from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
@@ -62,7 +62,7 @@ def analysis() -> pa.analysis.Analysis:
 
 
 def drawn_of(what: StandScene) -> dict[str, Any]:
-    found = scene_of(what)
+    found = serialise_scene(what)
     assert found is not None
     return found
 
@@ -222,8 +222,8 @@ def test_names_in_a_view_cannot_end_their_script() -> None:
     for index, joint in enumerate(drawn["joints"]):
         joint["name"] = EVIL[index % len(EVIL)]
     drawn["bodies"][0]["name"] = EVIL[1]
-    scene_of.register(Drawn, lambda one: one.data)
-    view = View(tell(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
+    serialise_scene.register(Drawn, lambda one: one.data)
+    view = View(diagnostic_text(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
     document = Document(Name(""), Name(EVIL[0]), (view,))
     page = Page(write.render_page(Report(Text(EVIL[1], EVIL[1]), (document,))))
     data = next(json.loads(text) for text in page.strict.scripts if '"joints"' in text[:200000])
@@ -276,20 +276,20 @@ def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_p
     touched = np.array([stand.contact_points[foot] for foot in ("FL", "FR", "RL", "RR")])
     for corner in seen.polygon:
         assert np.linalg.norm(touched - corner, axis=1).min() < 1e-9
-    assert seen.middle @ ground.normal() == pytest.approx(0, abs=1e-12)
+    assert seen.ground_centre @ ground.normal() == pytest.approx(0, abs=1e-12)
     assert seen.com == pytest.approx(pa.Configuration(robot, stand.qpos).center_of_mass())
-    assert seen.below[:2] == pytest.approx(seen.com[:2])
+    assert seen.com_projection[:2] == pytest.approx(seen.com[:2])
     around = touched[:, :2] - touched[:, :2].mean(axis=0)
     rise = np.linalg.pinv(around) @ (touched[:, 2] - touched[:, 2].mean())
     meets = touched[:, 2].mean() + rise @ (seen.com[:2] - touched[:, :2].mean(axis=0))
-    assert seen.below[2] == pytest.approx(meets, abs=1e-9)
+    assert seen.com_projection[2] == pytest.approx(meets, abs=1e-9)
     assert abs(meets) > 1e-4
     drawn = drawn_of(StandScene(robot, stand))
     assert [one["pit"] for one in drawn["steps"]] == [False, True]
     assert drawn["polygon"] == [pytest.approx(corner, abs=1e-5) for corner in seen.polygon]
     for joint in seen.joints:
         config = pa.Configuration(robot, stand.qpos)
-        assert joint.place == pytest.approx(config.joint_position(joint.name))
+        assert joint.world_anchor == pytest.approx(config.joint_position(joint.name))
         assert joint.torque is None
 
 
@@ -307,8 +307,8 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
 
 def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> None:
     models = load("v3").mj_model, load("v3-heavy").mj_model
-    (geoms, meshes), (_, others) = map(write.geoms_of, models)
-    shapes, whole = shapes_of(models[0], write.MOST_FACES)
+    (geoms, meshes), (_, others) = map(write.serialise_geoms, models)
+    shapes, whole = collect_visible_shapes(models[0], write.MAX_FACES)
     assert len(meshes) > 3
     assert meshes.keys() == others.keys()
     for shape, geom in zip(shapes, geoms, strict=True):
@@ -319,8 +319,10 @@ def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> N
 def test_meshes_keep_their_size() -> None:
     """The torso's volume by the file's triangles is that of what the page has."""
     model = load("v3").mj_model
-    shapes, whole_scene = shapes_of(model, int(model.mesh_facenum.sum()))
-    coarse = shapes_of(model, int(0.3 * sum(len(one.faces) for one in whole_scene.values())))[1]
+    shapes, whole_scene = collect_visible_shapes(model, int(model.mesh_facenum.sum()))
+    coarse = collect_visible_shapes(
+        model, int(0.3 * sum(len(one.faces) for one in whole_scene.values()))
+    )[1]
     assert {shape.mesh for shape in shapes} - {None} == set(whole_scene)
     for mesh in whole_scene:
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -342,7 +344,7 @@ def test_meshes_keep_their_size() -> None:
 
 def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "_PACKAGE", "no_such_package")
-    assert write.installed_library() is None
+    assert write.load_viewer_library() is None
     page = Page(written(analysis()))
     assert "three.js was not found" in page.shown()
     assert "application/json" in page.text
@@ -350,7 +352,7 @@ def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_library_comes_with_its_licences() -> None:
-    found = write.installed_library()
+    found = write.load_viewer_library()
     assert found is not None
     assert not re.search(r"(?i)</script|<!--", found.script)
     for name in ("MeshCat", "three ", "Permission is hereby granted"):
@@ -369,7 +371,7 @@ def test_a_line_is_where_its_values_are() -> None:
     line = next(mark for mark in drawing.marks if mark["tag"] == "polyline")
     assert line["labels"] == ["0.0 s, 1.0 mm", "10.0 s, 3.0 mm"]
     (x0, y0), (x1, y1) = line["points"]
-    assert (x0, x1) == (plots.LEFT, plots.WIDTH - plots.RIGHT)
+    assert (x0, x1) == (plots.LEFT_MARGIN, plots.PLOT_WIDTH - plots.RIGHT_MARGIN)
     assert y0 > y1  # more is further up
     grid = {
         mark["words"].text: mark["y"]

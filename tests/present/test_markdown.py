@@ -10,47 +10,50 @@ import pytest
 from pupper_analysis.present.document import (
     Column,
     Document,
+    FileFinding,
     FilePlace,
     Lines,
     Listing,
     Name,
     Number,
     Report,
-    Sides,
     Table,
-    tell,
+    diagnostic_text,
     text,
 )
-from pupper_analysis.present.markdown import MOST_LETTERS, write_markdown
+from pupper_analysis.present.markdown import MAX_COMMENT_LENGTH, write_markdown
 from tests.support.stubs import problem
 
 TABLE = Table(
     text("motor-torques"),
     (Column(text("joint"), left=True), Column(text("torque"), "N m"), Column(text("verdict"))),
     (
-        (Name("knee_1"), Number("-0.1234", -0.1234, share=0.5), text("ok")),
-        (Name("hip"), Number("9.9", 9.9, "bad"), text("differs").marked("bad")),
+        (Name("knee_1"), Number("-0.1234", -0.1234, bar_fraction=0.5), text("ok")),
+        (Name("hip"), Number("9.9", 9.9, "bad"), text("differs").with_mark("bad")),
     ),
     (text("objections"),),
 )
-MASS, SANK = (tell(problem(one)) for one in ("mass 1 kg", "it sank"))
+MASS, SANK = (diagnostic_text(problem(one)) for one in ("mass 1 kg", "it sank"))
 PLACES = (FilePlace(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
 DOCUMENT = Document(
     text("stance"),
     Name("v3"),
     (
         TABLE,
-        Sides(
-            tell(problem("mass 1 kg")), PLACES, (text("no-change"),), text("all-ok").marked("warn")
+        FileFinding(
+            diagnostic_text(problem("mass 1 kg")),
+            PLACES,
+            (text("no-change"),),
+            text("all-ok").with_mark("warn"),
         ),
-        Lines((tell(problem("it sank")),), "bad", text("objections"), detail=True),
+        Lines((diagnostic_text(problem("it sank")),), "bad", text("objections"), detail=True),
         Listing(text("no-change"), "-a\n+```b", "diff"),
     ),
     passed=False,
     verdict=text("FAILS"),
-    failures=(tell(problem("it fell over")),),
-    findings=(tell(problem("height 0.13 m")),),
-    notes=(tell(problem("a floor was added")),),
+    failures=(diagnostic_text(problem("it fell over")),),
+    findings=(diagnostic_text(problem("height 0.13 m")),),
+    notes=(diagnostic_text(problem("a floor was added")),),
 )
 
 
@@ -110,10 +113,10 @@ EVIL = (
 
 @pytest.mark.parametrize("name", EVIL)
 def test_no_name_acts(name: str) -> None:
-    said, place = tell(problem(name)), FilePlace(Name(name), Name(name), name)
+    said, place = diagnostic_text(problem(name)), FilePlace(Name(name), Name(name), name)
     blocks = (
         Table(said, (Column(said, "N"),), ((said,),), (said,)),
-        Sides(said, (place,), (said,), said),
+        FileFinding(said, (place,), (said,), said),
         Lines((said,), title=said, detail=True),
         Listing(said, name, "diff"),
     )
@@ -138,6 +141,6 @@ def test_a_comment_has_room_for_it() -> None:
     assert shown.count("x" * 500) == 100
     assert "--json" not in shown
     shown = write_markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
-    assert len(shown) < MOST_LETTERS
+    assert len(shown) < MAX_COMMENT_LENGTH
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown

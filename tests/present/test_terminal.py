@@ -5,7 +5,15 @@ from __future__ import annotations
 import io
 import re
 
-from pupper_analysis.present.document import Column, Document, Lines, Name, Number, Table, tell
+from pupper_analysis.present.document import (
+    Column,
+    Document,
+    Lines,
+    Name,
+    Number,
+    Table,
+    diagnostic_text,
+)
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.printing import printed
 from tests.support.stubs import problem
@@ -48,7 +56,7 @@ def test_a_table_too_wide_is_in_parts_and_no_number_is_cut() -> None:
 
 
 def test_lines_are_wrapped_on_a_terminal_alone() -> None:
-    wrapped = tell(problem("a word " * 40))
+    wrapped = diagnostic_text(problem("a word " * 40))
     document = Document(Name(""), Name("robot"), (), findings=(Name("x"), wrapped))
     assert len(printed(document).splitlines()) == 2
     file = io.StringIO()

@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
-from pupper_analysis.present.verdict import lines_to_read
+from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.build import with_efforts
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import with_payload
@@ -55,7 +55,9 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
     verdict = pa.hold_posture(robot).verdict
     (message,) = verdict.remarks
     assert message.code == "rests-on-placeholder-efforts"
-    assert any(str(message) in str(line) for line in lines_to_read(verdict)[0])  # also without -v
+    assert any(
+        str(message) in str(line) for line in split_verdict_lines(verdict)[0]
+    )  # also without -v
     assert sorted(message.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
     asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
     held = pa.hold_posture(asked)

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.present.verdict import in_words
+from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.robot.as_published import (
     Cause,
     JointOff,
@@ -150,9 +150,9 @@ def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
     asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
     verdict = judge_stance(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
     assert (verdict.code, verdict.passed) == (code, passed)
-    assert said in in_words(verdict)
+    assert said in format_verdict(verdict)
     if not passed:
-        assert not in_words(verdict).startswith("HOLDS")
+        assert not format_verdict(verdict).startswith("HOLDS")
 
 
 def test_the_worst_check_decides_the_verdict() -> None:
@@ -161,7 +161,7 @@ def test_the_worst_check_decides_the_verdict() -> None:
     )
     assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
     assert verdict.commands_alone is Ending.COLLAPSES
-    assert "were added" in in_words(verdict)
+    assert "were added" in format_verdict(verdict)
 
 
 @pytest.mark.parametrize(

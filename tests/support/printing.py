@@ -6,7 +6,7 @@ import io
 
 from pupper_analysis.base.results import Result
 from pupper_analysis.present.document import Document, Report
-from pupper_analysis.present.documents.registry import document
+from pupper_analysis.present.documents.registry import make_document
 from pupper_analysis.present.terminal import SafeConsole, print_document, print_report
 
 
@@ -17,6 +17,6 @@ def printed(shown: Result | Document | Report, *, width: int = 80, everything: b
     if isinstance(shown, Report):
         print_report(out, shown, everything=everything)
     else:
-        made = shown if isinstance(shown, Document) else document(shown)
+        made = shown if isinstance(shown, Document) else make_document(shown)
         print_document(out, made, everything=everything)
     return file.getvalue()

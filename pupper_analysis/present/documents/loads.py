@@ -12,15 +12,15 @@ from typing import Any
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
-from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.documents.sources import cite_page
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
 
-NOTHING: Mapping[doc.Column, Any] = MappingProxyType({})
+NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
 
-BUSY, FULL = 0.9, 1.0
+WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
 """Motor utilisation from which it is marked: little is left for a push, or nothing."""
 
 
@@ -28,7 +28,7 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     """Returns a share of a motor's limit as a cell with a bar; a dash where there is no limit."""
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
-    mark = "bad" if share > FULL else "warn" if share > BUSY else ""
+    mark = "bad" if share > FULL_UTILISATION else "warn" if share > WARNING_UTILISATION else ""
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
@@ -76,7 +76,7 @@ def load_blocks(
     """
     source = (
         text("source-torques"),
-        page_of("explanation/statics.md", "Standing is not hanging"),
+        cite_page("explanation/statics.md", "Standing is not hanging"),
         proof_text(verification),
     )
     peak = _share(peak_utilisation(min_max_torque.motor_utilisation))
@@ -105,7 +105,7 @@ def _share(value: float) -> str:
 def torque_table(
     statics: GravityCompensation,
     limits: Sequence[float],
-    more: Mapping[doc.Column, Sequence[float | None]] = NOTHING,
+    more: Mapping[doc.Column, Sequence[float | None]] = NO_COLUMNS,
 ) -> doc.Table:
     """Returns what every motor holds, of which limit.
 
@@ -217,7 +217,7 @@ def _contacts(statics: GravityCompensation, verification: StandVerification) -> 
         else text("grip-bears", name=doc.Name(name), force=f"{math.hypot(*wrench[:3]):.4g}")
         for name, wrench in statics.weld_wrenches.items()
     ]
-    source = page_of("explanation/statics.md", "Which of them last")
+    source = cite_page("explanation/statics.md", "Which of them last")
     table = contact_table(statics)
     return replace(table, notes=tuple(notes), source=(source, proof_text(verification)))
 

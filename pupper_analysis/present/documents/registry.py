@@ -27,10 +27,10 @@ from pupper_analysis.present.document import (
     Name,
     Report,
     Words,
-    in_english,
+    diagnostic_text,
+    get_english,
     join_words,
     number_cell,
-    tell,
     text,
 )
 from pupper_analysis.robot.robot import Robot
@@ -39,13 +39,13 @@ from pupper_analysis.robot.robot import Robot
 def value_cell(value: object) -> Cell:
     """Returns a value as it is shown: in few words, what is long by its size."""
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
-        return tell(value.phrase())
+        return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")
     return Name(str(value) if isinstance(value, str) else shorten(value))
 
 
-def fields_of(result: Result) -> doc.Document:
+def make_fields_document(result: Result) -> doc.Document:
     """Returns the fields of a result that has no page of its own, with what they mean."""
     kind = type(result)
     rows: list[tuple[doc.Cell, ...]] = [
@@ -81,7 +81,7 @@ def build_document(result: object, _: Robot | None = None) -> Document:
     if not isinstance(result, Result):
         raise TypeError(f"{type(result).__name__} is no result")
 
-    return fields_of(result)
+    return make_fields_document(result)
 
 
 @singledispatch
@@ -90,7 +90,7 @@ def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
     return ()
 
 
-def document(result: Result, robot: Robot | None = None, name: str = "") -> Document:
+def make_document(result: Result, robot: Robot | None = None, name: str = "") -> Document:
     """Returns the document of a result, by the builder of its type; see ``build_document``.
 
     Args:
@@ -100,7 +100,7 @@ def document(result: Result, robot: Robot | None = None, name: str = "") -> Docu
     """
     _load_builder(type(result))
     built = build_document(result, robot)
-    if in_english(built.title):
+    if get_english(built.title):
         return built
     return replace(built, title=Name(name or type(result).__name__))
 
@@ -120,7 +120,8 @@ def build_report(
     known = {robot.name: robot for robot in robots}
     named = list(results)
     documents = tuple(
-        document(result, known.get(getattr(result, "name", "")), name) for name, result in named
+        make_document(result, known.get(getattr(result, "name", "")), name)
+        for name, result in named
     )
     listed = [result for _, result in named]
     blocks = tuple(overview)
@@ -132,7 +133,7 @@ def build_report(
 def _title(documents: Sequence[Document]) -> Words:
     if not documents:
         return text("report")
-    kinds = {in_english(one.kind) for one in documents}
+    kinds = {get_english(one.kind) for one in documents}
     kind = documents[0].kind if len(kinds) == 1 else text("report")
     return text("kind-names", kind=kind, names=join_words(one.title for one in documents))
 

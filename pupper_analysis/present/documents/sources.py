@@ -10,11 +10,11 @@ from pupper_analysis.models.xml import MAX_BYTES
 from pupper_analysis.present.document import Name, Text, text
 from pupper_analysis.robot.robot import Robot
 
-MOST_LETTERS, MOST_LINES = 400, 8
+MAX_QUOTED_CHARACTERS, MAX_QUOTED_LINES = 400, 8
 """Of an element of a file that is quoted: what stands on some lines of the page."""
 
 
-def page_of(name: str, heading: str) -> Text:
+def cite_page(name: str, heading: str) -> Text:
     """Returns where the documentation says how something is computed."""
     return text("source-docs", page=name, heading=Name(heading))
 
@@ -30,12 +30,12 @@ def files_text(robot: Robot | None) -> Text:
     }
     if description.converted:
         return text("source-one-file", file=names["mjcf"], made=Name(description.converted.upper()))
-    if is_derived(robot):
+    if is_urdf_changed(robot):
         return text("source-changed-files", **names)
     return text("source-files", **names)
 
 
-def is_derived(robot: Robot) -> bool:
+def is_urdf_changed(robot: Robot) -> bool:
     """Whether a robot's URDF is not word by word what stands in its file, if it has one."""
     if robot.description.converted == "urdf":
         return False
@@ -70,12 +70,12 @@ def quote_line(place: str | None, *paths: str) -> str:
 def _element(rows: list[str]) -> str:
     """Returns the last of some lines, and those before it that belong to the same tag."""
     begin = len(rows) - 1
-    while begin > max(0, len(rows) - MOST_LINES) and not rows[begin].lstrip().startswith("<"):
+    while begin > max(0, len(rows) - MAX_QUOTED_LINES) and not rows[begin].lstrip().startswith("<"):
         begin -= 1
     if not rows[begin].lstrip().startswith("<"):
         begin = len(rows) - 1
     shown = "\n".join(row.strip() for row in rows[begin:])
-    return shown if len(shown) <= MOST_LETTERS else f"{shown[:MOST_LETTERS]}…"
+    return shown if len(shown) <= MAX_QUOTED_CHARACTERS else f"{shown[:MAX_QUOTED_CHARACTERS]}…"
 
 
 def _text(path: Path) -> str:

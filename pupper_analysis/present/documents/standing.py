@@ -10,9 +10,9 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import Column, Text, Words, tell, text
+from pupper_analysis.present.document import Column, Text, Words, diagnostic_text, text
 from pupper_analysis.present.documents.loads import proof_text
-from pupper_analysis.present.documents.sources import files_text, page_of
+from pupper_analysis.present.documents.sources import cite_page, files_text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import LAST
 from pupper_analysis.simulation.verify import StandVerification
@@ -40,7 +40,11 @@ def task_text(task: StandTask) -> Text:
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
     """Returns a robot's files, and what was assumed of it."""
-    return () if robot is None else (files_text(robot), *map(tell, merge_diagnostics(robot.notes)))
+    return (
+        ()
+        if robot is None
+        else (files_text(robot), *map(diagnostic_text, merge_diagnostics(robot.notes)))
+    )
 
 
 def ground_text(depths: Iterable[float]) -> Text:
@@ -126,7 +130,7 @@ def _mean_loss(run: StandVerification, task: float) -> doc.Words:
     return text("loss-fails", loss=shown) if run.failures else doc.Name(f"{shown} mm")
 
 
-def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
+def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     """Returns the simulated motions."""
     return [
         doc.Motion(
@@ -167,12 +171,12 @@ def simulated_table(run: StandVerification) -> doc.Table:
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
         run_rows([run]),
         (),
-        (page_of("explanation/verification.md", "Random stances"), proof_text(run)),
+        (cite_page("explanation/verification.md", "Random stances"), proof_text(run)),
         detail=True,
     )
 
 
-SAG = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
+SAG_QUANTITIES = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
 """Quantities of a run that are predicted, too."""
 
 _QUANTITIES: tuple[

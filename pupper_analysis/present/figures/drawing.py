@@ -19,11 +19,11 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import GENERATOR_NAME, PICTURE_KIND
 from pupper_analysis.base.provenance import collect_provenance
-from pupper_analysis.present.document import Plot, Words, in_english
+from pupper_analysis.present.document import Plot, Words, get_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
 DPI = 180
-FONT = 8  # pt
+FONT_SIZE = 8  # pt
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
@@ -36,19 +36,19 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
     "#6B7280",
 )
 
-GRID = "#E3E6EB"
-COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+GRID_COLOUR = "#E3E6EB"
+SERIES_COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
 
-WIDTH = 178 / 25.4
+PAGE_WIDTH = 178 / 25.4
 """A page's text (inch)."""
 
 _COLOURS = {
-    **{f"s{index}": colour for index, colour in enumerate(COLOURS)},
+    **{f"s{index}": colour for index, colour in enumerate(SERIES_COLOURS)},
     "bar": SKY,
     "other": BLACK,
     "limit": RED,
     "axis": GREY,
-    "grid": GRID,
+    "grid": GRID_COLOUR,
     "empty": "0.93",
 }
 """{class of the page's style sheet: colour}."""
@@ -91,14 +91,14 @@ def write_plots(
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
     heights = [max(one.height / one.width for one in row) for row in rows]
     legends = [[_handle(*one) for one in _legend(drawing).items()] for drawing in drawings]
-    across, several = WIDTH / columns, bool(names or len(plots) > 1)
+    across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
     room = 0.35 + len(rows) * (0.15 * several + 0.06 * max(map(len, legends)))
-    figure = page_figure(
-        in_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
+    figure = make_page_figure(
+        get_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
     )
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
-    said = names or [in_english(one.title) if several else "" for one in drawings]
+    said = names or [get_english(one.title) if several else "" for one in drawings]
     for index, (drawing, legend, name) in enumerate(zip(drawings, legends, said, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
         size = _LETTERS * 72 * across / drawing.width
@@ -142,7 +142,7 @@ def _line(kind: str, width: float) -> dict[str, Any]:
 
 
 def _write(mark: Mark, axes: Axes, size: float) -> None:
-    said = in_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
+    said = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
     axes.text(mark["x"], mark["y"], said, ha=_SIDES[mark["anchor"]], rotation=turned,
               size=size, parse_math=False)  # fmt: skip
@@ -150,8 +150,8 @@ def _write(mark: Mark, axes: Axes, size: float) -> None:
 
 def _legend(drawing: Drawing) -> dict[str, str]:
     """Returns {what is said: class of the page's style sheet}; of a note it is empty."""
-    found = {in_english(words): kind for words, kind in drawing.legend}
-    return found if drawing.note is None else {**found, in_english(drawing.note): ""}
+    found = {get_english(words): kind for words, kind in drawing.legend}
+    return found if drawing.note is None else {**found, get_english(drawing.note): ""}
 
 
 def _handle(name: str, kind: str) -> Artist:
@@ -163,26 +163,26 @@ def _handle(name: str, kind: str) -> Artist:
     return Patch(color=_COLOURS.get(kind, kind), label=name)
 
 
-def page_figure(
+def make_page_figure(
     title: str, height: float, *, layout: Literal["constrained"] | None = None
 ) -> Figure:
     """Returns an empty figure with a title (inch); ``layout`` is Matplotlib's."""
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout=layout)
-    figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
+    figure = Figure(figsize=(PAGE_WIDTH, height), dpi=DPI, layout=layout)
+    figure.suptitle(title, x=0.012, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False)
     return figure
 
 
 def title_panel(axes: Axes, title: str) -> None:
     """Gives a panel its title, and the look of all panels."""
-    axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
-    axes.tick_params(labelsize=FONT)
+    axes.set_title(title, size=FONT_SIZE, weight="bold", loc="left", pad=4, parse_math=False)
+    axes.tick_params(labelsize=FONT_SIZE)
     for spine in ("top", "right"):
         axes.spines[spine].set_visible(False)
 
 
-def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
+def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """Puts a legend under a figure, in one line."""
-    figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT,
+    figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT_SIZE,
                   frameon=False, handletextpad=0.5, columnspacing=0.8,
                   handlelength=1.6)  # fmt: skip
 

@@ -122,7 +122,9 @@ _SWING: dict[str, Any] = {**_RING, "color": drawing.BLACK, "mew": 1.6}
 _PROJECTION: dict[str, Any] = {"color": drawing.GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
-def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
+def write_pose_figure(
+    robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path
+) -> None:
     """Draws how a robot stands: legs, base, contact forces, com and support polygon.
 
     On the left in space, on the right from above.
@@ -137,9 +139,9 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         OutputError: If the file cannot be written.
     """
     lines, seen = draw_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    figure = drawing.page_figure(f"{robot.name}: how it stands", 0.6 * drawing.WIDTH)
+    figure = drawing.make_page_figure(f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT, va="top")
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top")
     for place, (projection, side) in zip((0.01, 0.6), _SIDES, strict=True):
         axes = figure.add_axes((place, 0.09, 0.57 if place < 0.5 else 0.39, 0.74))
         _draw_stand(axes, projection, lines, stand, seen)
@@ -157,7 +159,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         Line2D([], [], **_PROJECTION, label="com's projection"),
         Patch(facecolor=_SUPPORT, edgecolor=drawing.BLUE, hatch="//", label="support polygon"),
     ]
-    drawing.put_legend(figure, handles)
+    drawing.add_legend(figure, handles)
     drawing.save_figure(figure, path)
 
 
@@ -176,7 +178,8 @@ def _draw_stand(
     support: dict[str, Any] = {"fc": _SUPPORT, "ec": drawing.BLUE, "hatch": "//", "zorder": 1}
     axes.add_patch(Polygon(seen.polygon @ projection.T, alpha=0.7, lw=1.2, **support))
     hips = np.array([leg[0] for leg in lines.legs.values()])
-    small = 1.0 if len(seen.contacts) >= len(seen.points) else 0.45  # of feet with several points
+    # Feet with several contact points have smaller marks.
+    small = 1.0 if len(seen.contacts) >= len(seen.contact_positions) else 0.45
     for foot, leg in lines.legs.items():
         # The viewer stands on the right: the legs of that side hide the base, it hides the others.
         near = leg[0, 1] < hips[:, 1].mean()
@@ -188,9 +191,9 @@ def _draw_stand(
         line(leg[-1], **mark, ms=7 * small, zorder=order)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
-    line(np.array([seen.com, seen.below]), color=drawing.GREEN, ls="--", lw=1.2, zorder=6)
+    line(np.array([seen.com, seen.com_projection]), color=drawing.GREEN, ls="--", lw=1.2, zorder=6)
     line(seen.com, **_COM, zorder=6)
-    line(seen.below, **_PROJECTION, zorder=6)
+    line(seen.com_projection, **_PROJECTION, zorder=6)
     axes.set_aspect("equal")
     axes.margins(0.06)
 

@@ -31,20 +31,20 @@ from pupper_analysis.present.document import (
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
 
-WIDTH, HEIGHT = 640.0, 300.0
-LEFT, RIGHT, TOP, BOTTOM = 78.0, 14.0, 12.0, 44.0
+PLOT_WIDTH, PLOT_HEIGHT = 640.0, 300.0
+LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 78.0, 14.0, 12.0, 44.0
 """Of a drawing (CSS pixels): itself, and what its axes' words need around it."""
 
-MOST_POINTS = 160
+MAX_LINE_POINTS = 160
 """Points of a line: one per four pixels of its width, which is as near as a pointer can be put."""
 
-LETTER, LONGEST = 7.0, 28
+LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
 """Width of a letter (CSS pixels), and letters of a name for which there is room beside a bar."""
 
-DOT, MARKED = 3.5, 6.0
+DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
 """Radius of a point (CSS pixels), and of the one that matters most."""
 
-STYLES = 6
+NUM_SERIES_STYLES = 6
 """Styles of series in the style sheet (``s0`` ...), each of its own colour, dashes and marker."""
 
 
@@ -85,7 +85,7 @@ _FLAT = 1e-3
 same six digits at all of its lines."""
 
 
-def draw_label(axis: Axis, value: float) -> str:
+def format_axis_value(axis: Axis, value: float) -> str:
     """Writes a value with its unit."""
     return f"{number_cell(value, axis.form).text} {axis.unit}"
 
@@ -113,11 +113,11 @@ def _lines(plot: LinePlot) -> Drawing:
     flat = _FLAT * max(abs(low), abs(high)) - (high - low)
     if flat > 0:
         low, high = low - flat / 2, high + flat / 2
-    wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+    wide, tall = PLOT_WIDTH - LEFT_MARGIN - RIGHT_MARGIN, PLOT_HEIGHT - TOP_MARGIN - BOTTOM_MARGIN
 
     def place(values: Array) -> Array:
-        across = LEFT + wide * (values[:, 0] - left) / (right - left)
-        up = TOP + tall * (high - values[:, 1]) / (high - low)
+        across = LEFT_MARGIN + wide * (values[:, 0] - left) / (right - left)
+        up = TOP_MARGIN + tall * (high - values[:, 1]) / (high - low)
         return np.column_stack([across, up])
 
     columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
@@ -129,9 +129,13 @@ def _lines(plot: LinePlot) -> Drawing:
         *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
     ]
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
-        labels = [f"{draw_label(x, across)}, {draw_label(y, up)}" for across, up in line]
+        labels = [
+            f"{format_axis_value(x, across)}, {format_axis_value(y, up)}" for across, up in line
+        ]
         marks += draw_series(place(line), labels, one, index)
-    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), draw_legend(series), plot.note)
+    return Drawing(
+        plot.title, PLOT_WIDTH, PLOT_HEIGHT, tuple(marks), draw_legend(series), plot.note
+    )
 
 
 _ROUNDED = 1e-9
@@ -142,8 +146,8 @@ _ROUNDED = 1e-9
 def _bars(plot: BarPlot) -> Drawing:
     axis, bars = plot.axis, plot.bars
     shown = [_shortened(bar.name) for bar in bars]
-    names, values, step = 24.0 + LETTER * max(map(_letters, shown)), 84.0, 22.0
-    wide, tall = WIDTH - names - values, step * len(bars)
+    names, values, step = 24.0 + LETTER_WIDTH * max(map(_letters, shown)), 84.0, 22.0
+    wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
     one_sided = all(bar.value >= -_ROUNDED * reach for bar in bars)
@@ -154,10 +158,10 @@ def _bars(plot: BarPlot) -> Drawing:
 
     marks: list[Mark] = []
     for value in round_ticks(low, reach):
-        marks.append(draw_line(at(value), TOP, at(value), TOP + tall, "grid"))
-        marks.append(word_at(at(value), TOP + tall + 16, Name(f"{value:g}"), "middle"))
+        marks.append(draw_line(at(value), TOP_MARGIN, at(value), TOP_MARGIN + tall, "grid"))
+        marks.append(draw_words(at(value), TOP_MARGIN + tall + 16, Name(f"{value:g}"), "middle"))
     for index, (bar, name) in enumerate(zip(bars, shown, strict=True)):
-        middle = TOP + step * (index + 0.5)
+        middle = TOP_MARGIN + step * (index + 0.5)
         start, end = sorted((at(0.0), at(bar.value)))
         bounds = {"x": start, "y": middle - 6, "width": max(end - start, 0.5), "height": 12.0}
         marks.append({"tag": "rect", "class": "bar", **bounds})
@@ -165,16 +169,20 @@ def _bars(plot: BarPlot) -> Drawing:
             for side in (1.0,) if one_sided else (1.0, -1.0):
                 edge = at(side * bar.limit)
                 marks.append(draw_line(edge, middle - 8, edge, middle + 8, "limit"))
-        if bar.other is not None and math.isfinite(bar.other):
-            edge = at(bar.other)
+        if bar.marker is not None and math.isfinite(bar.marker):
+            edge = at(bar.marker)
             marks.append(draw_line(edge, middle - 8, edge, middle + 8, "other"))
-        marks.append(word_at(names - 8, middle + 4, name, "end"))
-        marks.append(word_at(WIDTH - 4, middle + 4, Name(draw_label(axis, bar.value)), "end"))
-    marks.append(draw_line(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
-    marks.append(word_at(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
+        marks.append(draw_words(names - 8, middle + 4, name, "end"))
+        marks.append(
+            draw_words(PLOT_WIDTH - 4, middle + 4, Name(format_axis_value(axis, bar.value)), "end")
+        )
+    marks.append(draw_line(at(0.0), TOP_MARGIN, at(0.0), TOP_MARGIN + tall, "axis"))
+    marks.append(
+        draw_words(names + wide / 2, TOP_MARGIN + tall + 36, axis.name, "middle", axis.unit)
+    )
     kinds = zip(plot.legend, ("bar", "other", "limit"), strict=True)
     legend = tuple((words, kind) for words, kind in kinds if words is not None)
-    return Drawing(plot.title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend)
+    return Drawing(plot.title, PLOT_WIDTH, TOP_MARGIN + tall + BOTTOM_MARGIN, tuple(marks), legend)
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
@@ -182,7 +190,7 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
-            f"s{index % STYLES}",
+            f"s{index % NUM_SERIES_STYLES}",
         )
         for index, one in enumerate(series)
     )
@@ -194,17 +202,17 @@ def _letters(words: Words) -> int:
 
 def _shortened(words: Words) -> Words:
     """Returns a name that fits beside its bar: its end, where names differ."""
-    if isinstance(words, Name) and len(words.text) > LONGEST:
-        return Name(f"…{words.text[1 - LONGEST :]}")
+    if isinstance(words, Name) and len(words.text) > MAX_BAR_NAME_LENGTH:
+        return Name(f"…{words.text[1 - MAX_BAR_NAME_LENGTH :]}")
     return words
 
 
 def _thinned(points: Array) -> Array:
     """Returns at most ``MOST_POINTS`` of them, the first and the last included."""
-    if len(points) <= MOST_POINTS:
+    if len(points) <= MAX_LINE_POINTS:
         return points
     kept: Array = points[
-        np.unique(np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(int))
+        np.unique(np.linspace(0, len(points) - 1, MAX_LINE_POINTS).round().astype(int))
     ]
     return kept
 
@@ -221,11 +229,11 @@ def draw_grid(
     """Returns lines at values of both axes, {value: where}, with the values beside them."""
     marks: list[Mark] = []
     for value, at in across.items():
-        marks.append(draw_line(at, TOP, at, TOP + tall, "grid"))
-        marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
+        marks.append(draw_line(at, TOP_MARGIN, at, TOP_MARGIN + tall, "grid"))
+        marks.append(draw_words(at, TOP_MARGIN + tall + 16, Name(f"{value:g}"), "middle"))
     for value, at in up.items():
-        marks.append(draw_line(LEFT, at, LEFT + wide, at, "grid"))
-        marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
+        marks.append(draw_line(LEFT_MARGIN, at, LEFT_MARGIN + wide, at, "grid"))
+        marks.append(draw_words(LEFT_MARGIN - 6, at + 4, Name(f"{value:g}"), "end"))
     return marks
 
 
@@ -233,32 +241,32 @@ def draw_axes(
     x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
 ) -> list[Mark]:
     """Returns both axes, with what they say."""
-    up = word_at(14, TOP + tall / 2, y, "middle", units[1])
+    up = draw_words(14, TOP_MARGIN + tall / 2, y, "middle", units[1])
     return [
-        draw_line(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
-        draw_line(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        word_at(LEFT + wide / 2, TOP + tall + 36, x, "middle", units[0]),
-        {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
+        draw_line(LEFT_MARGIN, TOP_MARGIN + tall, LEFT_MARGIN + wide, TOP_MARGIN + tall, "axis"),
+        draw_line(LEFT_MARGIN, TOP_MARGIN, LEFT_MARGIN, TOP_MARGIN + tall, "axis"),
+        draw_words(LEFT_MARGIN + wide / 2, TOP_MARGIN + tall + 36, x, "middle", units[0]),
+        {**up, "transform": f"rotate(-90 14 {TOP_MARGIN + tall / 2:g})"},
     ]
 
 
-def draw_series(places: Array, labels: Sequence[str], one: Series, index: int) -> list[Mark]:
+def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
     """Returns a line through places (n, 2), which have labels, and its points."""
     rounded = np.round(places, 1).tolist()
-    style = f"s{index % STYLES}"
+    style = f"s{index % NUM_SERIES_STYLES}"
     marks: list[Mark] = [
         {
             "tag": "polyline",
             "class": f"series {style}",
             "points": rounded,
             "labels": list(labels),
-            "name": one.name,
+            "name": series.name,
         }
     ]
     marks += [
         {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy,
-         "r": MARKED if number_cell == one.marked else DOT}
-        for number_cell, (cx, cy) in enumerate(rounded if one.points else [])
+         "r": MARKED_DOT_RADIUS if point == series.marked_index else DOT_RADIUS}
+        for point, (cx, cy) in enumerate(rounded if series.points else [])
     ]  # fmt: skip
     return marks
 
@@ -268,7 +276,7 @@ def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
     return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
 
 
-def word_at(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
+def draw_words(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
     """Returns words at a place; their ``anchor`` is ``start``, ``middle`` or ``end``."""
     return {
         "tag": "text",

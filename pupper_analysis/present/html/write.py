@@ -55,10 +55,10 @@ from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.present.scene import (
     JointAxis,
+    collect_visible_shapes,
+    describe_joint_axes,
     describe_scene,
-    joint_axes,
-    shapes_of,
-    shown_geoms,
+    select_visible_geoms,
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_motions
@@ -70,15 +70,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_FACES = 12_000
+MAX_FACES = 12_000
 """Of all meshes of a robot together: some 150 kB of the file, so that six robots fit in 3 MB."""
 
-MOST_FRAMES = 80
+MAX_FRAMES = 80
 """Configurations of a motion: what a slider of its width can tell apart."""
 
 
 @singledispatch
-def scene_of(scene: object) -> dict[str, Any] | None:
+def serialise_scene(scene: object) -> dict[str, Any] | None:
     """Returns a scene as plain lists and numbers: lengths in m, in the world unless said.
 
     Returns:
@@ -90,7 +90,7 @@ def scene_of(scene: object) -> dict[str, Any] | None:
     raise TypeError(f"no view of {type(scene).__name__}")
 
 
-@scene_of.register
+@serialise_scene.register
 def _stand(scene: StandScene) -> dict[str, Any]:
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
@@ -100,40 +100,40 @@ def _stand(scene: StandScene) -> dict[str, Any]:
         "contacts": [
             {
                 "name": escape_control(one.foot),
-                "point": short_numbers(one.point),
-                "force": short_numbers(one.force),
+                "point": round_values(one.point),
+                "force": round_values(one.force),
             }
             for one in seen.contacts
         ],
-        "polygon": short_numbers(seen.polygon),
+        "polygon": round_values(seen.polygon),
         "steps": [
             {
-                "centre": short_numbers(one.centre),
-                "half": short_numbers(one.half),
-                "quat": short_numbers(one.turn),
+                "centre": round_values(one.centre),
+                "half": round_values(one.half),
+                "quat": round_values(one.turn),
                 "pit": one.height < 0,
                 "round": one.round,
             }
             for one in seen.steps.values()
         ],
-        "ground": short_numbers(seen.middle),
-        "normal": short_numbers(seen.normal),
-        "com": None if statics is None else short_numbers(seen.com),
-        "below": short_numbers(seen.below),
+        "ground": round_values(seen.ground_centre),
+        "normal": round_values(seen.ground_normal),
+        "com": None if statics is None else round_values(seen.com),
+        "below": round_values(seen.com_projection),
         "layers": ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"],
-        "size": float(np.ptp(seen.points, axis=0).max() + stand.qpos[2]),
+        "size": float(np.ptp(seen.contact_positions, axis=0).max() + stand.qpos[2]),
     }
 
 
-@scene_of.register
+@serialise_scene.register
 def _motion(scene: MotionScene) -> dict[str, Any]:
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
-    axes = joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
+    axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
     drawn = _robot(robot, qpos, scene.motions, axes)
     return {
         **drawn,
         **{"contacts": [], "polygon": [], "steps": [], "com": None, "below": None},
-        "ground": short_numbers(np.array([*qpos[:2], 0.0])),
+        "ground": round_values(np.array([*qpos[:2], 0.0])),
         "normal": [0.0, 0.0, 1.0],
         "size": 1.3 * drawn["radius"],
         "layers": ["shapes", "axes", "masses"],
@@ -145,16 +145,16 @@ def _robot(
 ) -> dict[str, Any]:
     """Returns a robot's bodies, shapes, joints and motions, and where it is at a configuration."""
     model, data = robot.mj_model, robot.placed(qpos)
-    low, high = extent_of(model, data)
-    geoms, meshes = geoms_of(model)
+    low, high = compute_extent(model, data)
+    geoms, meshes = serialise_geoms(model)
     kinds = joint_motions(robot)
     return {
-        "bodies": bodies_of(model),
+        "bodies": serialise_bodies(model),
         "geoms": geoms,
         "meshes": meshes,
         "motions": [_frames(robot, data, motion) for motion in motions],
         "joints": [_joint(one, kinds[one.name]) for one in axes],
-        "middle": short_numbers((low + high) / 2),
+        "middle": round_values((low + high) / 2),
         "radius": float(np.linalg.norm(high - low) / 2),
     }
 
@@ -162,7 +162,7 @@ def _robot(
 def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
     """Returns where the bodies are in some of the configurations."""
     finite = np.isfinite(motion.qpos).all(axis=1)
-    most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MOST_FRAMES)).round()
+    most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
     poses = []
     for qpos in motion.qpos[chosen]:
@@ -190,33 +190,33 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
     return {
         "en": name.en,
         "zh": name.zh,
-        "time": short_numbers(time),
+        "time": round_values(time),
         "reach": reach,
         "frames": base64.b64encode(np.round(32767 * values).astype("<i2").tobytes()).decode(),
     }
 
 
-def short_numbers(values: ArrayLike) -> list[Any]:
+def round_values(values: ArrayLike) -> list[Any]:
     """Returns numbers to a hundredth of a millimetre: a view shows no more."""
     return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
 
-def extent_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     """Returns the least and the greatest x, y, z (3,) of the balls round the robot's shapes (m)."""
-    own = shown_geoms(model)
+    own = select_visible_geoms(model)
     middle, reach = data.geom_xpos[own], model.geom_rbound[own, None]
     frames = data.xpos[1:]
     ends = np.concatenate([middle - reach, middle + reach, frames])
     return ends.min(axis=0), ends.max(axis=0)
 
 
-def bodies_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
+def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Returns the bodies but the world: names, masses (kg) and coms in their own frames (m)."""
     return [
         {
             "name": escape_control(str(model.body(body).name)),
             "mass": round(float(model.body_mass[body]), 6),
-            "com": short_numbers(model.body_ipos[body]),
+            "com": round_values(model.body_ipos[body]),
         }
         for body in range(1, model.nbody)
     ]
@@ -227,8 +227,8 @@ def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
     return {
         "name": escape_control(one.name),
         "body": one.body - 1,
-        "anchor": short_numbers(one.anchor),
-        "axis": short_numbers(one.axis),
+        "anchor": round_values(one.anchor),
+        "axis": round_values(one.axis),
         "motion": motion,
         "position": round(one.position, 4),
         "torque": None if one.torque is None else round(one.torque, 4),
@@ -236,21 +236,23 @@ def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
     }
 
 
-def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
+def serialise_geoms(
+    model: mujoco.MjModel,
+) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
     """Returns the robot's shapes, and the meshes that they have, named after their content.
 
     So robots that have the same share it.
     """
-    shapes, found = shapes_of(model, MOST_FACES)
+    shapes, found = collect_visible_shapes(model, MAX_FACES)
     meshes = {number: _mesh(mesh) for number, mesh in found.items()}
     names = {number: hash_content(orjson.dumps(mesh))[:16] for number, mesh in meshes.items()}
     geoms = [
         {
             "shape": shape.form.kind,
             "body": shape.body - 1,
-            "size": short_numbers(shape.form.size),
-            "pos": short_numbers(shape.form.pose.position),
-            "quat": short_numbers(quaternion_from_rotation(shape.form.pose.rotation)),
+            "size": round_values(shape.form.size),
+            "pos": round_values(shape.form.pose.position),
+            "quat": round_values(quaternion_from_rotation(shape.form.pose.rotation)),
             "colour": np.round(shape.colour, 3).tolist(),
             **({} if shape.mesh is None else {"mesh": names[shape.mesh]}),
         }
@@ -267,8 +269,8 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     wide = len(mesh.vertices) > 65535
     faces = mesh.faces.astype("<u4" if wide else "<u2")
     return {
-        "low": short_numbers(low),
-        "span": short_numbers(span),
+        "low": round_values(low),
+        "span": round_values(span),
         "vertices": base64.b64encode(steps.tobytes()).decode(),
         "faces": base64.b64encode(faces.tobytes()).decode(),
         "wide": wide,
@@ -281,7 +283,7 @@ _EXPORT = "THREE:()=>"
 
 
 @dataclass(frozen=True)
-class Library:
+class ViewerLibrary:
     """A script with three.js in it.
 
     Attributes:
@@ -294,7 +296,7 @@ class Library:
     licence: str
 
 
-def installed_library() -> Library | None:
+def load_viewer_library() -> ViewerLibrary | None:
     """Returns three.js, or None where no package with it is installed."""
     found = find_spec(_PACKAGE)  # which does not import it
     if found is None or found.origin is None:
@@ -308,7 +310,7 @@ def installed_library() -> Library | None:
     if _EXPORT not in script:
         return None
     # Within a script's element "<" before these can only stand in a string or a pattern.
-    return Library(re.sub(r"(?i)<(?=/script|!--)", r"\\x3c", script), licences)
+    return ViewerLibrary(re.sub(r"(?i)<(?=/script|!--)", r"\\x3c", script), licences)
 
 
 def _licences(folder: Path) -> str:
@@ -322,16 +324,16 @@ def _licences(folder: Path) -> str:
     return "\n\n".join(texts).expandtabs()
 
 
-LANGUAGES = {"en": "en", "zh": "zh-Hans"}
+HTML_LANGUAGES = {"en": "en", "zh": "zh-Hans"}
 """The page's languages, and their names in HTML."""
 
 Reportable = Result | Table
-Reported = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
+ReportInput = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
 """What may be reported."""
 
 
 def write_report(
-    results: Reported,
+    results: ReportInput,
     path: str | Path,
     *,
     robots: Iterable[Robot] = (),
@@ -354,7 +356,7 @@ def write_report(
         ConfigurationError: If there is no result, or the language is neither.
         OutputError: If the file cannot be written, or is no page of ours.
     """
-    if language not in LANGUAGES:
+    if language not in HTML_LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))
     check_type("path", path, str | Path)
     check_type("robots", robots, Iterable[Robot])
@@ -374,7 +376,7 @@ def write_report(
 
 
 def _named(
-    results: Reported,
+    results: ReportInput,
 ) -> list[tuple[str | None, Reportable]]:
     if isinstance(results, Result | Table):
         return [(None, results)]
@@ -391,7 +393,7 @@ def render_page(shown: Report, language: str = "en") -> str:
         shown: The report.
         language: In which it opens, ``"en"`` or ``"zh"``.
     """
-    library = installed_library()
+    library = load_viewer_library()
     scenes: list[dict[str, Any]] = []
     sections = tuple(_drawn(document, scenes) for document in shown.documents)
     meshes = {name: one for scene in scenes for name, one in scene.pop("meshes").items()}
@@ -400,7 +402,7 @@ def render_page(shown: Report, language: str = "en") -> str:
         .get_template("page.html")
         .render(
             title=shown.title,
-            language=LANGUAGES[language],
+            language=HTML_LANGUAGES[language],
             version=__version__,
             provenance=collect_provenance().lines(),
             sections=sections,
@@ -433,7 +435,7 @@ def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     if block.scene is None:
         left_out = text("view-without-robot")
         return Lines((left_out,))
-    scene = scene_of(block.scene)
+    scene = serialise_scene(block.scene)
     if scene is None:
         return None
     scenes.append(scene)
@@ -456,7 +458,7 @@ def _spoken() -> dict[str, dict[str, str]]:
     texts |= {motion: text(motion) for motion in motions}
     return {
         language: {name: getattr(words, language) for name, words in texts.items()}
-        for language in LANGUAGES
+        for language in HTML_LANGUAGES
     }
 
 

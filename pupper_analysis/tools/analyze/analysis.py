@@ -76,7 +76,7 @@ class JointSummary(Result):
         return self.motion.startswith("along ") or self.motion == OBLIQUE_MOTIONS[1]
 
 
-def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
+def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
     """Tells of each joint what it does and what it can, in actuator order."""
     rest = Configuration(robot, robot.neutral())
     model, v = robot.pin_model, robot.pin_convention.v_index
@@ -219,7 +219,7 @@ def analyze_variant(
         for quantity in check.quantities
         if not quantity.passed
     ]
-    thigh, calf = leg_lengths(robot)
+    thigh, calf = measure_leg_lengths(robot)
     statics = stand_statics(robot, stand)
     verdict = judge_simulation(robot, stand, verification, sagging, statics=statics)
     return Analysis(
@@ -232,13 +232,13 @@ def analyze_variant(
         center_of_mass=rest.center_of_mass(),
         thigh_length=thigh,
         calf_length=calf,
-        joints=joint_summaries(robot),
+        joints=summarise_joints(robot),
         notes=robot.notes,
         stand=stand,
         statics=statics,
         min_max_torque=stand_statics(robot, stand, distribution=ForceDistribution.MIN_MAX_TORQUE),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
-        foot_jacobians=leg_jacobians(config),
+        foot_jacobians=compute_leg_jacobians(config),
         verification=verification,
         sagging=sagging,
         verdict=verdict,
@@ -249,7 +249,7 @@ def analyze_variant(
     )
 
 
-def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
+def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     """Returns each foot's Jacobian with respect to its leg's joints, and how well conditioned."""
     robot = config.robot
     jacobians = {}
@@ -275,7 +275,7 @@ def _link_masses(robot: Robot) -> dict[str, float]:
     return masses
 
 
-def leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
+def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     """Returns the lengths of the first leg's thigh and calf (m); None for one that it lacks.
 
     The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,

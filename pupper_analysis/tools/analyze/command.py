@@ -165,13 +165,13 @@ def _compared(
     """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.tools.analyze.analysis import leg_lengths
+    from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
     from pupper_analysis.tools.analyze.document import compare_with_base
 
     references: dict[str, tuple[float | None, float | None]] = {}
     for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
         robot = load_variant(VariantSpec(base=name))
-        references[name] = robot.total_mass, leg_lengths(robot)[0]
+        references[name] = robot.total_mass, measure_leg_lengths(robot)[0]
     bases = [str(one) if isinstance(one, RobotFiles) else one.base for one in meant]
     return [
         compare_with_base(analysis, base, *references.get(base, (None, None)))
@@ -180,13 +180,13 @@ def _compared(
 
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
-    from pupper_analysis.present.figures.pose import pose_figure
+    from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
-        pose_figure(robot, analysis.stand, analysis.statics, path)
+        write_pose_figure(robot, analysis.stand, analysis.statics, path)
     for name, draw in FIGURES.items():
         draw(analyses, folder / name)
     stands = [analysis.stand for analysis in analyses]

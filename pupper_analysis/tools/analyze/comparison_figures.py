@@ -47,7 +47,7 @@ _LOSS_WINDOW = 1.0
 """Length [s] of the window at the end of a curve, over which the legend states the mean height."""
 
 
-def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw the motor torques of each robot in percent of the effort limits.
 
     A panel has one row per joint of a leg, with one point per leg: the torque that Pinocchio
@@ -79,12 +79,12 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             peak = max(joints, key=lambda joint: predicted[joint])
             share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
             axes.annotate(f"{predicted[peak]:.3f} N m{share}", (1, row), ha="right", va="center",
-                          xycoords=axes.get_yaxis_transform(), size=drawing.FONT - 1,
+                          xycoords=axes.get_yaxis_transform(), size=drawing.FONT_SIZE - 1,
                           xytext=(0, 0), textcoords="offset points")  # fmt: skip
         axes.set_yticks(range(len(rows)), [name for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_xlabel("torque (% of the limit)", size=drawing.FONT)
-        axes.grid(axis="x", color=drawing.GRID)
+        axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
+        axes.grid(axis="x", color=drawing.GRID_COLOUR)
         drawing.title_panel(axes, f"{analysis.name}: limit {_range_text(limits[limited])} N m")
         _write_feet(axes, list(analysis.foot_jacobians))
         # Room for the values at the right end of the axis.
@@ -97,7 +97,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     _save_with_legend(figure, handles, path)
 
 
-def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw the base height over the simulated time, relative to the height of the task.
 
     The legend of a panel states the mean over the last second of each curve. If a robot fails, the
@@ -124,10 +124,10 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             axes.plot(run.time, heights, lw=1.4, label=label, **style)
             _mark_first_contact(axes, run, heights)
         axes.axhline(0.0, color=drawing.GREEN, ls=(0, (2, 3)), lw=1.2)
-        axes.set_xlabel("time (s)", size=drawing.FONT)
-        axes.set_ylabel("height less task (mm)", size=drawing.FONT)
-        axes.grid(color=drawing.GRID)
-        axes.legend(fontsize=drawing.FONT - 1, frameon=False, loc="upper right")
+        axes.set_xlabel("time (s)", size=drawing.FONT_SIZE)
+        axes.set_ylabel("height less task (mm)", size=drawing.FONT_SIZE)
+        axes.grid(color=drawing.GRID_COLOUR)
+        axes.legend(fontsize=drawing.FONT_SIZE - 1, frameon=False, loc="upper right")
         lowest = min(axes.get_ylim()[0], -MIN_SHOWN_LOSS)
         axes.set_ylim(lowest, -0.35 * lowest)  # the legend is above the curves
         drawing.title_panel(axes, f"{analysis.name}: task {1e3 * task:.1f} mm")
@@ -137,7 +137,7 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     _save_with_legend(figure, [task_line, note], path)
 
 
-def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw heat maps of the gain sweeps: height deviation in the last second, by kp and kd.
 
     All panels share one logarithmic colour scale. Cells state the value; a robot that falls is
@@ -165,8 +165,8 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         drawing.title_panel(axes, analysis.name)
     colours = ScalarMappable(scale, _COLOUR_MAP)
     bar = figure.colorbar(colours, ax=[axes for _, axes in panels], shrink=0.6, extend="min")
-    bar.set_label("standard deviation of the base height (mm)", size=drawing.FONT)
-    bar.ax.tick_params(labelsize=drawing.FONT)
+    bar.set_label("standard deviation of the base height (mm)", size=drawing.FONT_SIZE)
+    bar.ax.tick_params(labelsize=drawing.FONT_SIZE)
     handles = [
         Patch(facecolor="0.8", label="falls"),
         Patch(facecolor="white", edgecolor="0.3", hatch="////", label="does not stay at rest"),
@@ -186,8 +186,8 @@ def _panels(
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
     columns = min(len(analyses), NUM_COLUMNS)
     num_rows = -(-len(analyses) // columns)
-    height = num_rows * (aspect * drawing.WIDTH / columns + 0.45) + 0.7
-    figure = drawing.page_figure(title, height, layout="constrained")
+    height = num_rows * (aspect * drawing.PAGE_WIDTH / columns + 0.45) + 0.7
+    figure = drawing.make_page_figure(title, height, layout="constrained")
     grid = figure.subplots(num_rows, columns, squeeze=False).ravel()
     for unused in grid[len(analyses) :]:
         unused.set_axis_off()
@@ -219,19 +219,19 @@ def _shared_name(names: Sequence[str]) -> str:
 
 def _leg_colour(leg: int) -> str:
     """Return the colour of a leg, by its index."""
-    return drawing.COLOURS[leg % len(drawing.COLOURS)]
+    return drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
 
 
 def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
     """Write the names of the feet above a panel, right-aligned, each in the colour of its leg."""
-    if not 1 < len(feet) <= len(drawing.COLOURS):
+    if not 1 < len(feet) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0
     for leg in reversed(range(len(feet))):
         axes.annotate(feet[leg], (1, 1), xycoords="axes fraction", xytext=(-right, 4),
                       textcoords="offset points", ha="right", va="bottom", weight="bold",
-                      size=drawing.FONT - 1, color=_leg_colour(leg))  # fmt: skip
-        right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT - 1)
+                      size=drawing.FONT_SIZE - 1, color=_leg_colour(leg))  # fmt: skip
+        right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
 
 
 _LETTER_WIDTH = 0.72
@@ -269,7 +269,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
     axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
-                  size=drawing.FONT - 1, arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
+                  size=drawing.FONT_SIZE - 1, arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
 
 
 def _contacts_with_ground(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
@@ -311,13 +311,13 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
             )
         bright = falls or float(scale(shown)) > _BRIGHT_FROM
         axes.text(column, row, "falls" if falls else _deviation_text(value), ha="center",
-                  va="center", size=drawing.FONT - 1.5,
+                  va="center", size=drawing.FONT_SIZE - 1.5,
                   color="black" if bright else "white")  # fmt: skip
     axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
     axes.set_xticks(range(len(sweep.kd)), [f"{kd:g}" for kd in sweep.kd])
     axes.set_yticks(range(len(sweep.kp)), [f"{kp:g}" for kp in sweep.kp])
-    axes.set_xlabel("kd (N m s/rad)", size=drawing.FONT)
-    axes.set_ylabel("kp (N m/rad)", size=drawing.FONT)
+    axes.set_xlabel("kd (N m s/rad)", size=drawing.FONT_SIZE)
+    axes.set_ylabel("kp (N m/rad)", size=drawing.FONT_SIZE)
 
 
 _BRIGHT_FROM = 0.6
@@ -341,14 +341,14 @@ def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
 def _save_with_legend(figure: Figure, handles: Sequence[Any], path: str | Path) -> None:
     """Put a legend below the panels, and write the figure."""
     figure.legend(handles=list(handles), loc="outside lower center", ncols=min(len(handles), 6),
-                  fontsize=drawing.FONT, frameon=False, handletextpad=0.5,
+                  fontsize=drawing.FONT_SIZE, frameon=False, handletextpad=0.5,
                   columnspacing=0.9)  # fmt: skip
     drawing.save_figure(figure, path)
 
 
 FIGURES: dict[str, Callable[[Sequence[Analysis], str | Path], None]] = {
-    "torques.png": torque_figure,
-    "heights.png": height_figure,
-    "gains.png": gain_figure,
+    "torques.png": write_torque_figure,
+    "heights.png": write_height_figure,
+    "gains.png": write_gain_figure,
 }
 """File names of the figures that ``analyze`` writes beside the poses, and their functions."""

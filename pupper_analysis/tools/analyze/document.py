@@ -28,19 +28,19 @@ from pupper_analysis.present.documents.loads import (
 )
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import (
+    cite_page,
     files_text,
-    page_of,
 )
 from pupper_analysis.present.documents.standing import (
     ground_word,
     height_plot,
-    motions_of,
+    list_motions,
     quantity_columns,
     run_rows,
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
+from pupper_analysis.present.verdict import qualify_verdict_word, split_verdict_lines
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import peak_utilisation
@@ -52,9 +52,9 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
     """Returns all that was found out about one robot; see ``build``."""
     runs = (analysis.verification, analysis.sagging)
-    first, more = lines_to_read(analysis.verdict)
+    first, more = split_verdict_lines(analysis.verdict)
     blocks: list[doc.Block] = [
-        view_block(robot, analysis.stand, analysis.statics, motions_of(runs)),
+        view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
         *_structure(analysis, robot),
         stand_table(analysis.stand, analysis.statics),
         *load_blocks(
@@ -76,18 +76,18 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         tuple(blocks),
         passed=analysis.verified,
         verdict=_verdict_word(analysis),
-        failures=tuple(map(doc.tell, analysis.failures)),
+        failures=tuple(map(doc.diagnostic_text, analysis.failures)),
         findings=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
         details=tuple(more),
         brief=True,
-        notes=tuple(map(doc.tell, analysis.notes)),
+        notes=tuple(map(doc.diagnostic_text, analysis.notes)),
     )
 
 
 def _verdict_word(analysis: Analysis) -> doc.Text:
     if not analysis.verified:
         return text("FAILED")
-    return verdict_of_files("VERIFIED", analysis.verdict.converted)
+    return qualify_verdict_word("VERIFIED", analysis.verdict.converted)
 
 
 def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
@@ -130,8 +130,8 @@ def _height(run: StandVerification) -> doc.Words:
 def _fall(without: StandVerification) -> Iterable[doc.Words]:
     """Says that it does not stand without feed-forward, if so."""
     if not without.passed:
-        why = join_words(map(doc.tell, without.failures), "semicolon")
-        yield text("does-not-stand-without-feed-forward", why=why).marked("warn")
+        why = join_words(map(doc.diagnostic_text, without.failures), "semicolon")
+        yield text("does-not-stand-without-feed-forward", why=why).with_mark("warn")
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
@@ -166,7 +166,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
             for name, mass in analysis.link_masses.items()
         ),
         (text("fixed-links-are-counted"),),
-        (files_text(robot), page_of("explanation/statics.md", "Scaling a robot")),
+        (files_text(robot), cite_page("explanation/statics.md", "Scaling a robot")),
     )
 
 
@@ -215,7 +215,7 @@ def _joints(analysis: Analysis) -> doc.Table:
         (*notes, text("effort-origins", origins=origins_text(origins))),
         (
             text("source-joints"),
-            page_of("reference/conventions.md", "Coordinates"),
+            cite_page("reference/conventions.md", "Coordinates"),
         ),
     )
 
@@ -246,7 +246,7 @@ def _jacobians(analysis: Analysis) -> doc.Block:
         (),
         (
             text("source-jacobians"),
-            page_of("reference/conventions.md", "Frames and feet"),
+            cite_page("reference/conventions.md", "Frames and feet"),
         ),
     )
 
@@ -262,7 +262,7 @@ def _check(analysis: Analysis) -> doc.Block:
                 doc.Name("" if exact else quantity.where),
                 doc.Name("" if exact else quantity.whose),
                 doc.Number(f"{quantity.relative:.1e}", quantity.relative),
-                text("ok") if quantity.passed else text("differs").marked("bad"),
+                text("ok") if quantity.passed else text("differs").with_mark("bad"),
             )
         )
     return doc.Table(
@@ -279,10 +279,10 @@ def _check(analysis: Analysis) -> doc.Block:
             doc.Column(text("verdict"), left=True),
         ),
         tuple(rows),
-        tuple(map(doc.tell, check.notes)),
+        tuple(map(doc.diagnostic_text, check.notes)),
         (
             text("source-cross-check"),
-            page_of("explanation/models.md", "The square"),
+            cite_page("explanation/models.md", "The square"),
         ),
     )
 
@@ -291,7 +291,9 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     """Returns what the simulations of a stand say, with feed-forward and without."""
     run = analysis.verification
     both = (run, analysis.sagging)
-    verdicts = tuple(text("stands") if one.passed else text("FAILED").marked("bad") for one in both)
+    verdicts = tuple(
+        text("stands") if one.passed else text("FAILED").with_mark("bad") for one in both
+    )
     table = doc.Table(
         text(
             "simulation-with-gains",
@@ -304,7 +306,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         quantity_columns(text("with-feed-forward"), text("without")),
         (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
         (),
-        (page_of("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
+        (cite_page("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
     )
     yield table
     yield height_plot(both, float(analysis.stand.qpos[2]))
@@ -443,8 +445,8 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
             number_cell(getattr(row, field), form, scale=scale)
             for _, _, field, form, scale in columns
         ]
-        stands = text("stands") if row.stands_without else text("FAILS").marked("bad")
-        verdict = verdict_of_files(_verdict(row), row.converted).marked(
+        stands = text("stands") if row.stands_without else text("FAILS").with_mark("bad")
+        verdict = qualify_verdict_word(_verdict(row), row.converted).with_mark(
             "good" if row.verified else "bad"
         )
         cells.append((Name(row.name), verdict, stands, *numbers))

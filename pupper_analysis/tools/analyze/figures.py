@@ -34,16 +34,21 @@ from pupper_analysis.present.figures.pose import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.tools.analyze.analysis import leg_lengths
+from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
 
 Array = NDArray[np.float64]
 
-ELEVATION, AZIMUTH = math.radians(20), math.radians(140)  # of the camera's line of sight
-AHEAD = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), 0.0])
-RIGHT = np.array([math.sin(AZIMUTH), -math.cos(AZIMUTH), 0.0])
-UP = math.sin(ELEVATION) * AHEAD + math.cos(ELEVATION) * np.array([0.0, 0.0, 1.0])
+CAMERA_ELEVATION, CAMERA_AZIMUTH = (
+    math.radians(20),
+    math.radians(140),
+)  # of the camera's line of sight
+CAMERA_FORWARD = np.array([math.cos(CAMERA_AZIMUTH), math.sin(CAMERA_AZIMUTH), 0.0])
+IMAGE_RIGHT = np.array([math.sin(CAMERA_AZIMUTH), -math.cos(CAMERA_AZIMUTH), 0.0])
+IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATION) * np.array(
+    [0.0, 0.0, 1.0]
+)
 _GAP = 0.09  # around a robot, in tile widths
-LABEL = 0.125  # for the text below it, in tile widths
+LABEL_HEIGHT = 0.125  # for the text below it, in tile widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +87,11 @@ class Tile:
 
 def project_points(points: Array) -> Array:
     """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
-    seen: Array = points @ np.array([RIGHT, UP]).T
+    seen: Array = points @ np.array([IMAGE_RIGHT, IMAGE_UP]).T
     return seen
 
 
-def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
+def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
     """Gives each robot a tile: all to one scale, and those of a row on one line."""
     lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
@@ -97,7 +102,7 @@ def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> 
     size = high - low
     tile_width = width // columns
     scale = (1 - 2 * _GAP) * tile_width / float(size[:, 0].max())
-    gap, label = _GAP * tile_width / scale, LABEL * tile_width / scale
+    gap, label = _GAP * tile_width / scale, LABEL_HEIGHT * tile_width / scale
     tiles: list[Tile] = []
     top = 0
     for first in range(0, len(poses), columns):
@@ -116,7 +121,7 @@ def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> 
 
 
 Image = NDArray[np.uint8]
-GROUND = "#EEF1F5"
+BACKGROUND_COLOUR = "#EEF1F5"
 _OVERSAMPLING = 2  # pixels rendered per pixel shown, in each direction
 _HIDDEN = 5  # a group of geoms that MuJoCo does not draw
 _OFF = ("disable", "disabled", "off", "false", "0")
@@ -221,9 +226,9 @@ def _render_tile(tile: Tile) -> Image:
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     model.vis.global_.fovy = tile.height / tile.scale
-    camera.lookat[:] = tile.centre @ np.array([RIGHT, UP])
+    camera.lookat[:] = tile.centre @ np.array([IMAGE_RIGHT, IMAGE_UP])
     camera.distance = 2 * tile.height / tile.scale
-    camera.azimuth, camera.elevation = math.degrees(AZIMUTH), -math.degrees(ELEVATION)
+    camera.azimuth, camera.elevation = math.degrees(CAMERA_AZIMUTH), -math.degrees(CAMERA_ELEVATION)
     camera.orthographic = 1
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -239,7 +244,7 @@ def _render_tile(tile: Tile) -> Image:
         mujoco.mjr_readPixels(image, depth, frame, context)
     finally:
         context.free()
-    image[depth == 1.0] = np.round(255 * np.array(to_rgb(GROUND)))
+    image[depth == 1.0] = np.round(255 * np.array(to_rgb(BACKGROUND_COLOUR)))
     # Pixels on an outline are shared by robot and ground.
     parts = image[::-1].reshape(tile.height, _OVERSAMPLING, tile.width, _OVERSAMPLING, 3)
     return np.asarray(np.round(parts.mean(axis=(1, 3))), dtype=np.uint8)
@@ -284,11 +289,11 @@ def render_variants(
     if not robots_and_stands:
         raise ConfigurationError("robots_and_stands", diagnose("no-robot-to-draw"))
     poses = [(robot, stand.qpos) for robot, stand in robots_and_stands]
-    tiles = tiles_of(poses, width, min(_COLUMNS, len(poses)))
+    tiles = lay_out_tiles(poses, width, min(_COLUMNS, len(poses)))
     images, method, note = render_tiles(tiles)
     width = max(tile.left + tile.width for tile in tiles)
     height = max(tile.top + tile.height for tile in tiles)
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=GROUND)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=BACKGROUND_COLOUR)
     canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0), zorder=1)
     canvas.set_axis_off()
     if images:
@@ -308,8 +313,8 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
     robot = tile.robot
     # Letters that fit the tile, in points.
     size = 0.03 * tile.width * 72 / _DPI
-    x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL + 0.02) * tile.width
-    legs = sum(length or 0.0 for length in leg_lengths(robot))
+    x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL_HEIGHT + 0.02) * tile.width
+    legs = sum(length or 0.0 for length in measure_leg_lengths(robot))
     numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
     below = y + 2.0 * size * _DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}

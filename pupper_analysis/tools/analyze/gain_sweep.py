@@ -41,10 +41,10 @@ from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
-Cell = tuple[float, float]
+GainPair = tuple[float, float]
 """kp and kd."""
 
-FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """The gains that are tried by default, in parts of the model's own."""
 
 
@@ -161,7 +161,7 @@ def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
         return [float(value) for value in given]
     assert own is not None
     middle = float(np.median(own))
-    return [factor * middle for factor in FACTORS]
+    return [factor * middle for factor in GAIN_FACTORS]
 
 
 class _Trial:
@@ -176,8 +176,8 @@ class _Trial:
         self.torques = balance.joint_torques
 
     def run(
-        self, cells: Sequence[Cell], amplitude: float, frequency: float, *, progress: bool
-    ) -> dict[Cell, tuple[float, bool]]:
+        self, cells: Sequence[GainPair], amplitude: float, frequency: float, *, progress: bool
+    ) -> dict[GainPair, tuple[float, bool]]:
         """Simulates pairs of gains, and judges each at rest: {pair: deviation (m), if it lasts}."""
         from rich.progress import track
 
@@ -202,7 +202,7 @@ class _Trial:
                 start = rest_state(robot, drive, pose.qpos, ctrl)
                 rests[kp] = None if pose.failures else start
 
-        def simulate(cell: Cell) -> tuple[float, bool]:
+        def simulate(cell: GainPair) -> tuple[float, bool]:
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
             watcher = monitor.Watcher(robot, drive.model)
             states = roll_out(drive.model, watcher.data, start, control, control_spec=FORCED)[0]

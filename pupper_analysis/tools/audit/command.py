@@ -85,7 +85,7 @@ def command(
             found = [
                 one for result in results for one in audit_report.make_audit_annotations(result)
             ]
-            click.echo(formats.for_machines(style, found))
+            click.echo(formats.write_annotations(style, found))
         least = Severity(fail_on).rank
         passed = all(one.severity.rank > least for result in results for one in result.findings)
         content = (

@@ -47,7 +47,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
         findings=(join_words([*counts, rules]),),
-        notes=tuple(map(doc.tell, audit.notes)),
+        notes=tuple(map(doc.diagnostic_text, audit.notes)),
     )
 
 
@@ -55,7 +55,7 @@ def _plural(severity: str, count: int) -> str:
     return severity if count == 1 else f"{severity}s"
 
 
-def _groups(audit: Audit) -> Iterable[doc.Sides]:
+def _groups(audit: Audit) -> Iterable[doc.FileFinding]:
     """Yields findings, the worst first, with the line of the first of those that are alike.
 
     Why they matter, and what to do, is said once for those of a rule.
@@ -67,17 +67,19 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
     shown = 0
     for (rule, _), alike in rules.items():
         why, todo = get_rule_text(rule, "why"), get_rule_text(rule, "todo")
-        advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).marked("quiet"),)
+        advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).with_mark("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
             sides = _alike(audit, group, advice if place == len(alike) else ())
             yield replace(sides, detail=shown >= MAX_SHOWN_GROUPS)
             shown += 1
 
 
-def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]) -> doc.Sides:
+def _alike(
+    audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
+) -> doc.FileFinding:
     """Returns findings of which only the element is another."""
     first, *others = group
-    message = doc.tell(first.diagnostic)
+    message = doc.diagnostic_text(first.diagnostic)
     said = text("element-message", element=format_element(first.diagnostic), message=message)
     if others:
         names = join_words(format_element(other.diagnostic) for other in others)
@@ -88,8 +90,10 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
         "severity-rule",
         severity=word(str(first.severity)),
         rule=first.rule,
-    ).marked(SEVERITY_MARKS[first.severity])
-    return doc.Sides(said, (doc.FilePlace(doc.Name(str(first.place)), quote, path),), advice, tag)
+    ).with_mark(SEVERITY_MARKS[first.severity])
+    return doc.FileFinding(
+        said, (doc.FilePlace(doc.Name(str(first.place)), quote, path),), advice, tag
+    )
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:

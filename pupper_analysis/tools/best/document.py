@@ -8,7 +8,7 @@ from dataclasses import replace
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import mass_text
-from pupper_analysis.present.documents.registry import build_document, document
+from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.standing import quantity_columns
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.best.best import BestStance, BestStudy
@@ -31,7 +31,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     details = found.details
     failures, verdict = found.failures, found.verdict
     if study.best.payload is not None:
-        loaded = document(study.best.payload)
+        loaded = make_document(study.best.payload)
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # The stance of both is the same, and told once.
         messages += tuple(line for line in loaded.findings if line not in found.findings)

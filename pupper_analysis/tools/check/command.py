@@ -91,7 +91,7 @@ def command(
         found = report.make_check_annotations(result, in_a_change=style == "github")
         if style == "github":
             found = [one for one in found if not one.known]  # nobody is reminded of it
-        text = formats.for_machines(style, found)
+        text = formats.write_annotations(style, found)
         click.echo(text, nl=bool(text))
         if style == "github":
             click.echo(

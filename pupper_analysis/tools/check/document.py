@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation, from_root
+from pupper_analysis.present.formats import Annotation, relative_to_checkout
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
@@ -35,11 +35,15 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         blocks.append(doc.Lines(known, title=title, detail=True))
     if check.stale:
         blocks.append(
-            doc.Lines(tuple(map(doc.tell, describe_stale_entries(check))), "warn", text("stale"))
+            doc.Lines(
+                tuple(map(doc.diagnostic_text, describe_stale_entries(check))),
+                "warn",
+                text("stale"),
+            )
         )
     blocks.append(_pairs(check.pairs))
     notes = tuple(
-        text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
+        text("name-note", name=doc.Name(pair.name), note=doc.diagnostic_text(note))
         for pair in check.pairs
         for note in pair.notes
     )
@@ -69,7 +73,7 @@ def _known(group: list[Remark]) -> Text:
 
 
 def _message(first: Remark) -> doc.Words:
-    message = doc.tell(first.diagnostic if first.cause is None else first.cause)
+    message = doc.diagnostic_text(first.diagnostic if first.cause is None else first.cause)
     if not _by_rule(first):
         return message
     return text("element-message", element=format_element(first.diagnostic), message=message)
@@ -79,22 +83,22 @@ def _by_rule(remark: Remark) -> bool:
     return remark.check == "audit" and remark.kind in RULES
 
 
-def _group(group: list[Remark]) -> doc.Sides:
+def _group(group: list[Remark]) -> doc.FileFinding:
     first, *others = group
     notes: list[doc.Words] = []
     if first.cause is not None:
         notes.append(text("this-alone-makes-count-differences", count=len(group)))
-        notes.append(doc.tell(first.diagnostic))
+        notes.append(doc.diagnostic_text(first.diagnostic))
     elif others:
         names = join_words(doc.Name(remark.element) for remark in others)
         notes.append(text("likewise-on-count-more-names", count=len(others), names=names))
-    notes += map(doc.tell, first.consequences)
+    notes += map(doc.diagnostic_text, first.consequences)
     tag = text(
         "severity-check-kind",
         severity=word(str(first.severity)),
         check=first.check,
         kind=first.kind if first.cause is None else "cause",
-    ).marked(SEVERITY_MARKS[first.severity])
+    ).with_mark(SEVERITY_MARKS[first.severity])
     places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
     named = [(relative_to_root(place), place) for place in places]
     columns = tuple(
@@ -103,7 +107,7 @@ def _group(group: list[Remark]) -> doc.Sides:
     )
     if _by_rule(first):
         notes.append(get_rule_text(first.kind, "todo"))
-    sides = doc.Sides(_message(first), columns, tuple(notes), tag)
+    sides = doc.FileFinding(_message(first), columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
@@ -118,7 +122,7 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(pair.name),
-            text("FAILED").marked("bad") if pair.failures else text("all-ok").marked("good"),
+            text("FAILED").with_mark("bad") if pair.failures else text("all-ok").with_mark("good"),
             doc.number_cell(pair.failures, "g"),
             doc.number_cell(pair.known, "g"),
             doc.Name(", ".join(pair.files)),
@@ -151,7 +155,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
 def relative_to_root(place: str) -> str:
     """Returns ``file:line`` with the file as CI services find it."""
     file, line = Annotation("", "", "", place).file_and_line
-    return from_root(file) if line is None else f"{from_root(file)}:{line}"
+    return relative_to_checkout(file) if line is None else f"{relative_to_checkout(file)}:{line}"
 
 
 def make_check_annotations(

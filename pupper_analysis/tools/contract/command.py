@@ -73,6 +73,6 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:
-        click.echo(formats.for_machines(style, make_contract_annotations(result)))
+        click.echo(formats.write_annotations(style, make_contract_annotations(result)))
     shared.write_page(report_path, result)
     shared.finish_command(json_path, result, passed=result.passed)

@@ -11,7 +11,7 @@ from pupper_analysis.base.diagnostics import Severity
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
@@ -44,7 +44,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         verdict=agree if contract.passed else text("contract-differ"),
         warned=contract.passed and found,
         findings=(message,),
-        notes=tuple(map(doc.tell, contract.notes)),
+        notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
 
 
@@ -65,7 +65,7 @@ def _blocks(contract: Contract) -> Iterable[doc.Block]:
         yield _observations(contract)
 
 
-def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
+def _sides(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
         doc.FilePlace(
@@ -78,9 +78,13 @@ def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
     tag: doc.Words = word(str(finding.severity))
     if finding.slip:
         tag = text("severity-rule", severity=tag, rule=word(finding.slip))
-    tag = tag.marked(SEVERITY_MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
-    return doc.Sides(
-        doc.tell(finding.diagnostic), columns, tuple(map(doc.tell, finding.effects)), tag, detail
+    tag = tag.with_mark(SEVERITY_MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
+    return doc.FileFinding(
+        doc.diagnostic_text(finding.diagnostic),
+        columns,
+        tuple(map(doc.diagnostic_text, finding.effects)),
+        tag,
+        detail,
     )
 
 
@@ -104,7 +108,7 @@ def _poses(contract: Contract) -> doc.Table:
     ends: dict[bool | None, doc.Cell] = {
         None: doc.Name("-"),
         True: text("contract-stays-up"),
-        False: text("contract-falls").marked("bad"),
+        False: text("contract-falls").with_mark("bad"),
     }
     rows = tuple(
         (
@@ -117,11 +121,11 @@ def _poses(contract: Contract) -> doc.Table:
         for pose in contract.poses
     )
     notes = tuple(
-        text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
+        text("contract-pose-note", source=pose.source, why=doc.diagnostic_text(pose.problem))
         for pose in contract.poses
         if pose.problem is not None
     )
-    source = (page_of("how-to/contract.md", "The default poses"),)
+    source = (cite_page("how-to/contract.md", "The default poses"),)
     return doc.Table(text("contract-poses"), columns, rows, notes, source)
 
 

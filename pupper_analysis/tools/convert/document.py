@@ -17,7 +17,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     """Create the document of a conversion; see ``build_document``."""
     blocks = []
     if conversion.not_converted:
-        left = tuple(map(doc.tell, conversion.not_converted))
+        left = tuple(map(doc.diagnostic_text, conversion.not_converted))
         blocks.append(doc.Lines(left, "warn", text("not-converted")))
     return doc.Document(
         text("conversion"),
@@ -25,9 +25,9 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         tuple(blocks),
         passed=conversion.passed,
         verdict=text(_verdict(conversion)),
-        failures=tuple(map(doc.tell, conversion.failures)),
+        failures=tuple(map(doc.diagnostic_text, conversion.failures)),
         findings=tuple(_describe_checks(conversion)),
-        notes=tuple(map(doc.tell, conversion.notes)),
+        notes=tuple(map(doc.diagnostic_text, conversion.notes)),
     )
 
 
@@ -60,7 +60,7 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
             seconds=f"{run.duration:g}",
             height=f"{run.base_height:.4f}",
             torque=f"{run.torque_error:.1e}",
-        ).marked("good" if run.passed else "bad")
+        ).with_mark("good" if run.passed else "bad")
     kept = conversion.kept
     if kept is not None and not kept.failures and (least := kept.stability.least_damped):
         yield text(
@@ -68,4 +68,4 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
             speed=f"{kept.nudge.speed:g}",
             damping=f"{least.damping_ratio:.2g}",
             frequency=f"{least.frequency:.2g}",
-        ).marked("good")
+        ).with_mark("good")

@@ -104,6 +104,6 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)
     else:
-        click.echo(formats.for_machines(style, make_comparison_annotations(comparison)))
+        click.echo(formats.write_annotations(style, make_comparison_annotations(comparison)))
     shared.write_page(report_path, comparison)
     shared.finish_command(json_path, comparison, passed=comparison.agree)

@@ -20,7 +20,7 @@ from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
@@ -143,9 +143,10 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     """Returns what makes two files disagree; see ``build``."""
     agree, same = comparison.agree, comparison.same_robot
     said = (*list_matching_notes(comparison), *comparison.check.notes)
-    notes: list[doc.Words] = list(map(doc.tell, said))
+    notes: list[doc.Words] = list(map(doc.diagnostic_text, said))
     notes += [
-        text("the-engines-differ-on-one", engine=doc.tell(engine)) for engine in comparison.engines
+        text("the-engines-differ-on-one", engine=doc.diagnostic_text(engine))
+        for engine in comparison.engines
     ]
     differ = text("same-robot-different-conventions") if same else text("disagree")
     return doc.Document(
@@ -156,7 +157,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
         findings=(
-            doc.tell(comparison.first_to_mend),
+            doc.diagnostic_text(comparison.first_to_mend),
             text("1-difference")
             if len(comparison.differences) == 1
             else text("count-differences", count=len(comparison.differences)),
@@ -177,7 +178,7 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
     yield doc.Lines(named, detail=True)
     for part in comparison.parts:
-        off = text("part-it-was-taken-off", part=doc.tell(part))
+        off = text("part-it-was-taken-off", part=doc.diagnostic_text(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
     # One order for the headline and for all below it: that of the differences.
     listed: list[tuple[int, doc.Block]] = []
@@ -185,17 +186,21 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
-        sides = _sides(comparison, first, doc.tell(cause.diagnostic), made, such)
+        sides = _sides(comparison, first, doc.diagnostic_text(cause.diagnostic), made, such)
         listed.append((-1 if cause.leads else cause.differences[0], sides))
     numbers = {id(one): number for number, one in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
-        sides = _sides(comparison, group[0], doc.tell(group[0].diagnostic), *_likewise(group))
+        sides = _sides(
+            comparison, group[0], doc.diagnostic_text(group[0].diagnostic), *_likewise(group)
+        )
         listed.append((numbers[id(group[0])], replace(sides, detail=place >= MAX_SHORT_GROUPS)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
     if comparison.differences:
         yield _differences(comparison)
     if comparison.objections:
-        yield doc.Lines(tuple(map(doc.tell, comparison.objections)), "bad", text("objections"))
+        yield doc.Lines(
+            tuple(map(doc.diagnostic_text, comparison.objections)), "bad", text("objections")
+        )
     yield _quantities(comparison)
 
 
@@ -211,7 +216,7 @@ def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
 
 def _sides(
     comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
-) -> doc.Sides:
+) -> doc.FileFinding:
     paths = (comparison.urdf, comparison.mjcf)
     columns = []
     for place, value in (
@@ -222,12 +227,12 @@ def _sides(
         shown = doc.Name(line) if line else doc.Name(f"{shorten(value)} {difference.unit}")
         named = doc.Name(_short(place)) if place else text("not-in-the-file")
         columns.append(doc.FilePlace(named, shown, place or ""))
-    made_of = map(doc.tell, difference.made_of)
-    return doc.Sides(title, tuple(columns), (*notes, *made_of, _effects(difference)))
+    made_of = map(doc.diagnostic_text, difference.made_of)
+    return doc.FileFinding(title, tuple(columns), (*notes, *made_of, _effects(difference)))
 
 
 def _effects(difference: Difference) -> doc.Text:
-    return doc.tell(describe_effects(difference), "" if difference.effects else "quiet")
+    return doc.diagnostic_text(describe_effects(difference), "" if difference.effects else "quiet")
 
 
 def _differences(comparison: Comparison) -> doc.Table:
@@ -262,7 +267,7 @@ def _differences(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page_of("explanation/models.md", "Effects, causes, order"),),
+        (cite_page("explanation/models.md", "Effects, causes, order"),),
         detail=True,
     )
 
@@ -289,7 +294,7 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
     )
     if not comparison.complete:
         missing = "explained-so-something-is-missing"
-        explained = text(missing, explained=explained).marked("bad")
+        explained = text(missing, explained=explained).with_mark("bad")
     yield explained
 
 
@@ -322,5 +327,5 @@ def _quantities(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page_of("explanation/models.md", "Why the list is complete"),),
+        (cite_page("explanation/models.md", "Why the list is complete"),),
     )

@@ -31,7 +31,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         passed=diff.same,
         verdict=text("same") if diff.same else text("different"),
         findings=(text("no-change") if diff.same else changes, *_mass(diff)),
-        notes=tuple(map(doc.tell, diff.notes)),
+        notes=tuple(map(doc.diagnostic_text, diff.notes)),
     )
 
 
@@ -46,17 +46,21 @@ def _mass(diff: ModelDiff) -> Iterable[doc.Words]:
 
 def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
     for change in diff.changes:
-        yield doc.Sides(
-            doc.tell(change.diagnostic),
+        yield doc.FileFinding(
+            doc.diagnostic_text(change.diagnostic),
             (
                 _place(diff.old, change.old_place, change.old, change.unit),
                 _place(diff.new, change.new_place, change.new, change.unit),
             ),
-            tuple(map(doc.tell, change.consequences)) or (_effects(change),),
+            tuple(map(doc.diagnostic_text, change.consequences)) or (_effects(change),),
         )
     if diff.combined:
         title = text("all-changes-together") if diff.changes else text("no-change-explains")
-        yield doc.Lines(tuple(map(doc.tell, diff.combined)), "" if diff.changes else "bad", title)
+        yield doc.Lines(
+            tuple(map(doc.diagnostic_text, diff.combined)),
+            "" if diff.changes else "bad",
+            title,
+        )
     if not diff.same:
         yield from _torques(diff)
     if not diff.complete:
@@ -77,7 +81,7 @@ def _place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
 
 def _effects(change: ModelChange) -> doc.Text:
     if not change.effects:
-        return text("no-effect-on-the-dynamics").marked("quiet")
+        return text("no-effect-on-the-dynamics").with_mark("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
     listed = join_words(
         text("quantity-by-times", quantity=word(name), times=format_number(effect.relative, ".2g"))

@@ -59,9 +59,9 @@ def describe_fit(
         ),
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
-        failures=tuple(doc.tell(failure) for failure in fit.failures),
+        failures=tuple(doc.diagnostic_text(failure) for failure in fit.failures),
         findings=(*messages, *([held] if partly or by_prior else [])),
-        notes=tuple(doc.tell(note) for note in fit.diagnostics),
+        notes=tuple(doc.diagnostic_text(note) for note in fit.diagnostics),
     )
 
 
@@ -277,6 +277,6 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
         (),
         passed=recording.complete,
         verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
-        failures=tuple(doc.tell(finding) for finding in recording.findings),
+        failures=tuple(doc.diagnostic_text(finding) for finding in recording.findings),
         findings=(text(message, file=doc.Name(recording.file), **values),),
     )

@@ -136,7 +136,7 @@ def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
     )
     notes = (text("worst-found"),)
     if worst.endless is not None:
-        notes = (text("worst-not-bounded", why=doc.tell(worst.endless)),)
+        notes = (text("worst-not-bounded", why=doc.diagnostic_text(worst.endless)),)
     return doc.Table(text("worst-postures"), columns, tuple(rows), notes=notes)
 
 
@@ -176,7 +176,7 @@ def _tried(hold: Hold) -> Iterator[doc.Text]:
     if trial is not None and trial.passed:
         yield text("payload-trial-holds", share=share)
     elif trial is not None:
-        why = join_words(map(doc.tell, trial.failures), "semicolon")
+        why = join_words(map(doc.diagnostic_text, trial.failures), "semicolon")
         yield text("payload-trial-fails", share=share, why=why)
 
 
@@ -273,16 +273,16 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
             simulated=f"{1e3 * float(np.linalg.norm(hold.simulated_tool_sag)):.2f}",
         )
     elif hold.unsettled is not None:
-        yield text("no-sag-predicted", why=doc.tell(hold.unsettled))
+        yield text("no-sag-predicted", why=doc.diagnostic_text(hold.unsettled))
     weak = [
         name
         for name, used in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
         if used > 1
     ]
     if weak:
-        yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
+        yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")
     if hold.payload.unknown:
-        yield _unknown(hold).marked("warn")
+        yield _unknown(hold).with_mark("warn")
         return
     if hold.payload.servos < hold.payload.mass:
         yield text(
@@ -290,7 +290,7 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
             tool=doc.Name(hold.tool.name),
             mass=f"{hold.payload.servos:.3g}",
             joint=hold.payload.servo,
-        ).marked("warn")
+        ).with_mark("warn")
     yield text(
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
@@ -299,7 +299,7 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
         force=_limit(hold.force.weakest),
     )
     if hold.payload_trial is not None and not hold.payload_trial.passed:
-        yield from (words.marked("warn") for words in _tried(hold))
+        yield from (words.with_mark("warn") for words in _tried(hold))
 
 
 def _unknown(hold: Hold) -> doc.Text:

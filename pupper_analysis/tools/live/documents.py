@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import contact_table, torque_table
 from pupper_analysis.present.documents.standing import (
-    SAG,
+    SAG_QUANTITIES,
     quantity_columns,
     run_rows,
     simulated_table,
@@ -54,7 +54,7 @@ def stance_document(
     elif answer.unreachable:
         messages = (text("out-of-reach"),)
     elif answer.refusal is not None:
-        messages = (doc.tell(answer.refusal.diagnostic),)
+        messages = (doc.diagnostic_text(answer.refusal.diagnostic),)
     passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
     return doc.Document(
         text("stance"), _title(answer), tuple(blocks), passed=passed, findings=messages
@@ -71,11 +71,11 @@ def _sag(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)
     elif isinstance(sag, Diagnostic):
-        yield doc.Lines((doc.tell(sag),), "bad", title)
+        yield doc.Lines((doc.diagnostic_text(sag),), "bad", title)
     else:
-        yield doc.Table(title, quantity_columns(), run_rows([sag], SAG))
+        yield doc.Table(title, quantity_columns(), run_rows([sag], SAG_QUANTITIES))
         if sag.failures:
-            yield doc.Lines(tuple(map(doc.tell, sag.failures)), "bad")
+            yield doc.Lines(tuple(map(doc.diagnostic_text, sag.failures)), "bad")
 
 
 def refusal_document(
@@ -95,7 +95,7 @@ def refusal_document(
     elif error is None:
         message = text("it-is-in-reach-after")
     else:
-        message = doc.tell(error.diagnostic)
+        message = doc.diagnostic_text(error.diagnostic)
         if error.nearest is not None:
             title = text("the-ghost-the-nearest-stance")
             blocks.append(doc.Lines((task_text(error.nearest.task),), title=title))
@@ -129,7 +129,7 @@ _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:
     """Returns why something could not be done."""
-    messages = (doc.tell(error.diagnostic),)
+    messages = (doc.diagnostic_text(error.diagnostic),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)
 
 

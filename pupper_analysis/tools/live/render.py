@@ -310,7 +310,7 @@ def _table(block: Table, say: Language) -> str:
         cells = (f"<th{kind}>{_said(head)}</th>" for kind, head in zip(kinds, heads, strict=True))
         rows.append(f"<tr>{''.join(cells)}</tr>")
     rows += [f"<tr>{''.join(_cell(one, say) for one in row)}</tr>" for row in block.rows]
-    barred = any(isinstance(cell, Number) and cell.share is not None
+    barred = any(isinstance(cell, Number) and cell.bar_fraction is not None
                  for row in block.rows for cell in row)  # fmt: skip
     kind = ' class="barred"' if barred else ""
     return f"{_headed(block.title, say)}<table{kind}>{''.join(rows)}</table>"
@@ -326,10 +326,10 @@ def _cell(cell: Cell, say: Language) -> str:
     if not isinstance(cell, Number):
         return f"<td>{_said(say.translate(cell))}</td>"
     number = f'<td class="n">{_said(cell.text)}</td>'
-    if cell.share is None:
+    if cell.bar_fraction is None:
         return number
     width, colour = (
-        3.0 * cell.share,
+        3.0 * cell.bar_fraction,
         to_css(choose_utilisation_colour(cell.value / 100)),
     )  # a share is in percent
     bar = f'<span class="bar" style="width:{width:.2f}em;background:{colour}"></span>'

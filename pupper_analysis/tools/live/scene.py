@@ -18,8 +18,8 @@ from pupper_analysis.present.scene import (
     Contact,
     JointAxis,
     StandingScene,
+    collect_visible_shapes,
     describe_scene,
-    shapes_of,
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
@@ -79,7 +79,7 @@ BodyMeshes = dict[tuple[int, Colour], Mesh]
 
 def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
     """Returns a robot's shapes, those of one body and colour together."""
-    shapes, meshes = shapes_of(model, MAX_FACES)
+    shapes, meshes = collect_visible_shapes(model, MAX_FACES)
     found: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:
         mesh = triangulate_shape(shape.form) if shape.mesh is None else meshes[shape.mesh]
@@ -230,7 +230,7 @@ class Scene:
         self._figure("stand").show(True)
         seen = describe_scene(robot, stand, answer.statics)
         self._steps(seen)
-        self._support(seen, held=answer.statics is not None and seen.inside)
+        self._support(seen, held=answer.statics is not None and seen.com_inside)
         self._com(seen)
         self._load(answer, stand)
         self._torques(seen.joints)
@@ -324,7 +324,7 @@ class Scene:
 
     def _steps(self, seen: StandingScene) -> None:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
-        out, thin = seen.normal, 2e-3 * self._size
+        out, thin = seen.ground_normal, 2e-3 * self._size
         for number, step in enumerate(seen.steps.values()):
             # A pit is a dark square on the ground, which nobody can look through.
             pit = step.height < 0
@@ -358,12 +358,12 @@ class Scene:
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _com(self, seen: StandingScene) -> None:
-        colour = INSIDE_COLOUR if seen.inside else OUTSIDE_COLOUR
-        for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.below, 0.05)):
+        colour = INSIDE_COLOUR if seen.com_inside else OUTSIDE_COLOUR
+        for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.com_projection, 0.05)):
             ball = self._node(name, "add_icosphere", size * self._size, colour, cast_shadow=False)
             ball.position = place
             ball.color = colour
-        ends = np.array([[seen.com, seen.below]])
+        ends = np.array([[seen.com, seen.com_projection]])
         line = self._node(
             "plumb", "add_line_segments", ends, colour, thickness=2.0, thickness_units="screen"
         )
@@ -383,13 +383,15 @@ class Scene:
         known = [one for one in joints if one.torque is not None]
         for one in known:
             disc = self._joints[one.name]
-            disc.visible, disc.color = True, choose_utilisation_colour(one.share)
-            disc.position, disc.wxyz = one.place, quaternion_along(one.direction)
+            disc.visible, disc.color = True, choose_utilisation_colour(one.utilisation)
+            disc.position, disc.wxyz = one.world_anchor, quaternion_along(one.world_axis)
         if known:
-            hardest = max(known, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
+            hardest = max(known, key=lambda one: (one.utilisation or 0.0, abs(one.torque or 0.0)))
             label = self._node("hardest", "add_label", "", anchor="bottom-center")
-            label.text = format_joint_label(hardest.name, hardest.torque or 0.0, hardest.share)
-            label.position = hardest.place + np.array([0.0, 0.0, 0.2 * self._size])
+            label.text = format_joint_label(
+                hardest.name, hardest.torque or 0.0, hardest.utilisation
+            )
+            label.position = hardest.world_anchor + np.array([0.0, 0.0, 0.2 * self._size])
 
     def _forces(self, seen: StandingScene) -> None:
         if not seen.contacts:

@@ -206,7 +206,7 @@ def walking_document(
         (speeds, motors),
         passed=fall is None,
         verdict=text("walking-on-feet", time=f"{duration:.0f}") if fall is None else None,
-        failures=() if fall is None else (doc.tell(fall),),
+        failures=() if fall is None else (doc.diagnostic_text(fall),),
     )
 
 

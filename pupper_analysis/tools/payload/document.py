@@ -15,7 +15,7 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document, verdict_of_files
+from pupper_analysis.present.verdict import judged_document, qualify_verdict_word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTrial
@@ -56,7 +56,7 @@ def _word(limit: PayloadLimit) -> doc.Words:
         return text("carries-in-part", count=count)
     else:
         key = "carries-lastingly"
-    return verdict_of_files(key, limit.verdict.converted)
+    return qualify_verdict_word(key, limit.verdict.converted)
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:

@@ -71,7 +71,7 @@ def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
         impulse=f"{recovery.weakest_impulse:.2f}",
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
-        failure=doc.tell(recovery.weakest_failure),
+        failure=doc.diagnostic_text(recovery.weakest_failure),
         tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
     )
 
@@ -84,7 +84,7 @@ def _table(pushed: PushedStance) -> doc.Table:
             doc.number_cell(recovery.impulses[index], ".2f"),
             doc.number_cell(recovery.velocity_steps[index], ".3f"),
             doc.number_cell(recovery.tipping_estimate[index], ".2f"),
-            doc.tell(recovery.failures[index]),
+            doc.diagnostic_text(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
     ]
@@ -123,7 +123,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
             one.directions,
             one.impulses,
             note=doc.Name(f"{one.weakest_impulse:.2f} N s"),
-            marked=int(np.argmin(np.abs(one.directions - one.weakest_direction))),
+            marked_index=int(np.argmin(np.abs(one.directions - one.weakest_direction))),
         )
         for name, one in pushed.items()
     ]
@@ -195,5 +195,5 @@ def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
         (doc.Table(text("push"), columns, rows),),
         passed=trial.failure is None,
         verdict=text("it-recovers") if trial.failure is None else text("FAILS"),
-        failures=() if trial.failure is None else (doc.tell(trial.failure),),
+        failures=() if trial.failure is None else (doc.diagnostic_text(trial.failure),),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.present.html.plots import STYLES
+from pupper_analysis.present.html.plots import NUM_SERIES_STYLES
 from pupper_analysis.tools.push.document import push_plot
 from pupper_analysis.tools.push.recovery import PushRecovery
 
@@ -25,6 +25,8 @@ def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
         ConfigurationError: If there are too many robots.
         OutputError: If the file cannot be written.
     """
-    if len(results) >= STYLES:  # one is of the estimate
-        raise ConfigurationError("results", diagnose("too-many-to-tell-apart", most=STYLES - 1))
+    if len(results) >= NUM_SERIES_STYLES:  # one is of the estimate
+        raise ConfigurationError(
+            "results", diagnose("too-many-to-tell-apart", most=NUM_SERIES_STYLES - 1)
+        )
     write_plots([push_plot(results, next(iter(results)))], path)

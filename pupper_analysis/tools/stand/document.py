@@ -15,7 +15,7 @@ from pupper_analysis.present.documents.standing import (
     ground_text,
     ground_word,
     height_plot,
-    motions_of,
+    list_motions,
     robot_notes,
     simulated_table,
     stand_table,
@@ -45,7 +45,10 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
         (_passes(loading),) if loading.passes else (),
         findings=(robot, *ready),
         notes=tuple(
-            map(doc.tell, merge_diagnostics([note for note in loading.notes if note not in shown]))
+            map(
+                doc.diagnostic_text,
+                merge_diagnostics([note for note in loading.notes if note not in shown]),
+            )
         ),
     )
 
@@ -53,7 +56,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
 def _passes(loading: Preparation) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for run in loading.passes:
-        done = tuple(map(doc.tell, run.done)) or (text("nothing-to-do"),)
+        done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
         rows += [(doc.Name(run.name), word(run.does), done[0])]
         rows += [(doc.Name(""), doc.Name(""), more) for more in done[1:]]
     columns = tuple(
@@ -73,7 +76,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     run = stance.verification
     stand = stance.stand
     blocks = [
-        view_block(robot, stand, stance.statics, motions_of([run])),
+        view_block(robot, stand, stance.statics, list_motions([run])),
         *load_blocks(
             stance.statics,
             stance.min_max_torque,
@@ -99,7 +102,9 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
     """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
     if run.mujoco_residual > DISAGREEMENT:
-        yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").marked("warn")
+        yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
+            "warn"
+        )
 
 
 def _answer(stance: Stance) -> Iterable[doc.Words]:
@@ -121,7 +126,7 @@ def _answer(stance: Stance) -> Iterable[doc.Words]:
     if settled is not None and not settled.failures:
         yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
     if stance.unsettled is not None:
-        yield text("no-sag-predicted", why=doc.tell(stance.unsettled))
+        yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     if settled is not None and (settled.failures or settled.release_margin < RELEASE_MARGIN):
         yield _settles(stance, settled)
     if stance.minimum_stiffness is not None:
@@ -142,7 +147,7 @@ def _settles(stance: Stance, settled: SteadyState) -> doc.Words:
         contact=f"{1e3 * settled.contact_sag:z.2f}",
     )
     if settled.failures:
-        why = join_words(map(doc.tell, settled.failures), "semicolon")
+        why = join_words(map(doc.diagnostic_text, settled.failures), "semicolon")
         settles = text("settles-but", settles=settles, why=why)
     elif settled.release_margin < RELEASE_MARGIN:
         settles = text(

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.documents.sources import cite_page
 from pupper_analysis.present.terminal import make_console
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.measures import METRICS, text_key
@@ -51,7 +51,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
             for group in outcome.failures
         )
         count_text = text("designs-kinds", designs=count_text, kinds=kinds)
-    findings: list[doc.Words] = [count_text, *map(doc.tell, outcome.rests_on)]
+    findings: list[doc.Words] = [count_text, *map(doc.diagnostic_text, outcome.rests_on)]
     if outcome.converted:
         findings.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
@@ -112,8 +112,10 @@ def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
             word(group.kind),
             doc.Name(group.metric or ""),
             doc.number_cell(group.designs, ".0f"),
-            doc.Number(f"{group.share:.1%}", 100 * group.share, share=group.share),
-            doc.Name(group.reason) if group.diagnostic is None else doc.tell(group.diagnostic),
+            doc.Number(f"{group.share:.1%}", 100 * group.share, bar_fraction=group.share),
+            doc.Name(group.reason)
+            if group.diagnostic is None
+            else doc.diagnostic_text(group.diagnostic),
         )
         for group in outcome.failures
     ]
@@ -180,7 +182,7 @@ def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
         _text_column("designs"),
     )
     title = text("which-number-matters-shares")
-    source = (page_of("explanation/studies.md", "Sensitivities"),)
+    source = (cite_page("explanation/studies.md", "Sensitivities"),)
     return [doc.Table(title, columns, tuple(rows), (text(_MAIN_EFFECT_NOTE),), source, detail=True)]
 
 
@@ -188,7 +190,7 @@ def _format_share(value: float) -> doc.Number:
     """Format a fraction as a percentage with a bar."""
     if not math.isfinite(value):
         return doc.Number("-", math.nan)
-    return doc.Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
+    return doc.Number(f"{value:.1%}", 100 * value, bar_fraction=min(max(value, 0.0), 1.0))
 
 
 def _make_design_table(outcome: StudyOutcome) -> doc.Table:
@@ -292,7 +294,7 @@ def written_document(written: WrittenDesign) -> doc.Document:
         (doc.Table(text("what-was-measured"), columns, rows),),
         findings=(text("its-command", command=doc.Name(written.command)),),
         passed=written.passed,
-        failures=tuple(map(doc.tell, written.failures)),
+        failures=tuple(map(doc.diagnostic_text, written.failures)),
     )
 
 

@@ -20,7 +20,7 @@ from pupper_analysis.base.errors import ConfigurationError, NotStandingError, Pu
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import own_clauses
+from pupper_analysis.present.verdict import make_keyframe_run_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.stability import Stability
@@ -190,7 +190,11 @@ def _check_stand(design: Design) -> bool:
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:
         raise NotStandingError(
-            tuple(clause.message for clause in own_clauses(published_run) if not clause.good)
+            tuple(
+                clause.message
+                for clause in make_keyframe_run_clauses(published_run)
+                if not clause.good
+            )
         )
     growing = design.stability.modes_growing_within()
     if growing:

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import on_servos, own_clauses
+from pupper_analysis.present.verdict import make_keyframe_run_clauses, make_servo_clause
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.stance.fields import FIELDS
@@ -168,10 +168,10 @@ def study_outcome(
 
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the assumptions of the stands of a robot; see `StudyOutcome.rests_on`."""
-    messages = [clause.message for clause in own_clauses(own_run(robot))]
+    messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
         servos = find_servos_used(robot)
-        messages += [on_servos(servos, good=True).message] if servos.made else []
+        messages += [make_servo_clause(servos, good=True).message] if servos.made else []
     return tuple(messages)
 
 

@@ -47,7 +47,7 @@ def sync_document(
         failures=tuple(_withheld(sync)),
         findings=tuple(messages),
         notes=tuple(
-            text("difference-note", difference=doc.Name(named), note=doc.tell(note))
+            text("difference-note", difference=doc.Name(named), note=doc.diagnostic_text(note))
             for named, note in sync.notes.items()
         ),
     )
@@ -71,7 +71,7 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
             for place in places
             if place
         )
-        yield doc.Sides(doc.tell(difference.diagnostic), columns)
+        yield doc.FileFinding(doc.diagnostic_text(difference.diagnostic), columns)
     first, kind = format_difference_label(sync.differences[0]), sync.differences[0].kind
     kind = f'"{kind}"' if " " in kind else kind
     yield doc.Lines(
@@ -102,7 +102,7 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
         yield doc.Lines(
             tuple(
                 text("difference-note", difference=doc.Name(left.difference),
-                     note=doc.tell(left.reason))
+                     note=doc.diagnostic_text(left.reason))
                 for left in sync.not_mended
             ),
             "bad",

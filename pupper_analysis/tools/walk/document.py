@@ -35,8 +35,10 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         ),
         passed=walk.passed,
         verdict=text(word),
-        failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
-        findings=(*_list_findings(walk), *map(doc.tell, walk.remarks)),
+        failures=tuple(
+            doc.diagnostic_text(gait.fall) for gait in fallen[:1] if gait.fall is not None
+        ),
+        findings=(*_list_findings(walk), *map(doc.diagnostic_text, walk.remarks)),
         notes=robot_notes(robot),
     )
 
@@ -161,7 +163,7 @@ def _format_range(values: Array) -> str:
 def _describe_outcome(gait: Gait) -> doc.Words:
     """Describe the outcome of a run."""
     if gait.fall is not None:
-        return doc.tell(gait.fall, "bad")
+        return doc.diagnostic_text(gait.fall, "bad")
     return text("walk-tracks" if gait.tracks else "walk-tracks-not")
 
 
@@ -239,7 +241,7 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
         findings=(
             text("walk-commanded", command=_format_command(result.command)),
             *_list_absolute_limits(result),
-            *map(doc.tell, result.remarks),
+            *map(doc.diagnostic_text, result.remarks),
         ),
         notes=robot_notes(robot),
     )
@@ -312,7 +314,7 @@ def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]
         return doc.Name("-"), doc.Name("-")
     low, high = interval.measured
     key, mark = ("walk-inside-yes", "good") if interval.inside else ("walk-inside-no", "bad")
-    return doc.Name(f"{low:.3g} - {high:.3g}"), text(key).marked(mark)
+    return doc.Name(f"{low:.3g} - {high:.3g}"), text(key).with_mark(mark)
 
 
 @build_document.register(Orders)

@@ -12,9 +12,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.analyze.analysis import (
-    joint_summaries,
-    leg_jacobians,
-    leg_lengths,
+    compute_leg_jacobians,
+    measure_leg_lengths,
+    summarise_joints,
 )
 from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
@@ -38,14 +38,14 @@ def test_every_variant_is_as_predicted_and_verified_if_its_file_stands(name: str
 
 def test_joint_motions_follow_from_their_axes() -> None:
     """The tutorial's names say roll, pitch, pitch; v3's axes say pitch, roll, pitch."""
-    v3 = joint_summaries(pa.load_variant("v3"))
+    v3 = summarise_joints(pa.load_variant("v3"))
     assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
-    skeleton = joint_summaries(pa.load_variant("original"))
+    skeleton = summarise_joints(pa.load_variant("original"))
     assert [joint.motion for joint in skeleton] == ["roll", "pitch", "pitch"] * 4
 
 
 def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
-    found = {joint.name: joint.motion for joint in joint_summaries(tiny)}
+    found = {joint.name: joint.motion for joint in summarise_joints(tiny)}
     assert found["push"] == "along z"
     assert found["turn"] == found["bend"] == "oblique"  # the arm is tilted by 0.3 rad
     slide = '<origin xyz="-0.1 0 0"/><axis xyz="0 0 1"/>'
@@ -55,19 +55,19 @@ def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
         TINY_MJCF.replace('type="slide" axis="0 0 1"', 'type="slide" axis="0 1 1"')
     )
     oblique = pa.load_robot(urdf=tmp_path / "tiny.urdf", mjcf=tmp_path / "tiny.xml", feet=["foot"])
-    found = {joint.name: joint.motion for joint in joint_summaries(oblique)}
+    found = {joint.name: joint.motion for joint in summarise_joints(oblique)}
     assert found["push"] == "oblique slide"
 
 
 def test_leg_jacobian_of_a_planar_leg() -> None:
     """Straight down, a leg of length l moves its foot by l in x per pitch: and not along itself."""
     robot = pa.load_variant("original")
-    jacobians = leg_jacobians(pa.Configuration(robot, robot.neutral()))
+    jacobians = compute_leg_jacobians(pa.Configuration(robot, robot.neutral()))
     expected = np.array([[0, -0.19, -0.11], [0.19, 0, 0], [0, 0, 0]])
     np.testing.assert_allclose(jacobians["FL"].matrix, expected, atol=1e-15)
     assert jacobians["FL"].condition > 1e12
     bent = pa.Configuration(robot, np.concatenate([robot.neutral()[:7], [0, 0.9, -1.5] * 4]))
-    for jacobian in leg_jacobians(bent).values():
+    for jacobian in compute_leg_jacobians(bent).values():
         assert jacobian.condition == pytest.approx(np.linalg.cond(jacobian.matrix))
 
 
@@ -113,7 +113,7 @@ def telescope(folder: Path) -> pa.Robot:
 @pytest.mark.slow
 def test_thigh_length_is_none_for_legs_of_one_joint(tmp_path: Path) -> None:
     robot = telescope(tmp_path)
-    assert leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
+    assert measure_leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
     analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))
     assert analysis.verified, analysis.failures
     assert analysis.thigh_length is None

@@ -18,7 +18,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.tools.analyze import comparison_figures
-from pupper_analysis.tools.analyze.analysis import leg_jacobians
+from pupper_analysis.tools.analyze.analysis import compute_leg_jacobians
 from pupper_analysis.tools.analyze.comparison_figures import FIGURES
 from tests.support.variants import load, stand_of
 
@@ -37,7 +37,7 @@ def analysis_of(name: str) -> Any:
         joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
         stand=stand,
         statics=pa.gravity_compensation(config),
-        foot_jacobians=leg_jacobians(config),
+        foot_jacobians=compute_leg_jacobians(config),
         verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
         sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
         sweep=pa.simulation.sweep_gains(robot, stand, **CELLS, amplitude=0.0, duration=2.0),
@@ -73,7 +73,7 @@ def test_a_figure_is_refused_without_robots(name: str, tmp_path: Path) -> None:
 def test_a_figure_of_three_robots_is_written_with_white_edges(name: str, tmp_path: Path) -> None:
     FIGURES[name]([analysis_of(robot) for robot in ("original", "v3", "v3-heavy")], tmp_path / name)
     pixels = imread(tmp_path / name)
-    assert pixels.shape[1] == pytest.approx(drawing.WIDTH * drawing.DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(drawing.PAGE_WIDTH * drawing.DPI, abs=1)
     for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
         assert (edge[:, :3] == 1.0).all()  # nothing is cut off
 

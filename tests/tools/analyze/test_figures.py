@@ -15,7 +15,7 @@ from matplotlib.image import imread
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.tools.analyze import figures as render
-from pupper_analysis.tools.analyze.figures import tiles_of
+from pupper_analysis.tools.analyze.figures import lay_out_tiles
 from tests.support.variants import load, stand_of
 
 WIDTH = 420
@@ -78,7 +78,7 @@ def test_the_projection_is_that_of_the_camera(name: str, tmp_path: Path) -> None
     picture = render_with_opengl(pairs(name), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)
     robot, stand = load(name), stand_of(name)
-    (tile,) = tiles_of([(robot, stand.qpos)], WIDTH, 1)
+    (tile,) = lay_out_tiles([(robot, stand.qpos)], WIDTH, 1)
     for foot, leg in tile.lines.legs.items():
         x, y = tile.pixels(leg[-1:])[0].astype(int)
         if foot != "RL":  # which others hide in part

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.present.document import BarPlot
-from pupper_analysis.present.documents.registry import build_report, document
+from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import KINDS, SURROUNDINGS_KINDS, Parameter
@@ -142,7 +142,7 @@ def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> No
 
 def test_bars_show_the_residuals() -> None:
     bars = [
-        [(bar.value, bar.other) for one in document(fit).blocks if isinstance(one, BarPlot)
+        [(bar.value, bar.other) for one in make_document(fit).blocks if isinstance(one, BarPlot)
          for bar in one.bars]
         for fit in (stand_fit(), motion_fit())
     ]  # fmt: skip

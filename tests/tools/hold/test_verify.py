@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.verdict import in_words
+from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
 from tests.prepare.test_own_run import codes
@@ -52,7 +52,7 @@ def test_posture_verdict_follows_the_unmodified_file(
 ) -> None:
     robot = arm.load_arm(tmp_path, mjcf=arm.MJCF.replace(arm._SERVOS, servos))
     verdict = hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
-    assert verdict.code is code, in_words(verdict)
+    assert verdict.code is code, format_verdict(verdict)
     assert "own-run" in codes(verdict)
     assert verdict.own is not None
     assert (verdict.own.unheld and verdict.own.unheld.joint) == joint
@@ -70,10 +70,10 @@ def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
         '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="5"/></joint></robot>'
     )
     verdict = hold_posture(pa.load_robot(urdf), {"shoulder": 0.5}).verdict
-    assert verdict.passed, in_words(verdict)
+    assert verdict.passed, format_verdict(verdict)
     assert verdict.own is not None
     assert verdict.own.imported
-    assert "MuJoCo's import of the URDF" in in_words(verdict)
+    assert "MuJoCo's import of the URDF" in format_verdict(verdict)
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
 def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
     """Without it motors hold any mass: true, and not of a robot on the ground."""
     _, mjcf = features.files(tmp_path, features.option(f'gravity="{gravity}"'))
-    said = in_words(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
+    said = format_verdict(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
     assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
 
 

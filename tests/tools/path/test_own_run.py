@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import lines_to_read
+from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.tools.path.tracking import study_path
 from tests.prepare.test_imported import four_legs
@@ -26,7 +26,7 @@ def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> No
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.
-    first, _ = lines_to_read(verdict)
+    first, _ = split_verdict_lines(verdict)
     assert any("unmodified MJCF" in str(line) for line in first)
 
 

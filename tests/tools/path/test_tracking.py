@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.verdict import lines_to_read
+from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import STATE, simulate
 from pupper_analysis.simulation.verdict import Asked, Verdict
@@ -239,5 +239,5 @@ def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> N
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.
-    first, _ = lines_to_read(verdict)
+    first, _ = split_verdict_lines(verdict)
     assert any("unmodified MJCF" in str(line) for line in first)

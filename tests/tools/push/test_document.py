@@ -41,5 +41,5 @@ def test_limits_are_drawn_over_the_direction_once_around() -> None:
     limits, rigid = push_plot({"one": pushes(0.0)}, "one").series
     np.testing.assert_allclose(limits.x, [0.0, 120.0, 240.0, 360.0])
     np.testing.assert_allclose(limits.y, [0.51, 0.62, 0.43, 0.51])
-    assert (limits.marked, rigid.reference) == (2, True)
+    assert (limits.marked_index, rigid.reference) == (2, True)
     np.testing.assert_allclose(rigid.y, [0.84, 0.75, 0.96, 0.84])
