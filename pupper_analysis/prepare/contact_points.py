@@ -1,8 +1,10 @@
-"""Where a foot of any shape touches the ground: MuJoCo's own contacts of a sole that lies flat.
+"""Find the contact points of a foot of any shape on level ground.
 
-MuJoCo's contact of a plane and a mesh has up to four points: the mesh's lowest vertex, and others
-that are near it on its hull. Of a sole with many vertices these are others when it tilts by
-microradians, and so when loads shift: corners take their place.
+A sole is laid flat on the ground, and its contact points are those of MuJoCo's collision
+detection. MuJoCo returns up to four points for a plane and a mesh: the lowest vertex and
+vertices near it on the convex hull. On a sole with many vertices, the set of points changes with
+a tilt of microradians, and therefore with the load. The contact points of such a sole are small
+balls at its corners.
 """
 
 from __future__ import annotations
@@ -22,98 +24,108 @@ from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import ground_geom
 
 BALL_RADIUS = 2e-3
-"""Radius of the balls at a sole's corners (m): a tilt of 1 mrad moves their contact by 2 um."""
+"""Radius of the balls at the corners of a sole [m]. A tilt of 1 mrad moves their contact by 2
+um."""
 
 TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-"""Ways in which a sole is tilted to see whether its contacts jump."""
+"""Directions in which a sole is tilted, to test whether its contact points change."""
 
 TILT_ANGLE = 1e-4
-"""By how much (rad): a foot of 0.3 m is 30 um lower at one end, and still touches with both."""
+"""Tilt of a sole in that test [rad]. One end of a foot of 0.3 m is raised by 30 um, less than
+the test penetration, so both ends still touch."""
 
-_POSES = 3  # random ones: in one, a leg may be stretched
+_NUM_POSES = 3
+"""Number of random joint positions in `can_keep_sole_flat`: in a single one, the leg may be
+straight."""
 
-_RANK = 1e-2  # of what a leg can do: soles of meshes are tilted by their vertices' last digits
+_RANK_RTOL = 1e-2
+"""Relative tolerance of rank decisions in `can_keep_sole_flat`. Chosen, not tuned: mesh soles
+are tilted by rounding of their vertices."""
 
-_MOST_CORNERS = 8
-"""The most corners that are kept of a sole: those without which its area is least."""
+_MAX_CORNERS = 8
+"""Upper bound of the number of corners of a sole. Corners with the smallest area are removed
+first."""
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
-    """Returns the numbers of those points (n, 3) that are the corners of a sole.
+    """Return the indices of the points that are the corners of a sole.
 
     Args:
-        points: (n, 3) on the foot.
-        out: (3,) the direction out of the sole.
-        flat: Points that are no further from the lowest are on the sole (m).
+        points: Points of the foot, shape (n, 3) [m].
+        out: Outward normal of the sole, shape (3,).
+        flat: Distance from the lowest point [m] within which a point belongs to the sole.
 
     Returns:
-        The corners of the convex hull of what is on the sole, less those that matter least; none
-        if it has no area.
+        Corners of the convex hull of the sole, at most `_MAX_CORNERS`. Empty if the sole has no
+        area.
     """
     height = points @ out
     on = np.flatnonzero(height > height.max() - flat)
     side = np.cross(out, np.eye(3)[np.argmin(np.abs(out))])
     side /= np.linalg.norm(side)
-    seen = np.column_stack([points[on] @ side, points[on] @ np.cross(out, side)])
+    projected = np.column_stack([points[on] @ side, points[on] @ np.cross(out, side)])
     if len(on) < 3:
         return []
     try:
-        hull = [int(number) for number in ConvexHull(seen).vertices]
+        hull = [int(number) for number in ConvexHull(projected).vertices]
     except QhullError:
         return []
-    while len(hull) > _MOST_CORNERS:
-        lost = []
+    while len(hull) > _MAX_CORNERS:
+        areas = []
         for index in range(len(hull)):
-            one, two, three = (seen[hull[(index + k) % len(hull)]] for k in (-1, 0, 1))
-            (a, b), (c, d) = two - one, three - one
-            lost.append(abs(a * d - b * c))
-        del hull[int(np.argmin(lost))]
+            before, corner, after = (projected[hull[(index + k) % len(hull)]] for k in (-1, 0, 1))
+            (a, b), (c, d) = corner - before, after - before
+            areas.append(abs(a * d - b * c))
+        del hull[int(np.argmin(areas))]
     return [int(on[number]) for number in hull]
 
 
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
-    """Tells whether a leg can lift its sole without tilting it.
+    """Return True if a leg can lift its sole without tilting it.
 
-    Legs of four joints can, of which three turn about parallel axes (hip, knee and ankle, say), as
-    long as the fourth leaves them upright; others of four joints tilt their feet as they bend.
+    This is possible with four joints if three of their axes are parallel (for example hip, knee
+    and ankle) and the fourth joint keeps these axes level. It is tested with the Jacobian in
+    random joint positions.
 
     Args:
-        model: The model.
-        body: The id of the body that is the foot.
-        out: (3,) direction out of the sole, in the body's frame.
+        model: Model.
+        body: Id of the foot's body.
+        out: Outward normal of the sole, shape (3,), expressed in the frame of the body.
     """
     dofs: list[int] = []
-    above = body
-    while above and model.body_dofnum[above] != 6:
-        first = int(model.body_dofadr[above])
-        dofs += range(first, first + int(model.body_dofnum[above]))
-        above = int(model.body_parentid[above])
+    ancestor = body
+    while ancestor and model.body_dofnum[ancestor] != 6:
+        first = int(model.body_dofadr[ancestor])
+        dofs += range(first, first + int(model.body_dofnum[ancestor]))
+        ancestor = int(model.body_parentid[ancestor])
     data, random = mujoco.MjData(model), np.random.default_rng(0)
-    moved, turned = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    for _ in range(_POSES):
+    jac_pos, jac_rot = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    for _ in range(_NUM_POSES):
         for joint in model.dof_jntid[dofs]:
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-1.0, 1.0)
             data.qpos[model.jnt_qposadr[joint]] = random.uniform(low, high)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_jacBody(model, data, moved, turned, body)
+        mujoco.mj_jacBody(model, data, jac_pos, jac_rot, body)
         normal = data.xmat[body].reshape(3, 3) @ out
-        tilting = turned[:, dofs] - np.outer(normal, normal @ turned[:, dofs])
-        free = linalg.null_space(tilting, rcond=_RANK)
-        directions = moved[:, dofs] @ free
+        tilting = jac_rot[:, dofs] - np.outer(normal, normal @ jac_rot[:, dofs])
+        free = linalg.null_space(tilting, rcond=_RANK_RTOL)
+        directions = jac_pos[:, dofs] @ free
         if not directions.size:
             return False
-        found = np.linalg.lstsq(directions, normal, rcond=_RANK)[0]
-        if float(np.linalg.norm(directions @ found - normal)) > _RANK:
+        solution = np.linalg.lstsq(directions, normal, rcond=_RANK_RTOL)[0]
+        if float(np.linalg.norm(directions @ solution - normal)) > _RANK_RTOL:
             return False
     return True
 
 
-_CAP = math.radians(50.0)
-"""How far from a foot's lowest point, seen from its middle, its shape is compared with a ball's."""
+_CAP_ANGLE = math.radians(50.0)
+"""Half opening angle [rad] of the cap around a foot's lowest point that must fit to a sphere.
+Chosen, not tuned."""
 
-_BALL = 0.1
-"""A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
+_MAX_SPHERE_DEVIATION = 0.1
+"""Upper bound of the deviation of the cap from the sphere, relative to the radius. Chosen, not
+tuned."""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
@@ -140,12 +152,19 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
-    """Returns centre (3,) and radius of the sphere at the lower end of points (n, 3), if it is one.
+    """Fit a sphere to the lower end of points: |p - c| = r is linear in c and r^2 - |c|^2.
 
-    Else the tip itself, and no radius. A sphere |p - c| = r is linear in c and r^2 - |c|^2.
+    Args:
+        points: Points, shape (n, 3) [m].
+        tip: Lowest point, shape (3,) [m].
+        down: Unit vector towards the ground, shape (3,).
+
+    Returns:
+        Centre, shape (3,) [m], and radius [m], from the largest part that fits; the tip and 0 if
+        no part is a sphere.
     """
     found = tip, 0.0
-    for size in (0.01, 0.02, 0.03, 0.045):  # m: of the part that is looked at, from the tip up
+    for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]
         near = points[(tip - points) @ down < size]
         if len(near) < 6:
             continue
@@ -156,55 +175,65 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         if rank < 4 or radius == 0.0:
             continue
         away = near - center
-        cap = away @ down > math.cos(_CAP) * radius
+        cap = away @ down > math.cos(_CAP_ANGLE) * radius
         off = np.abs(np.linalg.norm(away[cap], axis=1) - radius)
-        if cap.sum() >= 6 and off.max() < _BALL * radius and radius > size / 2:
+        if cap.sum() >= 6 and off.max() < _MAX_SPHERE_DEVIATION * radius and radius > size / 2:
             found = center, float((tip - center) @ down)
     return found
 
 
 Array = NDArray[np.float64]
 
-_STEEPEST = math.radians(25.0)
-"""A sole that is tilted by more in the start pose is none: the foot touches with an edge."""
+_MAX_SOLE_TILT = math.radians(25.0)
+"""Upper bound of the tilt of a sole in the start pose [rad]. With a larger tilt, the foot
+touches with an edge. Chosen, not tuned."""
 
-_LEAST_LENGTH = 0.015
-"""A flat part that is shorter is no sole (m): facets of a round foot's mesh are millimetres."""
+_MIN_SOLE_LENGTH = 0.015
+"""Lower bound of the length of a sole [m]. Facets on the mesh of a round foot have millimetres."""
 
-_PRESSED = 1e-4
-"""How deep the sole is pressed into the ground to see what touches (m)."""
+_TEST_PENETRATION = 1e-4
+"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
 
-_JOINTS_OF_A_SOLE = 5
-"""A body has six degrees of freedom; a foot that is flat leaves one at most, its yaw."""
+_NUM_SOLE_JOINTS = 5
+"""Number of joints with which a leg can lay its sole flat anywhere, up to the yaw angle."""
 
-_LEAST_JOINTS_OF_A_SOLE = 4
-"""Legs of four joints may lay a foot flat: not everywhere, but at any height."""
+_MIN_SOLE_JOINTS = 4
+"""Number of joints with which a leg may lay its sole flat, at any height, but not anywhere."""
 
-_AROUND = np.linspace(0, 2 * math.pi, 24, endpoint=False)
-_CIRCLE = np.column_stack([np.cos(_AROUND), np.sin(_AROUND)])  # the rim of a cylinder
-_UPWARD = np.linspace(-math.pi / 2, math.pi / 2, 12)
-_GLOBE = np.array([(*math.cos(up) * point, math.sin(up)) for up in _UPWARD for point in _CIRCLE])
+_CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+_CIRCLE_POINTS = np.column_stack(
+    [np.cos(_CIRCLE_ANGLES), np.sin(_CIRCLE_ANGLES)]
+)  # for rims of cylinders
+_LATITUDE_ANGLES = np.linspace(-math.pi / 2, math.pi / 2, 12)
+_SPHERE_POINTS = np.array(
+    [(*math.cos(up) * point, math.sin(up)) for up in _LATITUDE_ANGLES for point in _CIRCLE_POINTS]
+)
 
-_APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull in space
+_APEX_HEIGHT = 1.0
+"""Height [m] of a point added above a sole, so that coplanar points have a hull with a volume."""
 
-_END = 5e-3
-"""A sphere that is no further above a foot's lowest point is the foot (m)."""
+_FOOT_SPHERE_RISE = 5e-3
+"""Height [m] above a foot's lowest point within which a sphere is part of the foot. Chosen."""
 
-_LYING = 0.1
-"""A cylinder whose axis has less of the vertical lies: it touches with a line of its side."""
+_MAX_AXIS_COSINE = 0.1
+"""Upper bound of |cos| between a cylinder's axis and the vertical if the cylinder lies on its
+side."""
 
-_FLAT = 1e-3  # m: facets of a mesh, and spheres, that are no further from a plane make up one sole
+_SOLE_ATOL = 1e-3
+"""Distance [m] from a plane within which facets of a mesh, and spheres, form one sole. Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactPoint:
-    """A place where a foot touches the ground.
+    """Contact point of a foot.
 
     Attributes:
-        geom: The id of the geom that touches there.
-        center: (3,) in the frame of the geom's body (m): of a sphere, or of the end of a
-            capsule or of a cylinder that lies; of other shapes the point itself.
-        radius: Of that sphere, or of the capsule, or of a cylinder that lies (m); otherwise 0.
+        geom: Id of the geom.
+        center: Centre, shape (3,) [m], expressed in the frame of the geom's body: of a sphere,
+            of the end of a capsule or lying cylinder, or of a fitted sphere; otherwise the
+            contact point itself.
+        radius: Radius of that sphere, capsule or cylinder [m]; 0 for a contact point of other
+            shapes.
     """
 
     geom: int
@@ -215,45 +244,47 @@ class ContactPoint:
 def find_contact_points(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int], joints: int
 ) -> tuple[ContactPoint, ...]:
-    """Finds the contact points of a foot with level ground.
+    """Find the contact points of a foot with level ground.
 
-    The sole is the flat part of its geoms' hull that is lowest, and nearly level, in the pose that
-    ``data`` has; without one the foot touches where it is lowest. The foot is laid flat, and what
-    MuJoCo then finds in contact are the contact points. A leg of few joints cannot lay a foot flat
-    (``can_keep_sole_flat``): it has one contact point, of the sphere that its foot is, or that
-    fits to its lower end.
+    The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
+    the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points. If
+    the leg has fewer than `_MIN_SOLE_JOINTS` joints, or cannot keep its sole flat, the foot has
+    one contact point: that of the sphere at its lower end.
 
     Args:
-        model: The model, with a floor.
-        data: After ``mj_kinematics``, in the start pose.
-        body: The id of the moving body that the geoms are on.
-        geoms: The ids of the foot's geoms.
-        joints: How many joints move the foot against the base.
+        model: Model, with a floor.
+        data: Data after ``mj_kinematics``, in the start pose.
+        body: Id of the moving body to which the geoms belong.
+        geoms: Ids of the foot's geoms.
+        joints: Number of joints between foot and base.
     """
-    lean = _STEEPEST if joints >= _LEAST_JOINTS_OF_A_SOLE else 0.0
-    geoms = _round_ones(model, data, geoms, lean) or geoms
+    max_tilt = _MAX_SOLE_TILT if joints >= _MIN_SOLE_JOINTS else 0.0
+    geoms = _find_end_spheres(model, data, geoms, max_tilt) or geoms
     rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
-    support = [
+    spheres = [
         (rotation.T @ (point - origin), radius)
         for geom in geoms
-        for point, radius in _outline(model, data, geom)
+        for point, radius in _sample_surface(model, data, geom)
     ]
-    if joints < _LEAST_JOINTS_OF_A_SOLE:
-        return _tip(model, data, geoms)
-    points = np.array([point for point, _ in support])
-    radii = np.array([radius for _, radius in support])
-    out, flat = _sole(points, radii, -rotation[2])
-    if joints < _JOINTS_OF_A_SOLE and not (flat and can_keep_sole_flat(model, body, out)):
-        return _tip(model, data, geoms)
-    return _touching(model, body, geoms, out)
+    if joints < _MIN_SOLE_JOINTS:
+        return _find_tip_contact(model, data, geoms)
+    points = np.array([point for point, _ in spheres])
+    radii = np.array([radius for _, radius in spheres])
+    out, flat = _find_sole(points, radii, -rotation[2])
+    if joints < _NUM_SOLE_JOINTS and not (flat and can_keep_sole_flat(model, body, out)):
+        return _find_tip_contact(model, data, geoms)
+    return _find_sole_contacts(model, body, geoms, out)
 
 
-def _outline(
+def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yields spheres, (3,) in the world and a radius, whose hull is that of a geom (m)."""
+    """Yield spheres, centre (3,) in the world frame and radius [m], whose hull is a geom's.
+
+    Shapes without extent, such as planes, yield nothing.
+    """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
-    points = shape.outline(_CIRCLE, _GLOBE)
+    points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
     if points is None or shape.terms is None:
         return
     for point in points:
@@ -262,18 +293,19 @@ def _outline(
         yield shape.lowest((np.eye(3), np.zeros(3)), up), 0.0
 
 
-def _tip(
+def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Returns the one contact point of a foot that cannot lie flat, where it is lowest.
+    """Return the contact point of a foot that cannot lie flat, at its lowest point.
 
-    A mesh that is not round there has a small ball in the middle of what is lowest.
+    A mesh that is not round at its lower end gets a small ball at the centre of its lowest
+    points.
     """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
     if geom is None:
         return ()
-    outline = list(_outline(model, data, geom))
+    outline = list(_sample_surface(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
     if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
         place, radius = compute_osculating_sphere(read_shape(model, geom, data), down)
@@ -281,14 +313,16 @@ def _tip(
         points = np.array([point for point, _ in outline])
         place, radius = fit_sphere(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
-            on = points[(place - points) @ down < _FLAT]
+            on = points[(place - points) @ down < _SOLE_ATOL]
             radius = BALL_RADIUS
             place = place + (on.mean(axis=0) - place) * (1, 1, 0) - radius * down
-    return (_point(data, geom, place, radius),)
+    return (_make_contact_point(data, geom, place, radius),)
 
 
-def _point(data: mujoco.MjData, geom: int, place: Array, radius: float) -> ContactPoint:
-    """Returns a contact point of a place (3,) in the world."""
+def _make_contact_point(
+    data: mujoco.MjData, geom: int, place: Array, radius: float
+) -> ContactPoint:
+    """Return a contact point at a position (3,) in the world frame [m]."""
     own = int(data.model.geom_bodyid[geom])
     return ContactPoint(geom, data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own]), radius)
 
@@ -296,32 +330,32 @@ def _point(data: mujoco.MjData, geom: int, place: Array, radius: float) -> Conta
 def compute_lowest_height(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> float:
-    """Returns the height of the lowest point of some geoms (m); infinite if there is none."""
+    """Return the height of the lowest point of geoms [m]; infinite without geoms."""
     return min(
         (
             float(point[2]) - radius
             for geom in geoms
-            for point, radius in _outline(model, data, geom)
+            for point, radius in _sample_surface(model, data, geom)
         ),
         default=math.inf,
     )
 
 
-def _round_ones(
+def _find_end_spheres(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], lean: float
 ) -> list[int]:
-    """Returns the spheres at the lower end of a foot: other shapes there are the leg's.
+    """Return the spheres at the lower end of a foot: other shapes there belong to the leg.
 
-    Spheres that a sole which leans by ``lean`` (rad) has higher up, as they are further away, are
-    at the lower end, too.
+    The permitted height above the lowest geom grows with the horizontal distance, by the tangent
+    of the angle ``lean`` [rad].
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
-    end = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))
-    bottom = compute_lowest_height(model, data, [end])
+    lowest = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))
+    bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
-        away = (data.geom_xpos[geom] - data.geom_xpos[end])[:2]
-        return _END + math.tan(lean) * float(np.linalg.norm(away))
+        away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
+        return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
 
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
     return [
@@ -329,33 +363,30 @@ def _round_ones(
     ]
 
 
-def _sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
-    """Returns the direction (3,) out of the sole, in the body's frame, and whether there is one.
-
-    Without one it is ``down``.
-    """
+def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
+    """Return the outward normal (3,) of a sole, and True; ``down`` and False without a sole."""
     surface = points + radii[:, None] * down
     end = float((surface @ down).max())
-    candidates = list(_facets(surface, down))
+    candidates = list(_yield_level_normals(surface, down))
     best, area = down, 0.0
     for normal in candidates:
         height = points @ normal + radii
-        on = points[height > height.max() - _FLAT] + np.outer(
-            radii[height > height.max() - _FLAT], normal
+        on = points[height > height.max() - _SOLE_ATOL] + np.outer(
+            radii[height > height.max() - _SOLE_ATOL], normal
         )
         # The sole has the foot's lowest point, or one that is as good as it.
-        if (on @ down).max() < end - _FLAT:
+        if (on @ down).max() < end - _SOLE_ATOL:
             continue
         sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)[:2] if len(on) > 1 else [0, 0]
         spread = float(np.ptp(on - on.mean(axis=0), axis=0).max())
         size = float(sizes[0] * (sizes[1] + 1e-6))
-        if spread > _LEAST_LENGTH and size > area:
+        if spread > _MIN_SOLE_LENGTH and size > area:
             best, area = normal, size
     return best, area > 0
 
 
-def _facets(surface: Array, down: Array) -> Iterator[Array]:
-    """Yields the outward normals (3,) of a hull's nearly level facets, or of its edge."""
+def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
+    """Yield the outward normals (3,) of the nearly level facets of a hull, or of its edge."""
     middle = surface.mean(axis=0)
     spread = surface - middle
     # All axes, also of one or two points; of many not their n x n matrix of the other side.
@@ -364,58 +395,62 @@ def _facets(surface: Array, down: Array) -> Iterator[Array]:
     if rank == 1:  # points on a line: as level as the line can lie
         normal = down - (down @ axes[0]) * axes[0]
         length = float(np.linalg.norm(normal))
-        if length > math.cos(_STEEPEST):
+        if length > math.cos(_MAX_SOLE_TILT):
             yield normal / length
         return
     if rank == 0:
         return
     try:
-        hull = ConvexHull(np.vstack([surface, middle - _APEX * down]))
+        hull = ConvexHull(np.vstack([surface, middle - _APEX_HEIGHT * down]))
     except QhullError:
         return
     seen: list[Array] = []
     for *normal, _ in hull.equations:
         out = np.array(normal)
-        if out @ down < math.cos(_STEEPEST) or any(out @ other > 1 - 1e-9 for other in seen):
+        if out @ down < math.cos(_MAX_SOLE_TILT) or any(out @ other > 1 - 1e-9 for other in seen):
             continue
         seen.append(out)
         yield out
 
 
-def _touching(
+def _find_sole_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Returns where a foot touches that is laid flat, ``out`` (3,) of its frame downwards.
+    """Return the contact points of a foot with its sole flat, with outward normal ``out`` (3,).
 
-    A sole whose contacts jump from vertex to vertex of a mesh as it tilts has balls at its corners.
+    If the contacts of a mesh change with a small tilt, these are balls at the corners of the
+    sole.
     """
-    found = _pressed(model, body, geoms, out)
+    found = _find_pressed_contacts(model, body, geoms, out)
     if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):
         return found
     side = np.cross(out, np.eye(3)[np.argmin(np.abs(out))])
     side /= np.linalg.norm(side)
-    for one, two in TILT_DIRECTIONS[1:]:
-        tilted = out + TILT_ANGLE * (one * side + two * np.cross(out, side))
-        if not _alike(found, _pressed(model, body, geoms, tilted / np.linalg.norm(tilted))):
-            return _cornered(model, body, geoms, out) or found
+    for first, second in TILT_DIRECTIONS[1:]:
+        tilted = out + TILT_ANGLE * (first * side + second * np.cross(out, side))
+        if not _are_same_points(
+            found, _find_pressed_contacts(model, body, geoms, tilted / np.linalg.norm(tilted))
+        ):
+            return _find_corner_balls(model, body, geoms, out) or found
     return found
 
 
-def _alike(one: Sequence[ContactPoint], two: Sequence[ContactPoint]) -> bool:
-    """Tells whether a foot touches with the same points."""
-    return len(one) == len(two) and all(
-        min(float(np.linalg.norm(point.center - other.center)) for other in two) < _FLAT
-        for point in one
+def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
+    """Return True if two lists have the same number of contact points, at the same positions."""
+    return len(first) == len(second) and all(
+        min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
+        < _SOLE_ATOL
+        for point in first
     )
 
 
-def _cornered(
+def _find_corner_balls(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Returns balls at the corners of a sole, ``out`` (3,) being the direction out of it.
+    """Return balls at the corners of a sole with outward normal ``out`` (3,), all in one plane.
 
-    All in one plane: a mesh's corners that are a tenth of a millimetre off it would have the foot
-    tilt by milliradians to rest on three of them.
+    If a corner were a tenth of a millimetre off the plane, the foot would tilt by milliradians
+    to rest on three balls.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -423,32 +458,34 @@ def _cornered(
     surface = [
         (geom, point + radius * down)
         for geom in geoms
-        for point, radius in _outline(model, data, geom)
+        for point, radius in _sample_surface(model, data, geom)
     ]
     found = []
     level = max(float(point @ down) for _, point in surface)
-    for number in find_sole_corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
+    for number in find_sole_corners(
+        np.array([point for _, point in surface]), down, 2 * _TEST_PENETRATION
+    ):
         geom, point = surface[number]
         place = point + (level - float(point @ down) - BALL_RADIUS) * down
-        found.append(_point(data, geom, place, BALL_RADIUS))
+        found.append(_make_contact_point(data, geom, place, BALL_RADIUS))
     return tuple(found)
 
 
-def _pressed(
+def _find_pressed_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Presses a foot into the floor, ``out`` (3,) of its frame downwards, and sees what touches."""
+    """Return MuJoCo's contacts of a foot pressed into the floor, its normal ``out`` (3,) down."""
     data = mujoco.MjData(model)
     floor = ground_geom(model)
     mujoco.mj_kinematics(model, data)
-    turned = _turning(data.xmat[body].reshape(3, 3) @ out, np.array([0.0, 0.0, -1.0]))
+    turned = _align_vectors(data.xmat[body].reshape(3, 3) @ out, np.array([0.0, 0.0, -1.0]))
     free = free_joints(model)[0]
     at = int(model.jnt_qposadr[free])
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())
     data.qpos[at + 3 : at + 7] = quat
     mujoco.mj_kinematics(model, data)
-    data.qpos[at + 2] -= compute_lowest_height(model, data, geoms) + _PRESSED
+    data.qpos[at + 2] -= compute_lowest_height(model, data, geoms) + _TEST_PENETRATION
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
@@ -465,26 +502,26 @@ def _pressed(
         if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
             radius = float(model.geom_size[geom, 0])
             place = min(
-                (point for point, _ in _outline(model, data, geom)),
+                (point for point, _ in _sample_surface(model, data, geom)),
                 key=lambda point: float(np.linalg.norm(point - place)),
             )
-        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and _lies(data, geom):  # a wheel, which rolls
+        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and _is_lying(data, geom):  # wheel
             radius = float(model.geom_size[geom, 0])
             half = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
             ends = (data.geom_xpos[geom] - half, data.geom_xpos[geom] + half)
             place = min(ends, key=lambda end: float(np.linalg.norm((end - place)[:2])))
-        found.append(_point(data, geom, place, radius))
+        found.append(_make_contact_point(data, geom, place, radius))
     return tuple(found)
 
 
-def _lies(data: mujoco.MjData, geom: int) -> bool:
-    """Tells whether a cylinder touches the ground with its side."""
-    return bool(abs(data.geom_xmat[geom][8]) < _LYING)
+def _is_lying(data: mujoco.MjData, geom: int) -> bool:
+    """Return True if a cylinder touches the ground with its side."""
+    return bool(abs(data.geom_xmat[geom][8]) < _MAX_AXIS_COSINE)
 
 
-def _turning(one: Array, two: Array) -> Array:
-    """Returns the quaternion (w, x, y, z) that turns a unit vector (3,) into another."""
-    axis, cosine = np.cross(one, two), float(one @ two)
+def _align_vectors(start: Array, end: Array) -> Array:
+    """Return the quaternion (w, x, y, z) that rotates one unit vector (3,) to another."""
+    axis, cosine = np.cross(start, end), float(start @ end)
     if np.linalg.norm(axis) < 1e-12:
         return np.array([1.0, 0, 0, 0]) if cosine > 0 else np.array([0.0, 1.0, 0, 0])
     quat = np.concatenate([[1 + cosine], axis])

@@ -1,4 +1,4 @@
-"""Position servos for a robot whose MJCF has torque motors, or none."""
+"""Add position servos to a robot whose MJCF has torque motors, or no actuators."""
 
 from __future__ import annotations
 
@@ -46,33 +46,34 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 
 Array = NDArray[np.float64]
 
-_SAGS = (0.02, 0.05, 0.1)
-"""What the suggested stiffness lets the joint that holds most give way in the nominal stand (rad),
-the first with which it comes to rest. Stiffer servos hold the shape better, and shake on contacts
-that are not as stiff; softer ones let a biped's ankles tip over."""
+_SAG_CANDIDATES = (0.02, 0.05, 0.1)
+"""Deflections [rad] of the most loaded joint in the nominal stand, from which stiffness is
+derived, in the order of the trials. Stiffer servos hold the posture better, but oscillate on
+soft contacts; with softer servos a biped's ankles tip over."""
 
-_LIGHT = 0.25
-"""Part of the usual damping that is tried where a file's time step stands: what a step takes of the
-speed is bounded, and of a light leg it is all (a random tripod's: at kd 130 N m s/rad it shakes at
-2 ms, at 25 not)."""
+_LIGHT_DAMPING_FACTOR = 0.25
+"""Factor of reduced damping, tried at the time step of the file. The damping of a light leg is
+bounded by the time step (a random tripod oscillates at 2 ms with kd = 130 N m s/rad, and not
+with 25)."""
 
-_SAGS_OF_LIGHT = (0.02, 0.035, 0.05)
-"""What ``_SAGS`` is, with so little damping."""
+_LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
+"""Same as `_SAG_CANDIDATES`, with reduced damping."""
 
-_BRIEF = 2.0
-"""Simulated time after which what holds exactly as computed has done so for a second (s)."""
+_BRIEF_DURATION = 2.0
+"""Duration of a first simulation [s]: if it agrees with the prediction, no longer one is needed.
+Chosen."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
-    """Returns the numbers of the joints that follow others: no servo is theirs."""
+    """Return the indices of the joints that follow others, and need no servo."""
     return [] if robot.closure is None else robot.closure.following.tolist()
 
 
 def add_loop_motors(robot: Robot) -> Robot:
-    """Gives joints that have no motor, and follow none, one that does nothing yet.
+    """Add motors without effect to the joints of a robot with closed loops that have no motor.
 
-    Motors come first in the order of joints: where some joints follow others, that order is to be
-    the last one before a stand is solved.
+    Joints that follow others get none. Motors come first in actuator order, so the order is then
+    final before a stand is solved. Without closed loops the robot is returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -88,62 +89,74 @@ def add_loop_motors(robot: Robot) -> Robot:
 def add_position_servos(
     robot: Robot, stand: Stand, original: MjcfFile
 ) -> tuple[Robot, Array, Array, int]:
-    """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
+    """Add position servos to the joints without one, with gains that hold a stand.
 
-    Of those with which it does, the first with which it is then as predicted: light feet on stiff
-    servos may come to rest against each other, in friction, with other torques. And of those the
-    first with which its MJCF does so too, as it is: at its own time step, on its own shapes.
+    Candidates of gains and time step are tried in order. The first is chosen with which the
+    robot comes to rest in the stand, at rest agrees with the prediction, and with which its
+    published MJCF also comes to rest, with its own time step and shapes. If no candidate meets
+    all conditions, the first that agrees with the prediction is chosen; then the first that
+    comes to rest with and without feed-forward; then the first that comes to rest with
+    feed-forward alone; then the first candidate.
 
     Args:
-        robot: The robot.
-        stand: Its stand.
-        original: Its file, which says whether it is compiled with what is only seen.
+        robot: Robot.
+        stand: Stand.
+        original: MJCF of the robot.
 
     Returns:
-        The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
-        (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and in how many ways it comes to
-        rest: 2 with feed-forward and without, 1 with feed-forward alone, or 0.
+        Robot with servos; stiffness, shape (nu,) [N m/rad], and damping, shape (nu,) [N m
+        s/rad], of all servos; number of modes in which the robot comes to rest: 2 with and
+        without feed-forward, 1 with feed-forward alone, 0.
     """
-    own = list_position_servos(robot)
+    own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
-    stated = {limit.joint: limit for limit in robot.efforts}
+    limits = {limit.joint: limit for limit in robot.efforts}
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
         timestep = float(robot.description.mjcf.option.timestep) / parts
         given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
         copy_visual_option(given.mjcf, original.spec)
-        return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
+        return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=limits)
 
-    light = (
+    light_candidates = (
         []
         if original.of_urdf
-        else list(itertools.product(TIMESTEP_DIVISORS[:1], _SAGS_OF_LIGHT, (_LIGHT,)))
+        else list(
+            itertools.product(
+                TIMESTEP_DIVISORS[:1], _LIGHT_SAG_CANDIDATES, (_LIGHT_DAMPING_FACTOR,)
+            )
+        )
     )
-    usual = list(itertools.product(TIMESTEP_DIVISORS, _SAGS, (1.0,)))
+    usual_candidates = list(itertools.product(TIMESTEP_DIVISORS, _SAG_CANDIDATES, (1.0,)))
     candidates = []
-    for parts, sag, part in [*usual[: len(_SAGS)], *light, *usual[len(_SAGS) :]]:
-        gains = suggest_standing_gains(robot, stand, torques, sag, parts, part)
-        candidates.append((parts, *_kept(robot, own, *gains)))
+    for parts, sag, damping_factor in [
+        *usual_candidates[: len(_SAG_CANDIDATES)],
+        *light_candidates,
+        *usual_candidates[len(_SAG_CANDIDATES) :],
+    ]:
+        gains = suggest_standing_gains(robot, stand, torques, sag, parts, damping_factor)
+        candidates.append((parts, *_merge_gains(robot, own_gains, *gains)))
     file = None if original.of_urdf else compile_published_model(original, robot)
 
     timestep = float(robot.mj_model.opt.timestep)
     first_tried = robot.description.given(*make_missing_servos(robot, *candidates[0][1:], timestep))
-    trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=stated)
+    trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=limits)
 
-    seen: dict[tuple[int, bool], bool] = {}
+    results: dict[tuple[int, bool], bool] = {}
 
     def rests(number: int, *, fed: bool) -> bool:
-        """Tells whether it comes to rest with a candidate, which is looked at once."""
+        """Return True if the robot comes to rest with a candidate; simulated once."""
         parts, kp, kd = candidates[number]
         trial.mj_model.opt.timestep = timestep / parts
-        if (number, fed) not in seen:
-            seen[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
-        return seen[number, fed]
+        if (number, fed) not in results:
+            results[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
+        return results[number, fed]
 
     def first(*directions: bool) -> Iterator[tuple[int, Array, Array]]:
-        """Yields the candidates with which it comes to rest, fed forward or not.
+        """Yield the candidates with which the robot comes to rest in the given modes.
 
-        Most that fall do so without feed-forward, within a second or two: that comes first.
+        Simulations without feed-forward run first: most candidates that fall do so in these,
+        within seconds.
         """
         for number, candidate in enumerate(candidates):
             if all(rests(number, fed=way) for way in sorted(directions)):
@@ -152,15 +165,15 @@ def add_position_servos(
     resting = good = None
     for parts, kp, kd in first(False, True):
         if good and parts > 1:
-            break  # of the file's step there are no more
+            break  # no further candidate has the time step of the file
         resting = resting or (parts, kp, kd)
-        if not _as_predicted(trial, stand, kp, kd):
+        if not _is_as_predicted(trial, stand, kp, kd):
             continue
         good = good or (parts, kp, kd)
         made = built(parts, kp, kd)
         if parts > 1 or file is None:
             return made, kp, kd, 2
-        if settles_in_place(file, _driven(made, kp, kd, original), stand.qpos):
+        if settles_in_place(file, _record_added_servos(made, kp, kd, original), stand.qpos):
             return made, kp, kd, 2
     fed = None if resting else next(first(True), None)
     parts, kp, kd = good or resting or fed or candidates[0]
@@ -168,10 +181,12 @@ def add_position_servos(
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot position servos with suggested gains; as if it were held, if it stands nowhere.
+    """Add position servos with suggested gains; those for a fixed base if there is no stand.
 
-    Who asks for a stand of their own then needs none of theirs. Gains are chosen without limits of
-    zero, which hold in the robot that is returned.
+    Gains are chosen without torque limits of zero, which apply again to the returned robot.
+
+    Returns:
+        Robot with servos, and notes.
     """
     made, messages = _with_chosen_servos(_lift_null_efforts(robot), mjcf)
     return _restore_null_efforts(made, robot), messages
@@ -206,7 +221,7 @@ def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagn
     if stand is None:
         return add_fixed_base_servos(robot, mjcf)
     built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
-    made, messages = _tell_made(robot, built, mjcf, kp, kd)
+    made, messages = _report_added_servos(robot, built, mjcf, kp, kd)
     if not rests:
         messages.append(diagnose("no-servos-bring-it-to-rest"))
     elif rests == 1:
@@ -218,14 +233,14 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
     """Return kp and kd of `suggest_fixed_base_gains`, shape (nu,), in actuator order."""
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
-    others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # those that gains are for
+    others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # joints with gains
     order = np.searchsorted(others, ids)
     kp, kd = suggest_fixed_base_gains(model)
     return kp[order], kd[order]
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot whose base is held position servos where it has none."""
+    """Add position servos to a robot with a fixed base, at joints without one."""
     made, messages = _with_held_servos(_lift_null_efforts(robot), mjcf)
     return _restore_null_efforts(made, robot), messages
 
@@ -237,68 +252,70 @@ def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
     stated = {limit.joint: limit for limit in robot.efforts}
     built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
-    return _tell_made(robot, built, mjcf, kp, kd)
+    return _report_added_servos(robot, built, mjcf, kp, kd)
 
 
-def _tell_made(
+def _report_added_servos(
     robot: Robot, built: Robot, mjcf: MjcfFile, kp: Array, kd: Array
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Returns the robot with servos, which knows them, and tells which were made up.
+    """Return the robot with a record of its added servos, and the notes about these servos.
 
     Args:
-        robot: The robot without.
-        built: The same with servos.
-        mjcf: Its file.
-        kp: (nu,) their stiffness (N m/rad).
-        kd: (nu,) their damping (N m s/rad).
+        robot: Robot without the servos.
+        built: Robot with the servos.
+        mjcf: MJCF of the robot.
+        kp: Stiffness of all servos, shape (nu,) [N m/rad].
+        kd: Damping of all servos, shape (nu,) [N m s/rad].
     """
-    known = _driven(built, kp, kd, mjcf)
-    made = known.description.made_servos
-    own = robot.nu - len(made) - len(list_dependent_joints(robot))
-    return known, [*notes.report_added_servos(made, own, built.mj_model.opt.timestep)]
+    recorded = _record_added_servos(built, kp, kd, mjcf)
+    added = recorded.description.made_servos
+    num_own = robot.nu - len(added) - len(list_dependent_joints(robot))
+    return recorded, [*notes.report_added_servos(added, num_own, built.mj_model.opt.timestep)]
 
 
-def _driven(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
-    """Returns a robot with servos that were added to its file, which knows them."""
-    added = {each.joint for each in built.description.added if isinstance(each, Servo)}
-    made = []
+def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
+    """Return a robot whose description lists the added servos with their gains."""
+    added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
+    records = []
     for index, name in enumerate(built.joint_names):
         if name in added:
             joint = mujoco.mj_name2id(mjcf.model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            what = Drive.NONE if joint < 0 else classify_joint_drive(mjcf.model, joint)
-            made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
-    described = replace(built.description, made_servos=tuple(made))
+            drive = Drive.NONE if joint < 0 else classify_joint_drive(mjcf.model, joint)
+            records.append(MadeServo(name, float(kp[index]), float(kd[index]), drive))
+    described = replace(built.description, made_servos=tuple(records))
     return replace(built, description=described)
 
 
-def _kept(
-    robot: Robot, own: Mapping[str, tuple[float, float]], kp: Array, kd: Array
+def _merge_gains(
+    robot: Robot, own_gains: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
-    """Returns gains (nu,) with those of the robot's own servos in them."""
-    given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
-    both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
-    both[list_dependent_joints(robot)] = 0.0
-    return both[:, 0], both[:, 1]
+    """Return gains (nu,) with those of the robot's own servos; zero for dependent joints."""
+    gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
+    merged = np.array(
+        [own_gains.get(name, (stiffness, damping)) for name, stiffness, damping in gains]
+    )
+    merged[list_dependent_joints(robot)] = 0.0
+    return merged[:, 0], merged[:, 1]
 
 
-def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Tells whether a robot holds a stand on its servos as computed, as far as gains matter.
+def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
+    """Return True if a robot that comes to rest does so as predicted, or if its files disagree.
 
-    It is known to come to rest: what it settles at mostly tells after two seconds, and otherwise
-    after as long as any stand is given.
+    A simulation of `_BRIEF_DURATION` is mostly sufficient; otherwise the usual duration is
+    simulated.
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)
-    brief = verify_stand(robot, stand, kp=kp, kd=kd, duration=_BRIEF, nudged=0.0)
-    if brief.passed or _another(robot, brief):
+    brief = verify_stand(robot, stand, kp=kp, kd=kd, duration=_BRIEF_DURATION, nudged=0.0)
+    if brief.passed or _are_different_robots(robot, brief):
         return True
     return verify_stand(robot, stand, kp=kp, kd=kd).passed
 
 
-def _another(robot: Robot, seen: StandVerification) -> bool:
-    """Tells whether the two files are not of one robot: then no gains make them stand alike."""
+def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
+    """Return True if both files describe different robots: then no gains make the results agree."""
     weight = robot.weight
-    return seen.mujoco_residual > ANOTHER_ROBOT * weight
+    return verification.mujoco_residual > ANOTHER_ROBOT * weight
 
 
 def make_missing_servos(
@@ -308,20 +325,21 @@ def make_missing_servos(
     timestep: float,
     own: Collection[str] | None = None,
 ) -> list[Addition]:
-    """Returns what gives every joint without a position servo one, whose limit is the motor's.
+    """Return the additions that give each joint without a position servo one.
 
-    The integrator is ``implicitfast``, with which a servo's damping does not shake light joints.
+    The force range is the motor's limit. The integrator becomes ``implicitfast``: explicit
+    damping makes light joints oscillate.
 
     Args:
-        robot: The robot.
-        kp: (nu,) stiffness (N m/rad); of joints with a servo nothing is used.
-        kd: (nu,) damping (N m s/rad), likewise.
-        timestep: s.
-        own: Joints that have one; by default those with a servo in the robot's model.
+        robot: Robot.
+        kp: Stiffness, shape (nu,) [N m/rad]; ignored at joints with a servo.
+        kd: Damping, shape (nu,) [N m s/rad]; ignored at joints with a servo.
+        timestep: Time step [s].
+        own: Names of the joints with a servo; None: those of the robot's model.
     """
-    idle = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
-    left = {*(list_position_servos(robot) if own is None else own), *idle}
-    missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
+    dependent = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
+    excluded = {*(list_position_servos(robot) if own is None else own), *dependent}
+    missing = [index for index, name in enumerate(robot.joint_names) if name not in excluded]
     stiffness = describe_span(kp[missing], "N m/rad")
     message = diagnose(
         "servos-made",
@@ -329,7 +347,7 @@ def make_missing_servos(
         kd=describe_span(kd[missing], "N m s/rad"),
         timestep=Quantity(timestep, "s"),
     )
-    made: list[Addition] = [
+    additions: list[Addition] = [
         Options(message, {"integrator": "implicitfast", "timestep": timestep}),
     ]
     for index in missing:
@@ -338,5 +356,5 @@ def make_missing_servos(
         bounded = math.isfinite(limit.lower) and limit.lower < limit.upper < math.inf
         limits = (limit.lower, limit.upper) if bounded else None
         name = robot.joint_names[index]
-        made.append(Servo(message, name, float(kp[index]), float(kd[index]), limits))
-    return made
+        additions.append(Servo(message, name, float(kp[index]), float(kd[index]), limits))
+    return additions

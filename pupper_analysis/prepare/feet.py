@@ -1,4 +1,4 @@
-"""Which feet a robot has, and where they are in both of its files."""
+"""Find the feet of a robot, and add a frame at each contact point to both files."""
 
 from __future__ import annotations
 
@@ -30,30 +30,32 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_AS_LOW = 0.15
-"""Limbs that end no higher than this above the lowest, in parts of the base's height above it, are
-legs: hands and heads are higher, and feet in a start pose rarely at more than a few percent."""
+_MAX_LEG_HEIGHT_FRACTION = 0.15
+"""Upper bound of the height of a limb's lowest point above that of the lowest limb, relative to
+the base's height, for the limb to be a leg. Hands and heads are higher; feet in a start pose
+rarely differ by more than a few percent."""
 
-_LEVEL = 0.05
-"""Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a
-spider's end at the base's height, or so."""
+_MAX_LEG_RISE_FRACTION = 0.05
+"""The same bound, relative to the largest distance of a limb's last body from the base; the
+larger bound counts. Spread legs, such as a spider's, end near the height of the base."""
 
-_SPHERE_DISTANCE = 0.02
-"""A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
+_MAX_SPHERE_DISTANCE = 0.02
+"""Upper bound of the distance [m] between a named frame and the centre of the sphere that is
+meant."""
 
 
-_SAME_PLACE = 2e-3
-"""A link of the URDF that is no further away is at a foot's place (m)."""
+_FOOT_PLACE_ATOL = 2e-3
+"""Distance [m] within which a link of the URDF is at the place of a foot. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """A foot, as it was found.
+    """A foot.
 
     Attributes:
-        name: Its name.
-        body: The id of the moving body that carries it.
-        points: Where it touches the ground.
+        name: Name.
+        body: Id of the moving body to which the foot belongs.
+        points: Contact points with the ground.
     """
 
     name: str
@@ -61,31 +63,34 @@ class Foot:
     points: tuple[ContactPoint, ...]
 
 
-_DOWN = 0.7
-"""Cosine of how far from downwards limbs end, on the whole, to be told: 45 deg."""
+_MIN_DIRECTION_COSINE = 0.7
+"""Lower bound of the cosine between the mean limb direction and an axis of the base: 45 deg."""
 
 
-_SHORTEST = 1e-3  # m: of a wheel there is no direction
+_MIN_LIMB_LENGTH = 1e-3
+"""Lower bound of a limb's length [m] in the division that normalises its direction: a wheel has
+none. Chosen."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
-    """Tells along which axis of its base's frame a robot's limbs end, if that is not downwards.
+    """Report the axis of the base frame along which the limbs end, if it is not downwards.
 
-    With joints as near to zero as they come. A file of such a frame says nowhere what is up.
+    The joint positions are zero, clipped to the limits. The direction is that of the mean over
+    the limbs. A robot with fewer than two limbs is not reported.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.placed(robot.posed(joints))
-    ends: dict[int, list[int]] = {}  # an arm is one limb, however many fingers it has
+    ends: dict[int, list[int]] = {}  # an arm with its fingers is one limb
     for limb in limbs_of(robot):
         ends.setdefault(limb.bodies[0], []).append(limb.bodies[-1])
     if len(ends) < 2:
         return []
     spans = np.array([data.xipos[ends[root]].mean(axis=0) - data.xpos[root] for root in ends])
     lengths = np.linalg.norm(spans, axis=1, keepdims=True)
-    along = (spans / np.maximum(lengths, _SHORTEST)).mean(axis=0)  # one long arm is no robot's legs
+    along = (spans / np.maximum(lengths, _MIN_LIMB_LENGTH)).mean(axis=0)  # all limbs count alike
     axis = int(np.argmax(np.abs(along)))
     sign = float(np.sign(along[axis]))
-    if np.abs(along[axis]) < _DOWN or (axis == 2 and sign < 0):
+    if np.abs(along[axis]) < _MIN_DIRECTION_COSINE or (axis == 2 and sign < 0):
         return []
     turn = np.array([[0, sign, 0], [-sign, 0, 0], [2, 0, 0]])[axis] * np.pi / 2
     where, rpy = f"{'-+'[sign > 0]}{'xyz'[axis]}", " ".join(f"{angle:.16g}" for angle in turn)
@@ -93,7 +98,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Returns how many joints move a body (its id) against the base."""
+    """Return the number of joints between a body (its id) and the base."""
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
     while body not in (0, base):
@@ -103,35 +108,44 @@ def count_joints_to_base(robot: Robot, body: int) -> int:
 
 
 def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
-    """Returns the geoms of a body, and of those welded to it, that can touch the floor."""
+    """Return the ids of the geoms of a body that can collide with the floor.
+
+    Args:
+        model: Model with a floor.
+        body: Id of the body.
+        welded: True to include the geoms of bodies that are fixed to it.
+    """
     floor = ground_geom(model)
-    bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
+    floor_bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
     return [
         geom
         for geom in range(model.ngeom)
         if (model.body_weldid[model.geom_bodyid[geom]] if welded else model.geom_bodyid[geom])
         == body
-        and (model.geom_contype[geom] & bits[1] or model.geom_conaffinity[geom] & bits[0])
+        and (
+            model.geom_contype[geom] & floor_bits[1] or model.geom_conaffinity[geom] & floor_bits[0]
+        )
     ]
 
 
 def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
-    """Finds the feet: the collision geoms at the ends of the limbs that are lowest in a pose.
+    """Find the feet: the collision geoms at the ends of the limbs that are lowest in a pose.
 
-    Of several poses the one counts in which the most limbs are as low as the lowest: a robot that
-    lies, or whose legs are folded, shows fewer.
+    Of several poses, that with the most feet counts: a robot that lies, or whose legs are
+    folded, shows fewer.
 
     Args:
-        robot: The robot, without feet; its MJCF has a floor.
-        poses: Joint positions (nu,).
+        robot: Robot without feet; its MJCF has a floor.
+        poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Raises:
-        ModelError: If no limb has anything that touches.
+        ModelError: If no limb with collision geoms ends below the base, in one of the poses.
     """
-    return max((_lowest_limbs(robot, pose) for pose in poses), key=len)
+    return max((_find_lowest_limbs(robot, pose) for pose in poses), key=len)
 
 
-def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
+def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
+    """Return the feet in one pose: the limbs that end at about the height of the lowest limb."""
     model, data = robot.mj_model, robot.placed(robot.posed(joints))
     ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
     heights = {
@@ -144,10 +158,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
         problem = (*aside, diagnose("no-feet-found", limbs=limbs))[0]
         raise ModelError(robot.description.mjcf_source, problem)
     bottom = min(heights.values())
-    away = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
-    reach = float(np.linalg.norm(away, axis=1).max())
-    near = max(_AS_LOW * (base - bottom), _LEVEL * reach)
-    legs = [b for b, height in heights.items() if height < bottom + near]
+    offsets = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
+    reach = float(np.linalg.norm(offsets, axis=1).max())
+    tolerance = max(_MAX_LEG_HEIGHT_FRACTION * (base - bottom), _MAX_LEG_RISE_FRACTION * reach)
+    legs = [body for body, height in heights.items() if height < bottom + tolerance]
     found = [
         (
             body,
@@ -155,7 +169,7 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
         )
         for body in legs
     ]
-    names = _names(model, found)
+    names = _name_feet(model, found)
     return tuple(
         Foot(name, body, points)
         for name, (body, points) in zip(names, found, strict=True)
@@ -163,10 +177,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     )
 
 
-def _names(
+def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Names feet by their geom, if all that touches is one with a name; else by their body."""
+    """Name feet by their only geom, if it has a name; else by its body. Names are unique."""
     names = []
     for body, points in feet:
         geoms = {point.geom for point in points}
@@ -180,16 +194,16 @@ def _names(
 
 
 def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
-    """Finds a foot that is named, in one file or in both.
+    """Find the contact points of a foot that the user names, in one file or in both.
 
     Args:
-        robot: The robot, without feet; its MJCF has a floor.
-        name: What the foot is called.
-        frames: Its link in the URDF, and its geom, site or body in the MJCF.
-        joints: (nu,) the start pose.
+        robot: Robot without feet; its MJCF has a floor.
+        name: Name of the foot.
+        frames: Link in the URDF, and geom, site or body in the MJCF.
+        joints: Joint positions of the start pose, shape (nu,) [rad, m].
 
     Raises:
-        UnknownNameError: If neither file has it.
+        UnknownNameError: If neither file has the frame.
         ModelError: If nothing there touches the ground.
     """
     model, data = robot.mj_model, robot.placed(robot.posed(joints))
@@ -200,17 +214,19 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
     ]
     found = next(((kind, index) for kind, index in places if index >= 0), None)
     if found is None:
-        body, place = _by_link(robot, name, frames, joints)
-        geoms = _around(model, data, list_ground_geoms(model, body), place)
+        body, place = _locate_link(robot, name, frames, joints)
+        geoms = _select_sphere(model, data, list_ground_geoms(model, body), place)
     elif found[0] == mujoco.mjtObj.mjOBJ_GEOM:
         geoms = [found[1]]
         body = int(model.body_weldid[model.geom_bodyid[found[1]]])
     elif found[0] == mujoco.mjtObj.mjOBJ_SITE:
         body = int(model.body_weldid[model.site_bodyid[found[1]]])
-        geoms = _around(model, data, list_ground_geoms(model, body), data.site_xpos[found[1]])
+        geoms = _select_sphere(
+            model, data, list_ground_geoms(model, body), data.site_xpos[found[1]]
+        )
     else:
         body = int(model.body_weldid[found[1]])
-        geoms = list_ground_geoms(model, found[1], welded=False) or _around(
+        geoms = list_ground_geoms(model, found[1], welded=False) or _select_sphere(
             model, data, list_ground_geoms(model, body), data.xpos[found[1]]
         )
     points = (
@@ -225,25 +241,33 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
     return Foot(name, body, points)
 
 
-def _around(
+def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Returns the sphere that is centred at a place, if there is one; else all."""
+    """Return the nearest sphere within `_MAX_SPHERE_DISTANCE` of a place; else all geoms."""
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
-    away = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}
-    nearest = min(away, key=away.__getitem__, default=None)
-    return [nearest] if nearest is not None and away[nearest] < _SPHERE_DISTANCE else list(geoms)
+    distances = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}
+    nearest = min(distances, key=distances.__getitem__, default=None)
+    return (
+        [nearest]
+        if nearest is not None and distances[nearest] < _MAX_SPHERE_DISTANCE
+        else list(geoms)
+    )
 
 
-def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> tuple[int, Array]:
-    """Returns the moving body (its id) that carries a link of the URDF, and the link's place."""
+def _locate_link(
+    robot: Robot, name: str, frames: tuple[str, str], joints: Array
+) -> tuple[int, Array]:
+    """Return the id of the moving body of a link of the URDF, and the link's position (3,) [m]."""
     model, (link, frame) = robot.pin_model, frames
-    number = next((i for i, known in enumerate(model.frames) if known.name == link), None)
+    number = next(
+        (index for index, pin_frame in enumerate(model.frames) if pin_frame.name == link), None
+    )
     if number is None:
-        sites = [robot.mj_model.site(i).name for i in range(robot.mj_model.nsite)]
-        bodies = [robot.mj_model.body(i).name for i in range(1, robot.mj_model.nbody)]
-        links = [known.name for known in model.frames]
+        sites = [robot.mj_model.site(index).name for index in range(robot.mj_model.nsite)]
+        bodies = [robot.mj_model.body(index).name for index in range(1, robot.mj_model.nbody)]
+        links = [pin_frame.name for pin_frame in model.frames]
         unknown = UnknownNameError(
             f"{robot.description.urdf_source}, {robot.description.mjcf_source}",
             "link, geom, site or body",
@@ -264,68 +288,69 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
 def with_feet(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
-    """Returns the robot's description with a frame at every contact point, in both files.
+    """Return the description of a robot with a frame at each contact point, in both files.
 
     Args:
-        robot: The robot, without feet.
-        feet: Its feet.
-        replaced: {foot with balls in the place of its shape: why}.
+        robot: Robot without feet.
+        feet: Feet.
+        replaced: {foot whose shape is replaced by balls: reason}.
     """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = robot.placed(robot.posed(np.zeros(robot.nu)))
-    still = Configuration(robot, robot.neutral())
+    config = Configuration(robot, robot.neutral())
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
     _name_geoms(spec)
-    # It may lack what is only seen.
     compiled = compile_spec(spec.copy(), robot.description.mjcf_source)
     names: dict[str, tuple[str, str]] = {}
-    several: dict[str, tuple[str, ...]] = {}
+    points_of_foot: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}
     shapes: dict[Diagnostic, list[str]] = {}
     added: list[Addition] = []
-    taken, made = {site.name for site in spec.sites} | set(tree.links), set[str]()
+    site_names, made_frames = {site.name for site in spec.sites} | set(tree.links), set[str]()
     for foot in feet:
-        link = _link_of(robot, foot.body)
-        placed = still.frame_position(link), still.frame_rotation(link)
+        link = _find_moved_link(robot, foot.body)
+        link_pose = config.frame_position(link), config.frame_rotation(link)
         points = []
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
-            frame = make_unique_name(f"{name} (contact)", taken)
-            own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
-            bodies[model.body(own).name].add_site(name=frame, pos=point.center)
-            world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
-            world = _in_urdf(robot, still, data, foot.body, world)
-            made.add(frame)
-            tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
+            frame = make_unique_name(f"{name} (contact)", site_names)
+            geom_body = int(
+                model.geom_bodyid[point.geom]
+            )  # MuJoCo's contact depends on this body's weight
+            bodies[model.body(geom_body).name].add_site(name=frame, pos=point.center)
+            world = data.xpos[geom_body] + data.xmat[geom_body].reshape(3, 3) @ point.center
+            world = _map_to_urdf(robot, config, data, foot.body, world)
+            made_frames.add(frame)
+            tree.add_link(frame, link, f"to {frame}", link_pose[1].T @ (world - link_pose[0]))
             names[name] = (frame, frame)
             touching = str(compiled.geom(point.geom).name)
             if is_ball(model, point):
                 reason = (replaced or {})[foot.name]
-                body, place = str(model.body(own).name), tuple(map(float, point.center))
+                body, place = str(model.body(geom_body).name), tuple(map(float, point.center))
                 added.append(Ball(reason, f"{name}_ball", body, point.radius, place, touching))
                 shapes.setdefault(reason, []).append(touching)
                 touching = f"{name}_ball"
             geoms[name] = (touching, point.radius)
             points.append(name)
         if len(points) > 1:
-            several[foot.name] = tuple(points)
-    for reason, names_of in shapes.items():  # the balls have their contact before it is turned off
-        added.append(DisabledContacts(reason, tuple(dict.fromkeys(names_of))))
+            points_of_foot[foot.name] = tuple(points)
+    for reason, geom_names in shapes.items():  # after the balls, which copy the contact parameters
+        added.append(DisabledContacts(reason, tuple(dict.fromkeys(geom_names))))
     described = replace(
         robot.description,
         urdf=to_text(tree.root),
         mjcf=spec,
         contact_points=names,
-        feet=several,
+        feet=points_of_foot,
         foot_geoms=geoms,
-        made_frames=frozenset(made),
+        made_frames=frozenset(made_frames),
     )
     return described.given(*added)
 
 
 def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
-    """Return whether a sphere takes the place of an ellipsoid at a contact point of the feet."""
+    """Return True if a sphere takes the place of an ellipsoid at a contact point of the feet."""
     types = robot.mj_model.geom_type
     return any(
         types[point.geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value
@@ -336,12 +361,12 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 
 _CONTACT_POINT_TOLERANCE = 1e-6
-"""Distance [m] by which the sphere of an ellipsoid may miss the fit at the nominal stand. Chosen:
-a hundredth of the depth of a loaded contact."""
+"""Distance [m] by which the sphere of an ellipsoid may miss the fit at the nominal stand.
+Chosen: a hundredth of the depth of a loaded contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
-    """Return whether two fits of the same contact points differ; False if the feet differ."""
+    """Return True if two fits of the same contact points differ; False if the feet differ."""
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip
     if [(name, point.geom) for name, point in points[0]] != [(n, p.geom) for n, p in points[1]]:
@@ -353,57 +378,67 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 
 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
-    """Tells whether a contact point is that of a sphere which fits to a mesh or another shape."""
+    """Return True if a contact point is a ball that replaces a mesh or another shape.
+
+    Spheres, capsules and lying cylinders (wheels) keep their own shape.
+    """
     kind = int(model.geom_type[point.geom])
     if (
         kind == mujoco.mjtGeom.mjGEOM_CYLINDER.value
         and point.radius == model.geom_size[point.geom, 0]
     ):
-        return False  # a wheel, which lies
-    round_ones = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
-    return point.radius > 0 and kind not in round_ones
+        return False  # wheel on its side
+    round_types = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
+    return point.radius > 0 and kind not in round_types
 
 
-def _in_urdf(
-    robot: Robot, still: Configuration, data: mujoco.MjData, body: int, world: Array
+def _map_to_urdf(
+    robot: Robot, config: Configuration, data: mujoco.MjData, body: int, world: Array
 ) -> Array:
-    """Returns where the URDF has a place (3,) of the MJCF, both at zero angles (m).
+    """Return the position (3,) [m] in the URDF of a position in the MJCF, both at zero angles.
 
-    Where the last joint's axis is one line in both files, it is the same place against the base:
-    how far along its axis a joint's frame is says nothing. Where it is not, and the URDF has a
-    link in the place against the joint, it is there. A slide is a direction, and no line.
+    If a link of the last rotating joint is at the same position against the base, or against the
+    joint, that position is returned. Otherwise the position is shifted by the distance between
+    both joint axes: the position of a joint frame along its axis has no meaning. Slides are
+    skipped, because a slide is a direction and not a line.
     """
-    joint = _last_joint(robot, body, turning=True)
+    joint = _find_last_joint(robot, body, turning=True)
     if joint is None:
         return world
-    apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
+    axis_offset = config.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
     model = robot.pin_model
-    own = [
-        still.frame_position(frame.name)
+    link_positions = [
+        config.frame_position(frame.name)
         for frame in model.frames
         if frame.type == pin.FrameType.BODY and model.names[frame.parentJoint] == joint
     ]
-    for place in (world, world + apart):
-        if any(np.linalg.norm(place - there) < _SAME_PLACE for there in own):
+    for place in (world, world + axis_offset):
+        if any(np.linalg.norm(place - position) < _FOOT_PLACE_ATOL for position in link_positions):
             return place
-    return world + project_perpendicular(apart, still.joint_axis(joint))
+    return world + project_perpendicular(axis_offset, config.joint_axis(joint))
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:
-    """Names the geoms that have no name, so that they are found again."""
-    known = {geom.name for geom in spec.geoms}
+    """Name all geoms without a name, so that they are identified after a compilation."""
+    geom_names = {geom.name for geom in spec.geoms}
     for number, geom in enumerate(spec.geoms):
-        geom.name = geom.name or make_unique_name(f"geom_{number}", known)
+        geom.name = geom.name or make_unique_name(f"geom_{number}", geom_names)
 
 
-def _link_of(robot: Robot, body: int) -> str:
-    """Returns the URDF's link that the last joint of a body moves."""
-    joint = _last_joint(robot, body)
+def _find_moved_link(robot: Robot, body: int) -> str:
+    """Return the link that the last joint of a body moves; the base link without such a joint."""
+    joint = _find_last_joint(robot, body)
     return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 
 
-def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Returns the last joint that moves a body against the base; if wanted, the last that turns."""
+def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
+    """Return the last joint between a body and the base; None without one.
+
+    Args:
+        robot: Robot.
+        body: Id of the body.
+        turning: True to skip slides.
+    """
     model = robot.mj_model
     slide = JointKind.SLIDE
     while body:

@@ -1,4 +1,4 @@
-"""The verdict of a stand, or of what is asked of it: gathers what it rests on."""
+"""Form the verdict of a stand or posture from simulations, static limits and the published file."""
 
 from __future__ import annotations
 
@@ -55,19 +55,19 @@ def judge_simulation(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Weighs what was simulated of a stand or posture, and what the robot's file does by itself.
+    """Form the verdict of a simulated stand or posture, including checks of the published file.
 
     Args:
-        robot: The robot.
-        stand: The stand, on rigid ground.
-        fed: The simulation with feed-forward; of a payload or a path an ``Outcome``.
-        alone: The simulation without; None if there is none.
-        statics: What its motors hold; None if their limits are no part of what is asked.
-        asked: What the simulation is of.
-        trial: How it takes nudges from all sides; if it is not given, what is near a limit of its
-            ``statics`` is simulated so.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        robot: Robot.
+        stand: Stand on rigid ground.
+        fed: Simulation with feed-forward; for a payload or a path an ``Outcome``.
+        alone: Simulation with position commands alone; None if there is none.
+        statics: Static motor torques; None if torque limits are not part of the question.
+        asked: Question that the verdict answers.
+        trial: Result of nudges from all sides. If None, a stand near a limit in ``statics`` is
+            nudged here.
+        kp: Servo stiffness [N m/rad], one or (nu,); None: that of the model.
+        kd: Servo damping [N m s/rad], one or (nu,); None: that of the model.
 
     Raises:
         ModelError: If the robot has no position servos, and kp and kd are not both given.
@@ -78,23 +78,23 @@ def judge_simulation(
     if not (loaded.floating or stand.stance_feet):
         own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
-        fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
+        fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
     null, unknown, masses = describe_null_efforts(robot), None, describe_given_masses(loaded)
     if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
-        # All else that fails is a consequence.
+        # Other failures are consequences of motors without torque.
         fed, null = replace(fed, passed=False, failures=(null,)), None
         alone = None if alone is None else replace(alone, passed=False, failures=fed.failures)
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
-    loaded_more = robot.total_mass > loaded.total_mass * (1 + _SAME_MASS)
-    overloaded = () if statics is None else _overloaded(robot, statics)
+    loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
+    overloaded = () if statics is None else _list_overloaded_joints(robot, statics)
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
         *report_limbs_without_feet(robot),
         *(robot.description.replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),
-        *_buried(robot, stand, statics),
+        *_report_buried_feet(robot, stand, statics),
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     causes = (
@@ -120,32 +120,32 @@ def judge_simulation(
     )
 
 
-def _overloaded(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
-    """Return the motors beyond their limits; motors without torque are described by themselves."""
+def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
+    """Return the motors beyond their limits, without motors whose limit is zero."""
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     return tuple(name for name in beyond_limits(statics) if name not in null)
 
 
-_SAME_MASS = 1e-9
-"""Relative difference between two masses of one robot that is rounding."""
+_MASS_RTOL = 1e-9
+"""Relative difference between two masses of one robot that is due to rounding."""
 
 
-def _buried(
+def _report_buried_feet(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Tells if a foot's sphere sinks by more than its radius: what stands so stands on no floor."""
+    """Report the first foot that penetrates the ground by more than its radius."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
-        radius, pressing = robot.contact_radius[foot], float(force @ stand.normals[foot])
-        depth = GroundLaw.of(robot, foot).depth(max(0.0, pressing))
+        radius, normal_force = robot.contact_radius[foot], float(force @ stand.normals[foot])
+        depth = GroundLaw.of(robot, foot).depth(max(0.0, normal_force))
         if depth > radius > 0:
             deep, size = Quantity(depth, "m"), Quantity(radius, "m")
             return (diagnose("foot-buried", subject=("foot", foot), depth=deep, radius=size),)
     return ()
 
 
-def _nudged(
+def _fail_if_upset(
     robot: Robot,
     stand: Stand,
     fed: Outcome,
@@ -154,7 +154,10 @@ def _nudged(
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> Outcome:
-    """Returns what was simulated of a stand; that it fails, if a nudge from some side upsets it."""
+    """Return the simulation result; failed if a nudge from any side upsets the stand.
+
+    Without a trial, the nudges are simulated if the stand is near one of its limits.
+    """
     if trial is None:
         held = solve_stand_as_simulated(robot, stand)
         if not may_be_upset(robot, held, statics):
@@ -174,12 +177,12 @@ def _nudged(
     return replace(fed, passed=False, failures=(upset,))
 
 
-_BEARING = {
+_FILE_ERROR_CODES = {
     *("inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
-"""Codes of what is made up for on loading, and is an error of the file: an audit's errors that let
-a robot be simulated."""
+"""Codes of notes on loading that are errors of the file, but do not prevent a simulation. A
+verdict depends on the assumptions in these notes."""
 
 
 def describe_given_masses(robot: Robot) -> Diagnostic | None:
@@ -196,19 +199,27 @@ def describe_given_masses(robot: Robot) -> Diagnostic | None:
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells which errors and assumptions of a robot's files all verdicts on it rest on."""
+    """Return the errors and assumptions about a robot's files on which its verdicts depend."""
     loaded = as_loaded(robot)
-    messages = [note for note in loaded.notes if note.code in _BEARING]
-    own, model = np.array(loaded.joint_names), loaded.mj_model
-    dofs = model.jnt_dofadr[[model.joint(name).id for name in own]]
-    rubbing, damped = own[model.dof_frictionloss[dofs] < 0], own[model.dof_damping[dofs] < 0]
-    if rubbing.size:
-        messages.insert(0, diagnose("joints-rub-negatively", joints=rubbing.tolist()))
-    if damped.size:
-        messages.insert(0, diagnose("joints-damped-negatively", joints=damped.tolist()))
-    made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
-    elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
-    return (*made_up, *elsewhere, *report_placeholder_efforts(robot), *import_refused(robot))
+    messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
+    joint_names, model = np.array(loaded.joint_names), loaded.mj_model
+    dofs = model.jnt_dofadr[[model.joint(name).id for name in joint_names]]
+    negative_friction, negative_damping = (
+        joint_names[model.dof_frictionloss[dofs] < 0],
+        joint_names[model.dof_damping[dofs] < 0],
+    )
+    if negative_friction.size:
+        messages.insert(0, diagnose("joints-rub-negatively", joints=negative_friction.tolist()))
+    if negative_damping.size:
+        messages.insert(0, diagnose("joints-damped-negatively", joints=negative_damping.tolist()))
+    assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
+    gravity_notes = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
+    return (
+        *assumptions,
+        *gravity_notes,
+        *report_placeholder_efforts(robot),
+        *import_refused(robot),
+    )
 
 
 @check_arguments
@@ -220,21 +231,21 @@ def judge_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Simulates a stand, and returns its verdict: that of ``study_stance``.
+    """Simulate a stand, and return its verdict: the same as that of ``study_stance``.
 
-    What is worked out of a stand (``steady_state``, ``payload_limit``) is of the robot as it was
-    made ready; this tells whether its file bears that out.
+    Results such as `steady_state` and `payload_limit` are computed for the prepared robot. The
+    verdict includes the comparison with the published file.
 
     Args:
-        robot: The robot.
-        stand: The stand.
-        trial: How it takes nudges from all sides, if that is known.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        robot: Robot.
+        stand: Stand.
+        trial: Result of nudges from all sides, if it was already simulated.
+        kp: Servo stiffness [N m/rad], one or (nu,); None: that of the model.
+        kd: Servo damping [N m s/rad], one or (nu,); None: that of the model.
 
     Raises:
-        StaticsInfeasibleError: If it slides or tips.
-        ConfigurationError: If an argument makes no sense for the robot.
+        StaticsInfeasibleError: If the stand slides or tips.
+        ConfigurationError: If an argument is not valid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     held = solve_stand_as_simulated(robot, stand)

@@ -72,7 +72,9 @@ def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if a motor without torque has to hold more than rounding."""
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
-    return any(needed[one.joint] > least for one in list_driven_limits(robot) if one.without_torque)
+    return any(
+        needed[limit.joint] > least for limit in list_driven_limits(robot) if limit.without_torque
+    )
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
@@ -83,10 +85,12 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
-    unknown = [one.joint for one in list_driven_limits(robot) if one.code is EffortCode.UNKNOWN]
+    unknown = [
+        limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
+    ]
     if not any(needed[joint] > least for joint in unknown):
         return None
-    aside = free_joints(robot)  # they carry no foot
+    aside = free_joints(robot)  # joints without a foot below
     unknown = [joint for joint in unknown if joint not in aside or needed[joint] > least]
     hardest = max(unknown, key=needed.__getitem__)
     return diagnose(

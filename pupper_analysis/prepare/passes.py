@@ -74,15 +74,15 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 @dataclass(frozen=True, eq=False)
 class LoadRequest:
-    """What is asked for when a robot is loaded.
+    """Options of the user when a robot is loaded.
 
     Attributes:
-        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
-        fixed_base: Whether the base is fixed in the world.
-        name: The robot's name; None: the MJCF's.
-        joints: {joint in the URDF: joint in the MJCF}.
-        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
-        as_is: Whether no servos are added, and no shapes altered.
+        feet: {foot: (frame in the URDF, frame in the MJCF)}; None: feet are detected.
+        fixed_base: True to fix the base in the world.
+        name: Name of the robot; None: that of the MJCF.
+        joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
+        keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
+        as_is: True to add no servos and to change no collision shapes.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -93,8 +93,9 @@ class LoadRequest:
     as_is: bool = False
 
 
-_FREE_IN_PARTS = 4
-"""Joints of a base that is free by three slides and a ball joint, or more."""
+_MIN_PARTIAL_FREE_JOINTS = 4
+"""Minimum number of joints of a base that is free by several joints: three slides and a ball
+joint."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +103,9 @@ class PassRun(Result):
     """A pass that was run.
 
     Attributes:
-        name: What it is called.
-        does: What it does, in words.
-        done: What it had to do, or found; empty where the files needed nothing.
+        name: Name of the pass.
+        does: Purpose of the pass.
+        done: Changes that the pass made, and findings; empty if the files needed no change.
     """
 
     name: str
@@ -114,21 +115,23 @@ class PassRun(Result):
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A robot as far as it is made.
+    """Robot at an intermediate stage of the preparation.
 
     Attributes:
-        urdf: As it was read.
-        mjcf: As it was read.
-        request: What is asked for.
-        spec: The MJCF's, changed.
-        keyframes: {name: {joint: position}} of the MJCF's that may be started from.
-        found: Whose joint is whose; from the pass ``match`` on.
-        description: Both files made alike; from the pass ``match`` on.
-        built: The robot; from the pass ``build`` on.
-        footless: Robot before feet were added; from the pass ``put-feet`` on.
-        feet: Feet; from the pass ``put-feet`` on.
-        refused: Why no robot with a free base can be made: then only ``hold-base`` applies.
-        runs: The passes that were run.
+        urdf: URDF as read.
+        mjcf: MJCF as read.
+        request: Options of the user.
+        spec: Spec of the MJCF, with changes.
+        keyframes: {name: {joint: position}} of the candidate keyframes, in order of priority.
+        found_match: Matched joints of both files; None before the pass ``match``.
+        description: Both files with matched names; None before the pass ``match``.
+        built: Robot; None before the passes ``build`` and ``build-held``.
+        footless: Robot without feet; None before the pass ``put-feet``, and if no feet were
+            found.
+        feet: Feet; empty before the pass ``put-feet``.
+        refused: Reason why no robot with a free base can be made; only ``hold-base`` is then
+            applied.
+        runs: Passes that were run.
     """
 
     urdf: UrdfFile
@@ -146,27 +149,31 @@ class Draft:
 
     @property
     def may_fix_base(self) -> bool:
-        """Whether its base may be fixed, as the file has it, though it was to be free."""
+        """True if the base may be fixed, as in the file, although no fixed base was requested.
+
+        The file must have no free joint, and no child body of the world with
+        `_MIN_PARTIAL_FREE_JOINTS` joints or more.
+        """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
         tops = (len(list(body.joints)) for body in self.mjcf.spec.worldbody.bodies)
-        return max(tops, default=0) < _FREE_IN_PARTS
+        return max(tops, default=0) < _MIN_PARTIAL_FREE_JOINTS
 
     @property
     def match(self) -> Match:
-        """Whose joint is whose."""
+        """Matched joints of both files."""
         assert self.found_match is not None
         return self.found_match
 
     @property
     def described(self) -> Description:
-        """Both files, made alike."""
+        """Both files with matched names."""
         assert self.description is not None
         return self.description
 
     @property
     def robot(self) -> Robot:
-        """The robot."""
+        """Robot as built so far."""
         assert self.built is not None
         return self.built
 
@@ -175,18 +182,19 @@ Array = NDArray[np.float64]
 
 
 PassOutput = tuple[Draft, Iterable[Diagnostic]]
+"""Draft after a pass, with the notes of the pass."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """A step in making a robot ready.
+    """A step of the preparation.
 
     Attributes:
-        name: What it is called.
-        does: What it does, in words.
-        apply: Does it; returns the draft with what was done.
-        condition: Tells whether it condition a draft.
-        after_refusal: Whether it is for drafts of which no robot could be made, too.
+        name: Name of the pass.
+        does: Purpose of the pass.
+        apply: Function that returns the new draft with the notes of the pass.
+        condition: Function that returns True if a draft needs the pass.
+        after_refusal: True if the pass is also applied to drafts with `Draft.refused`.
     """
 
     name: str
@@ -196,81 +204,89 @@ class Pass:
     after_refusal: bool = False
 
     def applies(self, draft: Draft) -> bool:
-        """Tells whether it is to be run."""
+        """Return True if the pass is to be applied to a draft."""
         return (draft.refused is None or self.after_refusal) and self.condition(draft)
 
 
-_PASSES: list[Pass] = []
+_registered_passes: list[Pass] = []
 
 
-def _pass(
+def _register_pass(
     does: Term, condition: Callable[[Draft], bool], *, after_refusal: bool = False
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
-    """Makes the next pass of a function; it is called as that is."""
+    """Return a decorator that appends a function to the passes, under the function's name."""
 
     def added(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
+        """Register a function as the next pass."""
         name = apply.__name__.strip("_").replace("_", "-")
-        _PASSES.append(Pass(name, does, apply, condition, after_refusal))
+        _registered_passes.append(Pass(name, does, apply, condition, after_refusal))
         return apply
 
     return added
 
 
-def _any(_draft: Draft) -> bool:
+def _applies_always(_draft: Draft) -> bool:
+    """Return True for every draft."""
     return True
 
 
-def _free(draft: Draft) -> bool:
-    """Before the two files are matched: whether the base is to be free."""
+def _has_free_base_request(draft: Draft) -> bool:
+    """Return True if no fixed base was requested. For passes before the files are matched."""
     return not draft.request.fixed_base
 
 
-def _stands(draft: Draft) -> bool:
-    """After they are matched: whether the base is free, so that the robot is to stand."""
+def _has_free_base(draft: Draft) -> bool:
+    """Return True if the base is free. For passes after the files are matched."""
     return not draft.request.fixed_base and draft.match.robot.floating
 
 
-def _held(draft: Draft) -> bool:
-    return not _stands(draft)
+def _has_fixed_base(draft: Draft) -> bool:
+    """Return True if the base is fixed. For passes after the files are matched."""
+    return not _has_free_base(draft)
 
 
-def _on_feet(draft: Draft) -> bool:
-    return _stands(draft) and bool(draft.robot.contact_points)
+def _stands_on_feet(draft: Draft) -> bool:
+    """Return True if the base is free and the robot has feet."""
+    return _has_free_base(draft) and bool(draft.robot.contact_points)
 
 
-def _altered(draft: Draft) -> bool:
-    return _on_feet(draft) and not draft.request.as_is
+def _may_be_altered(draft: Draft) -> bool:
+    """Return True if the robot has feet and a free base, and `LoadRequest.as_is` is False."""
+    return _stands_on_feet(draft) and not draft.request.as_is
 
 
-def _commanded(draft: Draft) -> bool:
-    """Tells whether it is to be brought to rest by servos, on its feet or held."""
-    return _altered(draft) or (_held(draft) and not draft.request.as_is)
+def _may_get_servos(draft: Draft) -> bool:
+    """Return True if servos may be added: robot on feet or fixed, and not `as_is`."""
+    return _may_be_altered(draft) or (_has_fixed_base(draft) and not draft.request.as_is)
 
 
-def _rebuilt(draft: Draft, description: Description | None) -> Draft:
+def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
+    """Return the draft with the robot of a new description; the draft itself if there is none."""
     return draft if description is None else replace(draft, built=build_robot(description))
 
 
-def _feet(
+def _find_requested_feet(
     robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
+    """Find the named feet; without names, the feet in the poses (none if no limb is found)."""
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
     return tuple(find_named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
 
 
-def _stands_on_no_feet(draft: Draft) -> bool:
-    """Tells whether the base is to be as the file has it: no robot can be made of it otherwise."""
+def _must_fix_base(draft: Draft) -> bool:
+    """Return True if no standing robot can be made, and the base may be fixed as in the file."""
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
     return draft.robot.floating and start.solve_nominal_stand(draft.robot) is None
 
 
-@_pass(Term("names bodies and joints that have none"), _any)
+@_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
+    """Name all elements, choose the keyframes; without named feet, drop visual geoms."""
     spec = draft.spec.copy()
     name_elements(spec, set())
-    if draft.request.feet is None:  # a foot may be named by a shape that is only seen
+    if draft.request.feet is None:  # a named foot may be a visual geom
         discard_visuals(spec)
     known = start.choose_keyframes(
         draft.mjcf, start.list_keyframes(spec, draft.mjcf.path), draft.request.keyframe
@@ -278,19 +294,22 @@ def _name_elements(draft: Draft) -> PassOutput:
     return replace(draft, spec=spec, keyframes=known), ()
 
 
-@_pass(Term("frees the base of a robot with limbs"), _free)
+@_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
+    """Free the base; see `free_base`."""
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
 
-@_pass(Term("lifts the base's frame off the ground"), _free)
+@_register_pass(Term("lifts the base's frame off the ground"), _has_free_base_request)
 def _place_base_frame(draft: Draft) -> PassOutput:
+    """Raise the frame of the base; see `place_base_frame`."""
     return draft, place_base_frame(draft.spec, draft.mjcf.model, draft.mjcf.path)
 
 
-@_pass(Term("finds whose joint is whose"), _any)
+@_register_pass(Term("finds whose joint is whose"), _applies_always)
 def _match(draft: Draft) -> PassOutput:
+    """Match the joints of both files; see `match_models`."""
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     name = draft.request.name or draft.spec.modelname
@@ -299,129 +318,147 @@ def _match(draft: Draft) -> PassOutput:
     return replace(draft, found_match=found, description=description), messages
 
 
-@_pass(Term("couples joints that follow others"), _any)
+@_register_pass(Term("couples joints that follow others"), _applies_always)
 def _couple_mimics(draft: Draft) -> PassOutput:
+    """Couple the joints that follow others; see `couple_mimics`."""
     description, messages = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), messages
 
 
-@_pass(Term("builds the robot on its fixed base"), _held)
+@_register_pass(Term("builds the robot on its fixed base"), _has_fixed_base)
 def _build_held(draft: Draft) -> PassOutput:
+    """Build the robot with its base fixed; named feet are kept as frames."""
     described = start.with_keyframes(draft.described, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
     return replace(draft, description=described, built=robot), ()
 
 
-@_pass(Term("adds a level ground, or makes it level"), _stands)
+@_register_pass(Term("adds a level ground, or makes it level"), _has_free_base)
 def _level_ground(draft: Draft) -> PassOutput:
-    ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
-    messages = level_ground(ready)
+    """Add a level floor, or level the file's floor; set friction options of a new floor."""
+    leveled = draft.described.mjcf.copy()  # passes before ``build`` modify it in place
+    messages = level_ground(leveled)
     floors = tuple(Floor(note) for note in messages if note.code == "ground-added")
-    described = replace(draft.described, mjcf=ready, added=(*draft.described.added, *floors))
-    # Of a robot that stood on nothing, whoever lays the ground says how it grips.
-    laid = floors and not has_free_joint(draft.mjcf.spec)
+    described = replace(draft.described, mjcf=leveled, added=(*draft.described.added, *floors))
+    # The file of a robot without ground and free joint does not specify the friction of a ground.
+    adds_ground = floors and not has_free_joint(draft.mjcf.spec)
     options = (attributes.keys() for attributes, _ in draft.mjcf.elements("option"))
     if draft.mjcf.of_urdf or (
-        laid and not any(STIFF_FRICTION_OPTIONS.keys() & stated for stated in options)
+        adds_ground and not any(STIFF_FRICTION_OPTIONS.keys() & stated for stated in options)
     ):
         grip = list_urdf_ground_additions()[1]
         described, messages = described.given(grip), [*messages, grip.reason]
     return replace(draft, description=described), messages
 
 
-@_pass(Term("takes dry friction off the free joint"), _stands)
+@_register_pass(Term("takes dry friction off the free joint"), _has_free_base)
 def _free_of_friction(draft: Draft) -> PassOutput:
+    """Remove the dry friction of free joints."""
     return draft, remove_free_joint_friction(draft.described.mjcf)
 
 
-@_pass(Term("builds the robot"), _stands)
+@_register_pass(Term("builds the robot"), _has_free_base)
 def _build(draft: Draft) -> PassOutput:
+    """Build the robot; refuse joints with several motors."""
     check_motors(draft.mjcf.model, draft.mjcf.path)
     return replace(draft, built=build_robot(draft.described)), ()
 
 
-@_pass(Term("limits joints of loops that have none"), _stands)
+@_register_pass(Term("limits joints of loops that have none"), _has_free_base)
 def _bound_joints(draft: Draft) -> PassOutput:
-    return _rebuilt(draft, limit_continuous_joints(draft.robot)), ()
+    """Add limits to continuous joints of robots with closed loops."""
+    return _rebuild_robot(draft, limit_continuous_joints(draft.robot)), ()
 
 
-@_pass(Term("takes the narrower of both files' joint limits"), _stands)
+@_register_pass(Term("takes the narrower of both files' joint limits"), _has_free_base)
 def _narrow_limits(draft: Draft) -> PassOutput:
+    """Apply the narrower of the joint limits of both files."""
     description, messages = narrow_limits(draft.robot)
-    return _rebuilt(draft, description), messages
+    return _rebuild_robot(draft, description), messages
 
 
-@_pass(Term("refuses joints that move no mass"), _any)
+@_register_pass(Term("refuses joints that move no mass"), _applies_always)
 def _check_masses(draft: Draft) -> PassOutput:
+    """Refuse joints that move no mass."""
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
 
-@_pass(Term("finds the feet, and their contact points"), _stands)
+@_register_pass(Term("finds the feet, and their contact points"), _has_free_base)
 def _put_feet(draft: Draft) -> PassOutput:
-    bare, given = draft.robot, draft.request.feet
-    poses = [start.clip_to_limits(bare, pose) for pose in (*draft.keyframes.values(), None)]
+    """Find the feet and their contact points, and build the robot with them.
+
+    The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
+    the contact points remain in place.
+    """
+    footless, names = draft.robot, draft.request.feet
+    poses = [start.clip_to_limits(footless, pose) for pose in (*draft.keyframes.values(), None)]
     try:
-        feet = _feet(bare, given, poses)
+        feet = _find_requested_feet(footless, names, poses)
     except ModelError as error:
-        gone = [note for note in draft.mjcf.notes if note.code in ("files-missing", "meshes-left")]
-        gone = [note for note in gone if note.values.get("kind", "mesh") == "mesh"]
-        if not gone:
+        losses = [
+            note for note in draft.mjcf.notes if note.code in ("files-missing", "meshes-left")
+        ]
+        losses = [note for note in losses if note.values.get("kind", "mesh") == "mesh"]
+        if not losses:
             raise
-        named = [note.values["files"] for note in gone]
+        named = [note.values["files"] for note in losses]
         problem = diagnose(
             "no-feet-as-files-are-missing",
             files=tuple(name for names in named if isinstance(names, tuple) for name in names),
-            package=next((name for note in gone if (name := note.values.get("package"))), None),
+            package=next((name for note in losses if (name := note.values.get("package"))), None),
         )
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:
         return draft, ()
-    messages = [notes.report_feet(bare, feet, given=given is not None)]
-    balls = notes.report_balls(bare, feet)
+    messages = [notes.report_feet(footless, feet, given=names is not None)]
+    balls = notes.report_balls(footless, feet)
     messages += dict.fromkeys(balls.values())
-    robot = build_robot(with_feet(bare, feet, balls))
+    robot = build_robot(with_feet(footless, feet, balls))
     for _ in range(_MAX_ELLIPSOID_FITS):
-        joints = _joints_of_nominal_stand(draft, robot) if has_ellipsoids(bare, feet) else None
-        again = feet if joints is None else _feet(bare, given, [joints])
-        if not have_contact_points_moved(feet, again):
+        joints = _solve_nominal_joints(draft, robot) if has_ellipsoids(footless, feet) else None
+        new_feet = feet if joints is None else _find_requested_feet(footless, names, [joints])
+        if not have_contact_points_moved(feet, new_feet):
             break
-        feet, robot = again, build_robot(with_feet(bare, again, balls))
-    return replace(draft, built=robot, footless=bare, feet=tuple(feet)), messages
+        feet, robot = new_feet, build_robot(with_feet(footless, new_feet, balls))
+    return replace(draft, built=robot, footless=footless, feet=tuple(feet)), messages
 
 
 _MAX_ELLIPSOID_FITS = 6
-"""Upper bound of how often spheres are fitted anew to ellipsoids. Half axes of 30, 20 and 10 mm,
+"""Upper bound of the number of fits of spheres to ellipsoids. Half axes of 30, 20 and 10 mm,
 tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes)."""
 
 
-def _joints_of_nominal_stand(draft: Draft, robot: Robot) -> Array | None:
+def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
     """Return the joint positions, shape (nu,), of the nominal stand; None if there is no stand."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]
 
 
-@_pass(Term("adds motors to joints of loops that have none"), _altered)
+@_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_motors(draft: Draft) -> PassOutput:
+    """Add motors without effect to joints of closed loops that have none."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
-def _rest_depth(draft: Draft) -> Callable[[str], float | None]:
+def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
     """Return the function from a keyframe to the penetration at which the file stands from it."""
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
 
-@_pass(Term("finds a pose in which it stands"), _on_feet)
+@_register_pass(Term("finds a pose in which it stands"), _stands_on_feet)
 def _start_pose(draft: Draft) -> PassOutput:
+    """Find the start pose; see `find_start_pose`."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
-    robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _rest_depth(draft))
+    robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _make_rest_depth(draft))
     return replace(draft, built=robot), (*notes.report_planar_legs(robot), *pose)
 
 
-@_pass(Term("takes hulls that carry most of the load as contact points"), _altered)
+@_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
 def _stand_on_hulls(draft: Draft) -> PassOutput:
+    """Take convex hulls beside soft feet as contact points if they carry most of the load."""
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)
@@ -434,68 +471,81 @@ def _stand_on_hulls(draft: Draft) -> PassOutput:
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
     described = with_feet(draft.footless, feet, balls).given(DisabledContacts(message, soft))
     sunk = start.compute_resting_depths(draft.mjcf.model)
-    robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk, _rest_depth(draft))
+    robot, pose = find_start_pose(
+        build_robot(described), draft.keyframes, sunk, _make_rest_depth(draft)
+    )
     if start.solve_nominal_stand(robot) is None:
         return draft, ()
     return replace(draft, built=robot, feet=feet), (message, *dict.fromkeys(balls.values()), *pose)
 
 
-@_pass(Term("lets feet alone touch the ground"), _altered)
+@_register_pass(Term("lets feet alone touch the ground"), _may_be_altered)
 def _touch_with_feet_alone(draft: Draft) -> PassOutput:
+    """Disable contacts of shapes beside the feet."""
     robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 
 
-@_pass(Term("excludes contacts of parts that overlap"), _commanded)
+@_register_pass(Term("excludes contacts of parts that overlap"), _may_get_servos)
 def _keep_apart(draft: Draft) -> PassOutput:
+    """Exclude contacts of bodies that overlap in the start pose."""
     robot, messages = touching.exclude_overlaps(draft.robot)
     return replace(draft, built=robot), messages
 
 
-@_pass(Term("chooses a solver that solves the equations of motion"), _altered)
+@_register_pass(Term("chooses a solver that solves the equations of motion"), _may_be_altered)
 def _solve_exactly(draft: Draft) -> PassOutput:
+    """Choose a solver of sufficient accuracy; see `choose_exact_solver`."""
     robot, messages = choose_exact_solver(draft.robot)
     return replace(draft, built=robot), messages
 
 
-@_pass(
+@_register_pass(
     Term("tells which joints and motors are not commanded"),
-    lambda draft: _on_feet(draft) or _held(draft),
+    lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _tell_what_follows(draft: Draft) -> PassOutput:
+    """Note coupled joints, and actuators that are not commanded."""
     return draft, (
         *notes.report_coupled_joints(draft.robot),
         *notes.report_uncommanded_actuators(draft.robot),
     )
 
 
-@_pass(Term("adds position servos that bring it to rest"), _commanded)
+@_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos)
 def _add_servos(draft: Draft) -> PassOutput:
+    """Add position servos to joints without one, except joints that follow others."""
     robot = draft.robot
-    idle = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
-    if not set(robot.joint_names) <= list_position_servos(robot).keys() | idle:
+    dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
+    if not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent:
         add = drives.add_suggested_servos if robot.floating else drives.add_fixed_base_servos
-        robot, made = add(robot, draft.mjcf)
-        return replace(draft, built=robot), made
+        robot, servo_notes = add(robot, draft.mjcf)
+        return replace(draft, built=robot), servo_notes
     return draft, ()
 
 
-@_pass(Term("has the start pose that was found as the robot rests in it"), _altered)
+@_register_pass(Term("has the start pose that was found as the robot rests in it"), _may_be_altered)
 def _rest_at_start(draft: Draft) -> PassOutput:
+    """Replace a searched start pose by the stand on soft ground.
+
+    Without a stand on soft ground, the start pose is kept: every verdict will fail.
+    """
     messages = (note for run in draft.runs for note in run.done)
-    found = next((note for note in messages if note.code == "start-pose-found"), None)
-    if found is None:
+    reason = next((note for note in messages if note.code == "start-pose-found"), None)
+    if reason is None:
         return draft, ()
-    with contextlib.suppress(PupperAnalysisError):  # where it does not, no verdict will have it
+    with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(draft.robot, explain=False)
         draft = replace(
-            draft, built=with_additions(draft.robot, make_start_keyframe(draft.robot, stand, found))
+            draft,
+            built=with_additions(draft.robot, make_start_keyframe(draft.robot, stand, reason)),
         )
     return draft, ()
 
 
-@_pass(Term("builds the robot with all that is seen of it"), _any)
+@_register_pass(Term("builds the robot with all that is seen of it"), _applies_always)
 def _build_whole(draft: Draft) -> PassOutput:
+    """Build the robot again with visual geoms if they were dropped."""
     robot = draft.robot
     spec = robot.description.mjcf.copy()
     if not copy_visual_option(spec, draft.mjcf.spec):
@@ -505,49 +555,58 @@ def _build_whole(draft: Draft) -> PassOutput:
     return replace(draft, built=copy_metadata(built, robot)), ()
 
 
-@_pass(Term("fixes the base where it does not stand"), _stands_on_no_feet, after_refusal=True)
+@_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
 def _hold_base(draft: Draft) -> PassOutput:
+    """Prepare the robot again with its base fixed, because it does not stand.
+
+    Raises:
+        ModelError: Error of the preparation with a free base, if there is one; otherwise that
+            with a fixed base.
+    """
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
     why = diagnose("stands-on-no-feet") if refused is None else refused.cause
     try:
-        held = _passed(Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec))
+        fixed = _run_passes(Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec))
     except ModelError:
         if refused is None:
             raise
         raise refused from None
     if refused is None:
-        why = (*report_sideways_limbs(held.robot), why)[0]
-    return held, (diagnose("base-kept-in-the-world", why=why),)
+        why = (*report_sideways_limbs(fixed.robot), why)[0]
+    return fixed, (diagnose("base-kept-in-the-world", why=why),)
 
 
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
-    """Returns what a robot stands on of which a URDF is all that is known."""
+    """Return the additions of a robot that has only a URDF: a floor, and stiff friction."""
     held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 
-PREPARATION_PASSES = tuple(_PASSES)
-"""In the order in which they are run: that of their functions above."""
+PREPARATION_PASSES = tuple(_registered_passes)
+"""All passes, in the order of application, which is that of the functions above."""
 
 
-def _passed(draft: Draft) -> Draft:
-    """Runs the passes on a draft.
+def _run_passes(draft: Draft) -> Draft:
+    """Apply all passes to a draft.
+
+    If a pass raises a `ModelError` and the base may be fixed, the remaining passes are skipped
+    except those with `Pass.after_refusal`.
 
     Raises:
-        ModelError: If no robot can be made of it.
-        UnknownNameError: If a foot, joint or keyframe is not there.
+        ModelError: If no robot can be made.
+        UnknownNameError: If a foot, joint or keyframe does not exist.
     """
-    for each in PREPARATION_PASSES:
-        if each.applies(draft):
+    for step in PREPARATION_PASSES:
+        if step.applies(draft):
             try:
-                draft, done = each.apply(draft)
+                draft, done = step.apply(draft)
             except ModelError as error:
                 error = explain_refused_body(error, draft.urdf, draft.mjcf)
                 if draft.refused or not draft.may_fix_base:
                     raise error from error.__cause__
                 draft = replace(draft, refused=error)
             else:
-                run = PassRun(each.name, each.does, tuple(done))
+                run = PassRun(step.name, step.does, tuple(done))
                 draft = replace(draft, runs=(*draft.runs, run))
     return draft
 
@@ -566,9 +625,9 @@ def make_robot(
     keyframe: str | None = None,
     as_is: bool = False,
 ) -> Robot:
-    """Makes a robot of two files that have been read, made ready in memory.
+    """Prepare a robot from two files as read, in memory.
 
-    What its arguments mean says ``load_robot``, which reads the files.
+    The options are those of `load_robot`, which reads the files.
     """
     frames = None if feet is None else parse_feet(feet)
     request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is)
@@ -579,27 +638,30 @@ def make_robot(
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Makes two files a robot, whose notes are what the passes did.
+    """Prepare a robot from two files as read.
 
     Returns:
-        The robot, and each pass that was run.
+        Robot, whose notes include those of the passes, and the passes that were run.
 
     Raises:
-        ModelError: If no robot can be made of them.
-        UnknownNameError: If a foot, joint or keyframe is not there.
+        ModelError: If no robot can be made of the files.
+        UnknownNameError: If a foot, joint or keyframe does not exist.
     """
     check_simulable(mjcf)
-    draft = _passed(Draft(urdf, mjcf, request, mjcf.spec))
+    draft = _run_passes(Draft(urdf, mjcf, request, mjcf.spec))
     messages = (note for run in draft.runs for note in run.done)
     robot = draft.robot
     return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
 
 
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:
-    """Returns {foot: its frames in URDF and MJCF}.
+    """Return {foot: (frame in the URDF, frame in the MJCF)} of named feet.
+
+    A single frame name is used for both files.
 
     Raises:
-        ConfigurationError: If a frame is neither a name nor a pair of names, or named twice.
+        ConfigurationError: If a frame is neither a name nor a pair of names, or a foot is named
+            twice.
     """
     named = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
     if len(named) < len(feet):

@@ -1,7 +1,9 @@
-"""The MJCF as it was published, put where the prepared robot stands, and held by its own drives.
+"""Compile, place and hold the published model of a robot.
 
-Nothing in it is edited; it is given a floor if it has none, and where it has torque motors (or
-nothing) at a joint, the law of the servos that were made up there, through its own motors.
+The published model is the robot's MJCF, or MuJoCo's own import of its URDF, without the feet and
+start pose of the preparation. The published model is placed at a configuration of the prepared
+robot, and held there by its own actuators. At joints with a torque motor, or without actuator, an
+external law acts like the position servo that loading added to the prepared robot.
 """
 
 from __future__ import annotations
@@ -47,28 +49,35 @@ from pupper_analysis.simulation.rollout import settled_activations
 
 Array = NDArray[np.float64]
 
-_PLACED = 1e-10  # m, rad: to which the base is placed; its joints are few, and Newton's steps exact
+_BASE_POSE_ATOL = 1e-10
+"""Tolerance [m, rad] of the base pose in `place_at_state`. Chosen, not tuned."""
 
-_STEPS = 20  # of Newton's, of which a free joint takes two
+_MAX_NEWTON_STEPS = 20
+"""Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen."""
 
-_COMMAND = 1e-6  # to a motor, within any limit of it
+_TRIAL_COMMAND = 1e-6
+"""Command of an actuator in the finite difference of `_measure_command_law`. Chosen: small enough
+for any ctrlrange that contains zero."""
 
-_LEAST_STIFFNESS = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
+_MIN_COMMAND_GAIN = 1e-9
+"""Lower bound of the joint torque per unit of ctrl [N m or N]. Below, the command has no effect,
+and the joint is held by an external torque. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
-"""A servo's filter that is slower is where the file has it at first (s): no command of a stand
-brings it there, as ``timeconst="1e5"``; a faster one is where its command has brought it."""
+"""Time constant of an actuator filter [s] up to which the filter state starts at its settled value.
+The state of a slower filter keeps its initial value in the file, because a command does not
+settle it within a simulated stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedModel:
-    """The MJCF as it was published.
+    """Compiled model of the published file, with the body and joints of the prepared robot.
 
     Attributes:
-        model: What MuJoCo compiles it to.
-        ground_height: The height of its level ground (m); None if it has another.
-        base_body: Its body that is the robot's base.
-        drives: (nu,) what moves each of the robot's joints in it.
+        model: Compiled model.
+        ground_height: Height of the first level plane of the world [m]; None if there is none.
+        base_body: Id of the robot's base body; 0 (the world) if the model has no body of that name.
+        drives: Actuator type of each joint of the robot, in actuator order, (nu,).
     """
 
     model: mujoco.MjModel
@@ -78,40 +87,43 @@ class PublishedModel:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
-        """Finds a robot's base and joints in a model that has them."""
+        """Find the base and the joints of a robot in a compiled model."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
         )
         base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
-        return cls(model, _ground(model), max(base, 0), drives)  # one that is held may be the world
+        return cls(
+            model, _find_ground_height(model), max(base, 0), drives
+        )  # one that is held may be the world
 
     @property
     def floating(self) -> bool:
-        """Whether joints leave its base free to move."""
+        """True if the base body has six or more degrees of freedom of its own."""
         return int(self.model.body_dofnum[self.base_body]) >= 6
 
 
-_STEPPING = ("timestep", "integrator")
-"""Attributes of an MJCF's ``<option>`` that servos of our choice need."""
+_STEPPING_ATTRIBUTES = ("timestep", "integrator")
+"""Attributes of an MJCF's ``<option>`` on which the added servos depend."""
 
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
-"""Drives that are not meant to hold a position. A position servo whose stiffness is zero or
-negative is meant to, and its file fails because of it (``Drive.bad``)."""
+"""Actuator types that are not meant to hold a position. A position servo whose stiffness is zero or
+negative is meant to, so its file fails because of that servo (``Drive.bad``)."""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
     """Return True if most joints have a torque motor, a velocity servo or no actuator."""
-    others = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
-    return 2 * others > len(published.drives)
+    count = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
+    return 2 * count > len(published.drives)
 
 
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
-    """Return a published model with the time step and integrator chosen for the added servos.
+    """Return a published model with the time step and integrator of the prepared robot.
 
-    Servos of our choice need a time step and an integrator. If the file has few servos, and states
-    neither, MuJoCo's defaults (2 ms, Euler) are nobody's choice. Each attribute that the file
-    states is kept, as are all options of a file with servos of its own.
+    Without time step and integrator in the file, MuJoCo's defaults (2 ms, Euler) are nobody's
+    choice, and may be too coarse for the added servos. The model is returned unchanged if the robot
+    has no MJCF, no added servos, or if at most half of the joints lack a position servo. An
+    attribute that the file specifies is kept.
 
     Args:
         published: Published model.
@@ -122,7 +134,7 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
         return published
     stated = {name for attributes, _ in file.elements("option") for name in attributes}
     model = copy.copy(published.model)
-    for name in _STEPPING:
+    for name in _STEPPING_ATTRIBUTES:
         if name not in stated:
             setattr(model.opt, name, getattr(robot.mj_model.opt, name))
     return replace(published, model=model)
@@ -164,37 +176,54 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
+    """Return the compiled model of an MJCF, without the changes of the preparation.
 
-    It has names, and a floor if it is to stand, if it has none: nothing else is put into it. What
-    is only seen stays: the geoms of a body have the order that they have in the robot's. A base
-    that is held, and free in the file, is held in it, too.
+    Bodies and joints without a name are named if the model is compiled again, with these changes: a
+    floor, if the robot has a free base and the world has neither a level plane nor a collidable
+    geom; and a fixed base, if the base of the robot is fixed and that of the file is free. Visual
+    geoms are kept, so that the geoms of a body have the same order as in the robot's model.
+
+    Args:
+        mjcf: MJCF as read.
+        robot: Prepared robot.
+
+    Returns:
+        Model; None if it lacks the base body or a joint of the robot.
     """
     model = mjcf.model
-    grounded = not robot.floating or _ground(model) is not None or len(_fixed_geoms(model)) > 0
-    free = None if robot.floating or not _has(model, robot) else _free_joint(model, robot.mj_base)
-    if grounded and free is None and _has(model, robot):
+    has_ground = (
+        not robot.floating
+        or _find_ground_height(model) is not None
+        or len(_list_ground_geoms(model)) > 0
+    )
+    free = (
+        None
+        if robot.floating or not _contains_robot(model, robot)
+        else _find_free_joint(model, robot.mj_base)
+    )
+    if has_ground and free is None and _contains_robot(model, robot):
         return mjcf.model
     spec = mjcf.spec.copy()
     name_elements(spec, set())
-    if not grounded:
+    if not has_ground:
         SpecTree(spec).add_floor()
     if free is not None:
         _hold_base(spec, robot.mj_base, model, free)
     model = compile_spec(spec, mjcf.path)
-    return model if _has(model, robot) else None
+    return model if _contains_robot(model, robot) else None
 
 
-def compile_urdf_import(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
-    """Returns the model of a URDF as MuJoCo itself imports it, with what no URDF can state.
+def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:
+    """Return the model of a URDF as MuJoCo's own importer compiles it, with a ground and servos.
 
-    That is a free base, and what the robot was given: a floor, how MuJoCo steps, and contacts and
-    couplings hold, which bodies overlap and do not touch, and servos. Its shapes are the file's.
+    Added are a free base (if the robot has one) and these additions of the prepared robot: floor,
+    solver options, contact exclusions, servos, stiffer couplings. The collision shapes are those of
+    the file.
 
     Raises:
-        ModelError: If MuJoCo refuses it.
+        ModelError: If MuJoCo refuses the URDF.
     """
-    spec = own.spec()
+    spec = urdf_import.spec()
     base = spec.body(robot.mj_base)
     while robot.floating and not list(base.joints):
         if base.parent.name == spec.worldbody.name:
@@ -202,18 +231,18 @@ def compile_urdf_import(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
         else:
             base = base.parent
     kinds = Floor | Options | Servo | ContactExclusion
-    given = (one for one in robot.description.added if isinstance(one, kinds))
-    apply_additions(given, SpecTree(spec))
+    additions = (addition for addition in robot.description.added if isinstance(addition, kinds))
+    apply_additions(additions, SpecTree(spec))
     SpecTree(spec).stiffen_couplings()
     try:
         return compile_with_shells(spec.copy)[0]
     except (ValueError, RuntimeError) as error:
         problem = diagnose("urdf-not-imported", message=one_line(error))
-        raise ModelError(own.path, problem) from error
+        raise ModelError(urdf_import.path, problem) from error
 
 
-def _free_joint(model: mujoco.MjModel, base: str) -> int | None:
-    """Returns the free joint that carries a body; None if none does."""
+def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
+    """Return the id of the free joint at the root of a body; None if there is no free joint."""
     body = model.body(base).id
     joint = int(model.body_jntadr[model.body_rootid[body]])
     kind = None if joint < 0 else int(model.jnt_type[joint])
@@ -221,36 +250,39 @@ def _free_joint(model: mujoco.MjModel, base: str) -> int | None:
 
 
 def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
-    """Removes a base's free joint and its numbers in keyframes, in place; the ground lets go."""
+    """Remove the free joint of a base and its values in keyframes, in place; disable the ground."""
     qpos = np.arange(7) + model.jnt_qposadr[free]
     qvel = np.arange(6) + model.jnt_dofadr[free]
     body = spec.body(base)
-    while not (joints := [one for one in body.joints if one.type == mujoco.mjtJoint.mjJNT_FREE]):
+    while not (
+        joints := [joint for joint in body.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    ):
         body = body.parent
     spec.delete(joints[0])
     for key in spec.keys:
-        for name, own in (("qpos", qpos), ("qvel", qvel)):
-            numbers = np.asarray(getattr(key, name))
-            if numbers.size:
-                setattr(key, name, np.delete(numbers, own[own < numbers.size]))
+        for name, entries in (("qpos", qpos), ("qvel", qvel)):
+            values = np.asarray(getattr(key, name))
+            if values.size:
+                setattr(key, name, np.delete(values, entries[entries < values.size]))
     disable_ground(spec)
 
 
-def _has(model: mujoco.MjModel, robot: Robot) -> bool:
+def _contains_robot(model: mujoco.MjModel, robot: Robot) -> bool:
+    """Return True if a model has the base body and all joints of a robot."""
     names = {model.joint(joint).name for joint in range(model.njnt)}
     base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
     return base >= 0 and set(robot.joint_names) <= names
 
 
-def _fixed_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Returns the geoms that stand in the world and may be touched."""
-    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    still = model.body_weldid[model.geom_bodyid] == 0
-    return np.flatnonzero(touch & still & (model.body_mocapid[model.geom_bodyid] < 0))
+def _list_ground_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the ids of the collidable geoms that are fixed in the world, without mocap bodies."""
+    collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    return np.flatnonzero(collidable & fixed & (model.body_mocapid[model.geom_bodyid] < 0))
 
 
-def _ground(model: mujoco.MjModel) -> float | None:
-    """Returns the height of the level plane in the world (m)."""
+def _find_ground_height(model: mujoco.MjModel) -> float | None:
+    """Return the height of the first level plane in the world [m]; None if there is none."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     plane = mujoco.mjtGeom.mjGEOM_PLANE.value
@@ -262,78 +294,101 @@ def _ground(model: mujoco.MjModel) -> float | None:
 
 
 def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData | None:
-    """Returns the published model's data in a configuration of the robot; None if it cannot be.
+    """Return the data of a published model in a configuration of the robot.
 
     Args:
-        published: The published model.
-        robot: The robot.
-        qpos: (nq,) its configuration, above ground at z = 0.
+        published: Published model.
+        robot: Prepared robot.
+        qpos: Configuration, shape (nq,), above a ground at z = 0.
+
+    Returns:
+        Data; None if the base cannot be placed there, for example a fixed base.
     """
-    there = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(there, qpos)
-    return place_at_state(published, robot, there)
+    state = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(state, qpos)
+    return place_at_state(published, robot, state)
 
 
 def place_at_state(
-    published: PublishedModel, robot: Robot, there: mujoco.MjData
+    published: PublishedModel, robot: Robot, state: mujoco.MjData
 ) -> mujoco.MjData | None:
-    """Returns the published model's data with everything where the robot's model has it."""
-    mujoco.mj_kinematics(robot.mj_model, there)
-    model, same = published.model, robot.mj_model.body(robot.mj_base)
-    base = int(same.jntadr[0]) if same.jntnum[0] == 1 else -1
+    """Return the data of a published model in a state of the robot's own MuJoCo model.
+
+    Joints are matched by name and type; a joint that the robot's model lacks is at zero. The base
+    is placed such that the body of the first joint has the pose of the robot's model, raised by
+    `ground_height`.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        state: Data of ``robot.mj_model``; its kinematics are evaluated here.
+
+    Returns:
+        Data; None if the base cannot be placed there, for example a fixed base.
+    """
+    mujoco.mj_kinematics(robot.mj_model, state)
+    model, body = published.model, robot.mj_model.body(robot.mj_base)
+    base_joint = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
     data = mujoco.MjData(model)
     for joint in range(model.njnt):
         if int(model.jnt_bodyid[joint]) == published.base_body or model.jnt_type[joint] < 2:
-            if base >= 0 and model.jnt_type[joint] == robot.mj_model.jnt_type[base] == 0:
-                place, other = model.jnt_qposadr[joint], robot.mj_model.jnt_qposadr[base]
-                data.qpos[place : place + 7] = there.qpos[other : other + 7]  # mostly it is there
+            robot_type = robot.mj_model.jnt_type[base_joint]
+            if base_joint >= 0 and model.jnt_type[joint] == robot_type == 0:
+                address = model.jnt_qposadr[joint]
+                robot_address = robot.mj_model.jnt_qposadr[base_joint]
+                pose = state.qpos[robot_address : robot_address + 7]
+                data.qpos[address : address + 7] = pose  # good initial guess of the base pose
             continue
-        name, place = model.joint(joint).name, int(model.jnt_qposadr[joint])
-        same = mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        known = same >= 0 and robot.mj_model.jnt_type[same] == model.jnt_type[joint]
-        data.qpos[place] = there.qpos[robot.mj_model.jnt_qposadr[same]] if known else 0.0
-    return data if _base_placed(published, robot, there, data) else None
+        name, address = model.joint(joint).name, int(model.jnt_qposadr[joint])
+        robot_joint = mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        matches = robot_joint >= 0 and robot.mj_model.jnt_type[robot_joint] == model.jnt_type[joint]
+        robot_address = robot.mj_model.jnt_qposadr[robot_joint]
+        data.qpos[address] = state.qpos[robot_address] if matches else 0.0
+    return data if _place_base(published, robot, state, data) else None
 
 
 def place_fixed_base(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData:
-    """Returns the data of a published model whose base is held, at joint positions (nu,)."""
+    """Return the data of a published model with a fixed base, at joint positions of shape (nu,)."""
     data = mujoco.MjData(published.model)
     for name, angle in zip(robot.joint_names, qpos.tolist(), strict=True):
         data.qpos[published.model.jnt_qposadr[published.model.joint(name).id]] = angle
     return data
 
 
-def _base_placed(
-    published: PublishedModel, robot: Robot, there: mujoco.MjData, data: mujoco.MjData
+def _place_base(
+    published: PublishedModel, robot: Robot, state: mujoco.MjData, data: mujoco.MjData
 ) -> bool:
-    """Puts the base where the first joint's body is as it is in the robot's model, in place.
+    """Move the base until the body of the first joint has the same pose as in the robot's model.
 
-    The base's own frame may be elsewhere on it. By Newton's method on the base's joints, as they
-    may be three slides and three hinges as well as a free joint.
+    The frame of the base may differ between both models. Newton's method on the joints of the base
+    is used, because the base may move by three slides and three hinges instead of a free joint.
+
+    Returns:
+        True if position and orientation errors are below `_BASE_POSE_ATOL`.
     """
     model, name = published.model, robot.joint_names[0]
-    anchor = int(model.jnt_bodyid[model.joint(name).id])
+    body = int(model.jnt_bodyid[model.joint(name).id])
     goal = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(name).id])
     first, count = (
         int(model.body_dofadr[published.base_body]),
         int(model.body_dofnum[published.base_body]),
     )
-    moved, turned, step = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros(model.nv)
-    turn, back, whole = np.zeros(4), np.zeros(4), np.zeros(3)
-    target = there.xpos[goal] + (0.0, 0.0, published.ground_height or 0.0)
-    for _ in range(_STEPS):
+    jac_pos, jac_rot, step = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros(model.nv)
+    rotation, inverse, rotation_error = np.zeros(4), np.zeros(4), np.zeros(3)
+    target = state.xpos[goal] + (0.0, 0.0, published.ground_height or 0.0)
+    for _ in range(_MAX_NEWTON_STEPS):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mju_negQuat(back, data.xquat[anchor])
-        mujoco.mju_mulQuat(turn, there.xquat[goal], back)
-        mujoco.mju_quat2Vel(whole, turn, 1.0)
-        error = np.concatenate([target - data.xpos[anchor], whole])
-        if np.abs(error).max() < _PLACED:
+        mujoco.mju_negQuat(inverse, data.xquat[body])
+        mujoco.mju_mulQuat(rotation, state.xquat[goal], inverse)
+        mujoco.mju_quat2Vel(rotation_error, rotation, 1.0)
+        error = np.concatenate([target - data.xpos[body], rotation_error])
+        if np.abs(error).max() < _BASE_POSE_ATOL:
             return True
         if not count:
             return False
-        mujoco.mj_jacBody(model, data, moved, turned, anchor)
-        directions = np.vstack([moved, turned])[:, first : first + count]
+        mujoco.mj_jacBody(model, data, jac_pos, jac_rot, body)
+        directions = np.vstack([jac_pos, jac_rot])[:, first : first + count]
         step[first : first + count] = np.linalg.lstsq(directions, error, rcond=None)[0]
         mujoco.mj_integratePos(model, data.qpos, step, 1.0)
     return False
@@ -341,14 +396,16 @@ def _base_placed(
 
 @dataclass(frozen=True, eq=False)
 class HoldCommands:
-    """What the drives of a published model are given, so that they hold a configuration.
+    """Commands with which a published model holds a configuration.
 
     Attributes:
-        ctrl: (model.nu,) of its own servos; zero for the others.
-        act: (model.na,) the state of their filters.
-        external: (dofs, kp, kd, targets, torques) of the joints that a law from outside holds.
-        motor_laws: {dof: (control, lever, offset)} of those of them with an actuator whose force at
-            the joint is lever x ctrl + offset at rest (N m).
+        ctrl: Controls of the model's own position servos, shape (model.nu,); zero for other
+            actuators at joints of the robot.
+        act: States of the actuator filters, shape (model.na,).
+        external: External position servos of joints without one: dof addresses, kp [N m/rad], kd [N
+            m s/rad], target positions [rad], feed-forward torques [N m], each of shape (n,).
+        motor_laws: {dof: (index of the control, lever, offset)} of those joints with an external
+            servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
 
     ctrl: Array
@@ -364,158 +421,180 @@ def compute_hold_commands(
     torques: Array | None,
     targets: Array,
 ) -> HoldCommands:
-    """Works out what holds joints at targets (nu,) with torques (nu,) ahead, or none.
+    """Compute the commands with which the joints hold target positions.
 
     Args:
-        published: The published model.
-        robot: The robot, with the servos that were made up.
-        data: The model's data, which are not changed.
-        torques: (nu,) N m; None: positions alone are commanded.
-        targets: (nu,) rad.
+        published: Published model.
+        robot: Prepared robot, with the gains of the added servos.
+        data: State of the published model; it is not changed.
+        torques: Feed-forward torques, shape (nu,) [N m]; None for position commands alone.
+        targets: Target positions, shape (nu,) [rad].
     """
     model = published.model
     at_joints = np.setdiff1d(np.arange(model.nactuator), list_uncommanded_actuators(model))
     ctrl = make_neutral_commands(model, data.qpos, at_joints)
-    made = {servo.joint: servo for servo in robot.description.made_servos}
+    added = {servo.joint: servo for servo in robot.description.made_servos}
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}
     for index, name in enumerate(robot.joint_names):
         joint, drive = model.joint(name).id, published.drives[index]
         torque = 0.0 if torques is None else float(torques[index])
-        goal = float(targets[index])
-        if drive in _COMMANDED or _is_unequal(model, list_joint_actuators(model, joint), drive):
-            _command(model, list_joint_actuators(model, joint), ctrl, goal, torque)
-        elif name in made:
+        target = float(targets[index])
+        if drive in _POSITION_DRIVES or _has_unequal_gain(
+            model, list_joint_actuators(model, joint), drive
+        ):
+            _set_position_commands(model, list_joint_actuators(model, joint), ctrl, target, torque)
+        elif name in added:
             dof = int(model.jnt_dofadr[joint])
-            rows.append((dof, made[name].kp, made[name].kd, goal, torque))
-            lever = _lever(model, data, dof, list_joint_actuators(model, joint))
-            if lever is not None:
-                motors[dof] = lever
-    dofs, kp, kd, goals, ahead = np.array(rows, dtype=float).reshape(-1, 5).T
-    outside = (dofs.astype(np.intp), kp, kd, goals, ahead)
+            rows.append((dof, added[name].kp, added[name].kd, target, torque))
+            law = _measure_command_law(model, data, dof, list_joint_actuators(model, joint))
+            if law is not None:
+                motors[dof] = law
+    dofs, kp, kd, target_positions, feedforward = np.array(rows, dtype=float).reshape(-1, 5).T
+    outside = (dofs.astype(np.intp), kp, kd, target_positions, feedforward)
     return HoldCommands(
         ctrl, settled_activations(model, ctrl, MAX_SETTLED_TIME_CONSTANT), outside, motors
     )
 
 
-_COMMANDED = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
-"""Drives that are told a position."""
+_POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
+"""Actuator types that receive a position command."""
 
 
-def _is_unequal(model: mujoco.MjModel, motors: list[int], drive: Drive) -> bool:
-    """Tells whether a joint's one actuator is a servo but for a gain that is not its stiffness."""
-    if not drive.has_other_law or len(motors) != 1:
+def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
+    """Return True if the only actuator of a joint is a servo with another gain than stiffness."""
+    if not drive.has_other_law or len(actuators) != 1:
         return False
-    fixed = model.actuator_gaintype[motors[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
-    law = read_actuator_law(model, motors[0])
+    fixed = model.actuator_gaintype[actuators[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
+    law = read_actuator_law(model, actuators[0])
     return bool(fixed and law.gain > 0 and law.stiffness > 0)
 
 
-def _command(
-    model: mujoco.MjModel, motors: list[int], ctrl: Array, goal: float, torque: float
+def _set_position_commands(
+    model: mujoco.MjModel, actuators: list[int], ctrl: Array, target: float, torque: float
 ) -> None:
-    """Tells the servos at a joint to hold it, each its part of the torque by its stiffness.
+    """Set the controls of the servos at a joint; the servos share the torque by stiffness.
 
-    As whoever takes them for position servos does: ctrl = q* + tau / kp. A bias beside, or a gain
-    that is not the stiffness, is not made up for: it is what the file does.
+    The command is that of an ideal position servo: ctrl = gear * q* + tau / (gear * stiffness). A
+    bias of the file, or a gain that differs from the stiffness, is not compensated: its effect is
+    part of the published model.
     """
-    laws = {motor: read_actuator_law(model, motor) for motor in motors}
-    whole = sum(law.at_joint[0] for law in laws.values())
-    for motor, law in laws.items():
+    laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
+    stiffness_sum = sum(law.at_joint[0] for law in laws.values())
+    for actuator, law in laws.items():
         if law.gain == 0 or law.at_joint[0] == 0:
             continue
-        share = torque * law.at_joint[0] / whole if whole else 0.0
-        ahead = law.gear * goal + share / (law.gear * law.stiffness)
-        ctrl[int(model.actuator_ctrladr[motor])] = ahead
+        torque_share = torque * law.at_joint[0] / stiffness_sum if stiffness_sum else 0.0
+        command = law.gear * target + torque_share / (law.gear * law.stiffness)
+        ctrl[int(model.actuator_ctrladr[actuator])] = command
 
 
 FORCE_WINDOW = 1.0
-"""Of a simulation (s), in which it is looked at what drives give."""
+"""Duration at the end of a simulation [s] in which the extreme actuator torques are recorded.
+Chosen, not tuned."""
 
 
-_STEPS = 25
-"""Steps after which it is looked at whether MuJoCo began anew."""
+_STEPS_PER_CHECK = 25
+"""Simulation steps between two tests of whether MuJoCo has reset the state. Chosen, not tuned."""
 
 
 def simulate_published(
     published: PublishedModel, data: mujoco.MjData, hold: HoldCommands, seconds: float
 ) -> tuple[Array, Array]:
-    """Simulates the published model from its data on, in place, until MuJoCo loses it.
+    """Simulate a published model, in place, until the time is over or MuJoCo resets the state.
+
+    Args:
+        published: Published model.
+        data: Initial state; it becomes the final state.
+        hold: Commands.
+        seconds: Duration [s].
 
     Returns:
-        (model.nv,) each: the least and the most that its drives gave in the ``FORCE_WINDOW``
-        second (N m).
+        Minimum and maximum torque of the actuators and external servos in the last `FORCE_WINDOW`,
+        and at a reset, each of shape (model.nv,) [N m]. Gravity compensation that MuJoCo adds to
+        actuator forces (``actuatorgravcomp``) is subtracted.
     """
     model = published.model
-    dofs, kp, kd, goals, ahead = hold.external
-    steps = max(1, round(seconds / float(model.opt.timestep)))
-    last = max(1, min(steps, round(FORCE_WINDOW / float(model.opt.timestep))))
+    dofs, kp, kd, targets, feedforward = hold.external
+    num_steps = max(1, round(seconds / float(model.opt.timestep)))
+    num_recorded = max(1, min(num_steps, round(FORCE_WINDOW / float(model.opt.timestep))))
     low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
     outside = np.zeros(model.nv)
-    places = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
-    # What motors give against gravity beside their commands is not what they are asked for.
-    relief = model.jnt_actgravcomp[model.dof_jntid] != 0
+    addresses = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
+    # Gravity compensation of actuators is no effect of their commands.
+    has_gravcomp = model.jnt_actgravcomp[model.dof_jntid] != 0
     damping = model.dof_damping[dofs].copy()
-    model.dof_damping[dofs] += kd  # taken implicitly, as the servos' own is
+    model.dof_damping[dofs] += kd  # integrated implicitly, like the damping of MuJoCo's servos
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     with silence_mujoco():
-        at_once = 0 if len(dofs) else steps - last  # with nothing to be done between steps
-        for begin in range(0, at_once, _STEPS):
+        num_unrecorded = 0 if len(dofs) else num_steps - num_recorded  # no control between steps
+        for begin in range(0, num_unrecorded, _STEPS_PER_CHECK):
             if not was_reset_by_mujoco(data):
-                mujoco.mj_step(model, data, nstep=min(_STEPS, at_once - begin))
-        for step in range(at_once, steps):
+                mujoco.mj_step(model, data, nstep=min(_STEPS_PER_CHECK, num_unrecorded - begin))
+        for step in range(num_unrecorded, num_steps):
             if len(dofs):
-                torque = ahead + kp * (goals - data.qpos[places])
+                torque = feedforward + kp * (targets - data.qpos[addresses])
                 outside[:] = 0.0
-                for dof, wanted in zip(dofs.tolist(), torque.tolist(), strict=True):
+                for dof, joint_torque in zip(dofs.tolist(), torque.tolist(), strict=True):
                     if dof in hold.motor_laws:
                         control, lever, offset = hold.motor_laws[dof]
-                        data.ctrl[control] = (wanted - offset) / lever
+                        data.ctrl[control] = (joint_torque - offset) / lever
                     else:
-                        outside[dof] = wanted
+                        outside[dof] = joint_torque
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
-            lost = was_reset_by_mujoco(data)
-            if lost or step >= steps - last:
-                given = data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
-                np.minimum(low, given, out=low)
-                np.maximum(high, given, out=high)
-            if lost:  # each further step may take as long as a second of others
+            was_reset = was_reset_by_mujoco(data)
+            if was_reset or step >= num_steps - num_recorded:
+                applied = data.qfrc_actuator + outside - has_gravcomp * data.qfrc_gravcomp
+                np.minimum(low, applied, out=low)
+                np.maximum(high, applied, out=high)
+            if was_reset:  # a further step may take as long as a second of simulation
                 break
     model.dof_damping[dofs] = damping
     return low, high
 
 
-def _lever(
-    model: mujoco.MjModel, data: mujoco.MjData, dof: int, drives: list[int]
+def _measure_command_law(
+    model: mujoco.MjModel, data: mujoco.MjData, dof: int, actuators: list[int]
 ) -> tuple[int, float, float] | None:
-    """Returns what an actuator at a joint makes of its command; None if it makes nothing of it."""
-    if not drives:
+    """Measure lever and offset of the joint torque of the first actuator, at zero velocity.
+
+    Returns:
+        Index of the control, lever [N m per unit of ctrl], offset [N m]. None without actuators, or
+        if the torque does not depend on the command.
+    """
+    if not actuators:
         return None
-    control, trial, forces = int(model.actuator_ctrladr[drives[0]]), mujoco.MjData(model), []
-    for command in (0.0, _COMMAND):
-        trial.qpos[:], trial.ctrl[control] = data.qpos, command
+    index, trial, forces = int(model.actuator_ctrladr[actuators[0]]), mujoco.MjData(model), []
+    for command in (0.0, _TRIAL_COMMAND):
+        trial.qpos[:], trial.ctrl[index] = data.qpos, command
         mujoco.mj_forward(model, trial)
         forces.append(float(trial.qfrc_actuator[dof]))
-    lever = (forces[1] - forces[0]) / _COMMAND
-    return (control, lever, forces[0]) if abs(lever) > _LEAST_STIFFNESS else None
+    lever = (forces[1] - forces[0]) / _TRIAL_COMMAND
+    return (index, lever, forces[0]) if abs(lever) > _MIN_COMMAND_GAIN else None
 
 
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
-    """Returns the joints whose actuator has a controller of its own, as MuJoCo's ``pid``.
+    """Return the joints whose actuator has a controller of its own, such as MuJoCo's ``pid``.
 
-    It has several commands, or a state: no law from outside makes it hold a pose.
+    Such an actuator has several controls or a state. No external law makes it hold a position.
     """
-    model, found = published.model, []
+    model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):
-        motors = list_joint_actuators(model, model.joint(name).id) if drive.has_other_law else []
-        if any(model.actuator_ctrlnum[m] > 1 or model.actuator_actnum[m] for m in motors):
-            found.append(name)
-    return tuple(found)
+        actuators = list_joint_actuators(model, model.joint(name).id) if drive.has_other_law else []
+        if any(
+            model.actuator_ctrlnum[actuator] > 1 or model.actuator_actnum[actuator]
+            for actuator in actuators
+        ):
+            names.append(name)
+    return tuple(names)
 
 
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
-    """Returns the published model's joints that the robot holds at zero."""
+    """Return the ids of hinges and slides of a published model that the robot's model lacks.
+
+    The preparation holds these joints at zero. Joints of the base body are excluded.
+    """
     model = published.model
     return [
         joint
@@ -527,5 +606,5 @@ def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
 
 
 def list_uncommanded_actuators(model: mujoco.MjModel) -> list[int]:
-    """Returns the actuators that drive no hinge or slide of their own."""
-    return [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
+    """Return the ids of the actuators that do not act on a single hinge or slide."""
+    return [actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)]

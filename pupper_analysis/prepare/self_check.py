@@ -1,7 +1,9 @@
-"""What a robot's file does as it was published, against what is computed of it.
+"""Compare the published file with the prediction, from the computed stand, and name causes.
 
-From the stand that was computed, held there. Made when a verdict is first asked for, as is what
-the file does by itself (``own_run``).
+The published model is placed in the predicted state of rest and simulated with the predicted
+commands. Results are computed when a verdict is first requested, like the run from the keyframe
+(``own_run``). A cause of a difference is an element of the file that is tested by changes of
+copies of the model.
 """
 
 from __future__ import annotations
@@ -68,20 +70,23 @@ from pupper_analysis.statics.equilibrium import gravity_compensation
 Array = NDArray[np.float64]
 
 SETTLING_TIME = 1.0
-"""Of the run from the computed stand before it is nudged (s): servos of some hertz have come to
-rest, and what slides has slid."""
+"""Simulated time before the nudge [s]. Servos with natural frequencies of some hertz are then at
+rest."""
 
 NUDGED_TIME = 4.0
-"""Of it after the nudge (s), which is forgotten by then or never."""
+"""Simulated time after the nudge [s]. A nudge that has not decayed by then does not decay
+(chosen)."""
 
 TORQUE_RTOL = 0.01
-"""Share of the largest torque within which the file does as predicted: a verified stand's."""
+"""Largest torque deviation, relative to the scale of the torques, with which the file agrees
+with the prediction. Same limit as for a verified stand."""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""By which feet may sink otherwise in what is mended (m)."""
+"""Height error [m] that remains permitted if a change of the file restores the torques. Chosen,
+not tuned."""
 
 HEIGHT_RTOL = 1e-3
-"""Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
+"""Largest height error of the CoM, relative to its height (v3: 0.13 mm). Chosen, not tuned."""
 
 
 def compare_as_published(
@@ -163,43 +168,52 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Returns causes with the lines where they stand in a robot's MJCF, if it has one."""
+    """Return causes with their line numbers in the MJCF of a robot; unchanged without an MJCF."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
 
 def compare_with_file(
-    published: PublishedModel, robot: Robot, wanted: Sequence[PredictedRest]
+    published: PublishedModel, robot: Robot, predictions: Sequence[PredictedRest]
 ) -> Published:
-    """Simulates the MJCF as it was published from where it is predicted to rest."""
+    """Simulate the published model from the predicted states of rest, and name causes.
+
+    Without simulation, a joint with its own controller, and a missing level ground, are causes.
+    """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
     if published.floating and published.ground_height is None:
         return Published((), (Cause("ground", ()),), differs=True)
-    found = [(one, simulate_prediction(published, robot, one)) for one in wanted]
-    runs = tuple(run for _, run in found if run is not None)
-    off = [(one, run) for one, run in found if run is not None and run.differs]
+    results = [
+        (prediction, simulate_prediction(published, robot, prediction))
+        for prediction in predictions
+    ]
+    runs = tuple(run for _, run in results if run is not None)
+    differing = [
+        (prediction, run) for prediction, run in results if run is not None and run.differs
+    ]
     causes: tuple[Cause, ...] = ()
-    if off:
-        causes = find_difference_causes(published, robot, *off[0]) or _of_loading(
-            published, robot, *off[0]
+    if differing:
+        causes = find_difference_causes(published, robot, *differing[0]) or _find_loading_causes(
+            published, robot, *differing[0]
         )
-    return Published(runs, causes, differs=bool(off))
+    return Published(runs, causes, differs=bool(differing))
 
 
-def _of_loading(
-    published: PublishedModel, robot: Robot, wanted: PredictedRest, run: PublishedRun
+def _find_loading_causes(
+    published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Returns what was altered on loading, or in what the two files differ, if that is why.
+    """Find causes of a difference in the changes on loading, or in the difference of both files.
 
-    What was altered is if what is computed of the MJCF does as predicted. The files are if that is
-    as far off the prediction, which is the URDF's, as the MJCF is (or would be if what is computed
-    without were taken out of it), and ``crosscheck`` finds a difference that a body's weight or
-    place feels, or a part that one of them lacks.
+    A change on loading is the cause if the model of the prepared robot behaves as predicted. The
+    difference of both files is the cause if that model deviates as much as the MJCF (or as the
+    MJCF without candidate causes), because the prediction is that of the URDF. ``crosscheck``
+    must then find a difference that affects a body's weight or place, or a part that one file
+    lacks.
     """
     file = None if robot.published is None else robot.published.file
     computed = simulate_prediction(
-        PublishedModel.of(copy.copy(robot.mj_model), robot), robot, wanted
+        PublishedModel.of(copy.copy(robot.mj_model), robot), robot, prediction
     )
     if computed is None:
         return ()
@@ -210,31 +224,35 @@ def _of_loading(
     model = copy.copy(published.model)
     for candidate in list_candidate_causes(published, robot):
         candidate.switch_off(model)
-    stripped = simulate_prediction(replace(published, model=model), robot, wanted)
-    alike = (one for one in (run, stripped) if one is not None)
-    if not any(abs(computed.torque_error - one.torque_error) <= TORQUE_RTOL for one in alike):
+    stripped = simulate_prediction(replace(published, model=model), robot, prediction)
+    similar_runs = (similar for similar in (run, stripped) if similar is not None)
+    if not any(
+        abs(computed.torque_error - similar.torque_error) <= TORQUE_RTOL for similar in similar_runs
+    ):
         return ()
     # Forty modules, which hardly a verdict needs.
     from pupper_analysis.robot.compare.compare import compare_files
 
     with contextlib.suppress(PupperAnalysisError):
-        found = compare_files(robot.description.urdf_source, file.path).result
-        felt = [one.diagnostic for one in found.differences if one.weight[0] > 0]
-        felt += found.parts
-        if felt:
-            return (Cause("pair", (), difference=felt[0]),)
+        comparison = compare_files(robot.description.urdf_source, file.path).result
+        affecting = [
+            similar.diagnostic for similar in comparison.differences if similar.weight[0] > 0
+        ]
+        affecting += comparison.parts
+        if affecting:
+            return (Cause("pair", (), difference=affecting[0]),)
     return ()
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedRest:
-    """What a stand is predicted to be at rest.
+    """Predicted state of rest of a stand.
 
     Attributes:
-        feedforward: Whether its servos are given its torques, too.
-        qpos: (nq,) where it rests, sunk into the ground.
-        torques: (nu,) N m.
-        targets: (nu,) the positions that are commanded (rad).
+        feedforward: True with feed-forward torques, False with position commands alone.
+        qpos: Configuration, shape (nq,), with the feet in the soft ground.
+        torques: Joint torques, shape (nu,) [N m].
+        targets: Commanded positions, shape (nu,) [rad].
     """
 
     feedforward: bool
@@ -244,9 +262,12 @@ class PredictedRest:
 
 
 def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
-    """Returns what is predicted of a stand, with feed-forward and on position commands alone.
+    """Predict the state of rest of a stand, with feed-forward and with position commands alone.
 
-    Of a posture with feed-forward.
+    Returns:
+        Predictions. For a fixed base, with feed-forward alone. Empty if the stand on soft ground
+        cannot be solved. The prediction without feed-forward is left out if joints have no servo
+        of their own, if a servo of the file was replaced, or if no steady state is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -255,52 +276,57 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     try:
         held = solve_stand_on_soft_ground(robot, stand, explain=False)
     except PupperAnalysisError:
-        return []  # where it comes to rest is not predicted
+        return []
     torques = stand_statics(robot, held).joint_torques
-    found = [PredictedRest(True, held.qpos, torques, held.joint_positions(robot))]
-    made = robot.description.made_servos
-    replaced = any(servo.instead_of is Drive.SERVO for servo in made)
+    predictions = [PredictedRest(True, held.qpos, torques, held.joint_positions(robot))]
+    added = robot.description.made_servos
+    replaced = any(servo.instead_of is Drive.SERVO for servo in added)
     if len(list_position_servos(robot)) < robot.nu or replaced:
-        return found  # it sags otherwise on its own than on those that were added
+        return predictions  # the file's joints deflect differently from those with added servos
     with contextlib.suppress(PupperAnalysisError):
-        # Feet that are predicted pinned creep, by fractions of a millimetre, to where these are.
+        # Pinned feet creep by fractions of a millimetre to the positions of sliding feet.
         rest = steady_state(robot, held, feet="sliding")
         if not rest.failures:
             targets = held.joint_positions(robot)
-            found.append(PredictedRest(False, rest.qpos, rest.joint_torques, targets))
-    return found
+            predictions.append(PredictedRest(False, rest.qpos, rest.joint_torques, targets))
+    return predictions
 
 
 def simulate_prediction(
-    published: PublishedModel, robot: Robot, wanted: PredictedRest
+    published: PublishedModel, robot: Robot, prediction: PredictedRest
 ) -> PublishedRun | None:
-    """Simulates the MJCF from where it is predicted to rest, and compares.
+    """Simulate the published model from its predicted state of rest, and compare.
+
+    The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`.
 
     Returns:
-        What comes of it; None if its base cannot be put there, as where it is held in the world.
+        Comparison; None if the base cannot be placed, for example because it is fixed, or if
+        MuJoCo stops with a fatal error.
     """
     model = published.model
-    qpos = wanted.qpos
-    place = place_published if robot.floating else place_fixed_base
-    data = place(published, robot, qpos)
+    qpos = prediction.qpos
+    place_model = place_published if robot.floating else place_fixed_base
+    data = place_model(published, robot, qpos)
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     start = copy.copy(data)
-    ahead = wanted.torques if wanted.feedforward else None
-    hold = compute_hold_commands(published, robot, data, ahead, wanted.targets)
+    feedforward = prediction.torques if prediction.feedforward else None
+    hold = compute_hold_commands(published, robot, data, feedforward, prediction.targets)
     try:
         simulate_published(published, data, hold, SETTLING_TIME)
         data.qvel[:] += nudge_velocity(model)
         low, high = simulate_published(published, data, hold, NUDGED_TIME)
-    except mujoco.FatalError:  # a contact of shapes without directions, say
+    except mujoco.FatalError:  # for example contacts of shapes without extent
         return None
     joints = [model.joint(name).id for name in robot.joint_names]
-    dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    dofs, addresses = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     driven = robot.mj_convention.actuator_index >= 0
-    off = np.maximum(high[dofs] - wanted.torques, wanted.torques - low[dofs])[driven]
-    moved, sticks = np.abs(data.qpos[places] - qpos[-robot.nu :]), np.zeros(robot.nu)
+    torque_deviations = np.maximum(high[dofs] - prediction.torques, prediction.torques - low[dofs])[
+        driven
+    ]
+    moved, stiction = np.abs(data.qpos[addresses] - qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
     if robot.floating:
         com = float(start.subtree_com[published.base_body][2])
@@ -310,16 +336,18 @@ def simulate_prediction(
         )
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= HEIGHT_RTOL * motion.height
-    else:  # where it may stick after a nudge
+    else:  # dry friction may hold a joint elsewhere after a nudge
         with contextlib.suppress(ModelError):
-            sticks = resolve_servo_gains(robot).kp
-        rubbing, sticks = dry_friction(robot, sticks)
-        off = np.maximum(off - rubbing[driven], 0.0)
-    torque = float(off.max(initial=0.0)) / torque_scale(robot, wanted.torques)
+            stiction = resolve_servo_gains(robot).kp
+        friction, stiction = dry_friction(robot, stiction)
+        torque_deviations = np.maximum(torque_deviations - friction[driven], 0.0)
+    torque = float(torque_deviations.max(initial=0.0)) / torque_scale(robot, prediction.torques)
     joint = float(moved.max())
-    alike = alike and (not wanted.feedforward or joint <= JOINT_TOLERANCE + float(sticks.max()))
+    alike = alike and (
+        not prediction.feedforward or joint <= JOINT_TOLERANCE + float(stiction.max())
+    )
     return PublishedRun(
-        feedforward=wanted.feedforward,
+        feedforward=prediction.feedforward,
         duration=SETTLING_TIME + NUDGED_TIME,
         torque_error=torque,
         height_error=error,
@@ -327,7 +355,7 @@ def simulate_prediction(
         collapses=collapses,
         differs=collapses or not (alike and torque <= TORQUE_RTOL),
         imported=robot.published is not None and robot.published.imported is not None,
-        worst_joint=_worst_joint(robot, moved, off, collapses=collapses),
+        worst_joint=_worst_joint(robot, moved, torque_deviations, collapses=collapses),
     )
 
 
@@ -347,7 +375,7 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 
 
 def explain_own_run(robot: Robot) -> OwnRun | None:
-    """Returns what a robot's file does by itself, and if it fails by what; made once."""
+    """Return the run of a robot's unmodified file, with a cause if it fails; cached per robot."""
     return as_loaded(robot).once(_own_run_explained)
 
 
@@ -360,7 +388,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     published = PublishedModel.of(model, robot)
     if any(drive.bad for drive in published.drives):
         return run  # the bad servos are reported, and make other causes meaningless
-    causes = list_command_causes(run, published) or _find_causes(run, published, robot)
+    causes = list_command_causes(run, published) or _find_run_causes(run, published, robot)
     return replace(run, causes=add_lines(causes, robot))
 
 
@@ -394,14 +422,16 @@ def name_remaining_cause(
         Both, the failing one with a cause.
     """
     if own is not None and own.fails:
-        return replace(own, causes=robot.once(_too_soft) or _deviating_joint(own)), published
+        return replace(
+            own, causes=robot.once(_test_soft_servos) or _deviating_joint(own)
+        ), published
     run = None if published is None else published.worst
     if published is None or run is None or run.close:
         return own, published
     return own, replace(published, causes=(Cause("gives-way", (run.worst_joint,)),))
 
 
-def _too_soft(robot: Robot) -> tuple[Cause, ...]:
+def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
     """Return the servos of the unmodified file as a cause, if it stands with stiffer ones."""
     loaded = as_loaded(robot)
     model = loaded.once(get_published_model)
@@ -429,97 +459,115 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
     return (Cause("ctrl-elsewhere" if joint.commanded_away else "gives-way", (joint.joint,)),)
 
 
-def _find_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
+def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Find what makes the run of the unmodified file fail, by changes of copies of the model."""
     model = published.model
-    known, physics = list_candidate_causes(published, robot), list_physical_causes(published, robot)
+    candidates, physical = (
+        list_candidate_causes(published, robot),
+        list_physical_causes(published, robot),
+    )
     if run.unheld is not None or (run.worst is not None and run.worst.commanded_away):
-        # Nothing holds a joint, or its ctrl is of another pose; on the way there any other change
-        # may let it stand.
-        known, physics = (
-            [one for one in of if one.code in COMMAND_CODES] for of in (known, physics)
+        # Nothing holds a joint, or its ctrl belongs to another pose: then other changes may let the
+        # robot stand by chance.
+        candidates, physical = (
+            [copied for copied in group if copied.code in COMMAND_CODES]
+            for group in (candidates, physical)
         )
 
-    def tried(changed: mujoco.MjModel) -> float | None:
-        # Another step alone may leave what falls on the other side of an edge, by chance.
+    def test_model(changed: mujoco.MjModel) -> float | None:
+        """Return 0.0 if a changed model stands, None if it fails."""
+        # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
-            one = copy.copy(changed)
-            one.opt.timestep /= parts
-            again = simulate_model_from_keyframe(replace(published, model=one), robot)
+            copied = copy.copy(changed)
+            copied.opt.timestep /= parts
+            again = simulate_model_from_keyframe(replace(published, model=copied), robot)
             if again is None or again.fails:
                 return None
         return 0.0
 
-    return _tested_causes(published, known, physics, tried)
+    return _test_causes(published, candidates, physical, test_model)
 
 
 def find_difference_causes(
-    published: PublishedModel, robot: Robot, wanted: PredictedRest, run: PublishedRun
+    published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Finds what makes the file differ, tested both ways."""
+    """Find the causes of the difference between the file and the prediction."""
 
-    def tried(model: mujoco.MjModel) -> float | None:
-        again = simulate_prediction(replace(published, model=model), robot, wanted)
-        if again is None or again.collapses:
+    def test_model(model: mujoco.MjModel) -> float | None:
+        """Return the torque error of a changed model that agrees with the prediction; else None."""
+        new_run = simulate_prediction(replace(published, model=model), robot, prediction)
+        if new_run is None or new_run.collapses:
             return None
-        # Pyramids of more friction are stiffer ground: what is mended may sink by less.
-        sunk = (
-            abs(again.height_error or 0.0) <= MAX_REMAINING_SINKAGE
-            and again.joint_error <= JOINT_TOLERANCE
+        # Pyramidal cones with more friction make the ground stiffer: the height may change.
+        in_place = (
+            abs(new_run.height_error or 0.0) <= MAX_REMAINING_SINKAGE
+            and new_run.joint_error <= JOINT_TOLERANCE
         )
-        mended = sunk and again.torque_error <= TORQUE_RTOL < run.torque_error
-        return again.torque_error if mended or not again.differs else None
+        is_repaired = in_place and new_run.torque_error <= TORQUE_RTOL < run.torque_error
+        return new_run.torque_error if is_repaired or not new_run.differs else None
 
     if any(drive.bad for drive in published.drives):
-        return ()  # that is told, and what makes it fall later is none
-    known, physics = list_candidate_causes(published, robot), list_physical_causes(published, robot)
-    return _tested_causes(published, known, physics, tried)
+        return ()  # bad servos are reported, and make other causes meaningless
+    candidates, physical = (
+        list_candidate_causes(published, robot),
+        list_physical_causes(published, robot),
+    )
+    return _test_causes(published, candidates, physical, test_model)
 
 
-def _tested_causes(
+def _test_causes(
     published: PublishedModel,
-    known: list[CauseCandidate],
-    physics: list[CauseCandidate],
-    tried: Callable[[mujoco.MjModel], float | None],
+    candidates: list[CauseCandidate],
+    physical: list[CauseCandidate],
+    test_model: Callable[[mujoco.MjModel], float | None],
 ) -> tuple[Cause, ...]:
-    """Finds what is wrong with a file, tested both ways, in copies in which it is switched off.
+    """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A cause is what, put alone into the sound file, breaks it; and with the causes alone taken out
-    of the file, it must be mended. The sound file is the one with all switched off that may be, or
-    with all but what its robot is computed with, too. How MuJoCo integrates and solves is tried
-    first, and by itself; then the rest with that as it is; what is computed with comes last.
+    A candidate is a cause if it alone makes a sound model fail; in addition, the model without
+    all causes must be sound. The sound model is that without all candidates, or without a subset
+    of them. Groups are tested in this order: integration and solver alone, the other candidates,
+    all candidates, all including physical candidates.
 
     Args:
-        published: The file.
-        known: What may be switched off.
-        physics: What of it is computed with.
-        tried: Returns what deviation is left of a model that is sound; None of another.
+        published: Published model.
+        candidates: Candidates that the prepared robot does not have.
+        physical: Candidates that the prepared robot has, too.
+        test_model: Returns the remaining deviation of a sound model; None for an unsound model.
+
+    Returns:
+        Causes; empty if no group of candidates passes the test.
     """
 
     @cache
-    def without(gone: frozenset[CauseCandidate]) -> float | None:
+    def without(removed: frozenset[CauseCandidate]) -> float | None:
+        """Return the remaining deviation without some candidates; None if the model is unsound."""
         model = copy.copy(published.model)
-        for candidate in gone:
+        for candidate in removed:
             candidate.switch_off(model)
-        return tried(model)
+        return test_model(model)
 
-    numerics = [one for one in known if one.code in NUMERICS_CODES]
-    rest = [one for one in known if one.code not in NUMERICS_CODES]
-    for group in (numerics, rest, known, [*known, *physics]):
+    numerics = [candidate for candidate in candidates if candidate.code in NUMERICS_CODES]
+    rest = [candidate for candidate in candidates if candidate.code not in NUMERICS_CODES]
+    for group in (numerics, rest, candidates, [*candidates, *physical]):
         if not group or without(frozenset(group)) is None:
             continue
         sound = next(
-            whole
-            for whole in (frozenset([*known, *physics]), frozenset(known), frozenset(group))
-            if whole.issuperset(group) and without(whole) is not None
+            group_of_all
+            for group_of_all in (
+                frozenset([*candidates, *physical]),
+                frozenset(candidates),
+                frozenset(group),
+            )
+            if group_of_all.issuperset(group) and without(group_of_all) is not None
         )
         breaking = [
-            one
-            for one in group
-            if without(frozenset(group) - {one}) is None and without(sound - {one}) is None
+            candidate
+            for candidate in group
+            if without(frozenset(group) - {candidate}) is None
+            and without(sound - {candidate}) is None
         ]
-        left = without(frozenset(breaking)) if breaking else None
-        if left is not None:
-            return tuple(one.to_cause(left) for one in breaking)
+        residual = without(frozenset(breaking)) if breaking else None
+        if residual is not None:
+            return tuple(candidate.to_cause(residual) for candidate in breaking)
     return ()

@@ -1,7 +1,4 @@
-"""Numbers with which no simulation, or no equation of motion, means anything: they are refused.
-
-And MuJoCo's constraint solver, where a model is more than it solves as it is set.
-"""
+"""Refuse values with which a simulation has no meaning; choose an accurate solver."""
 
 from __future__ import annotations
 
@@ -26,38 +23,40 @@ from pupper_analysis.robot.build import with_additions
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
-_TOLERANCE = 1e-2
-"""Of the solver of contacts, in units of the robot's own inertia and accelerations: a robot hangs
-in the air at 1e9."""
+_MAX_SOLVER_TOLERANCE = 1e-2
+"""Upper bound of the solver tolerance [1, scaled by inertia and acceleration]: a robot does not
+fall at 1e9."""
 
-_GEARS = 1e-6, 1e6
-"""Screws of a millimetre's pitch have some thousand rad/m; beyond, squares leave a double's range
-of digits."""
+_GEAR_RANGE = 1e-6, 1e6
+"""Range of gear ratios. A screw with a pitch of 1 mm has some thousand rad/m; outside, squares
+exceed the precision of a double."""
 
 
-_LEAST = 1e-9
-"""Of an ``impratio``: friction that is so soft is none."""
+_MIN_IMPRATIO = 1e-9
+"""Lower bound of ``impratio``: with a smaller value there is no friction."""
 
-_FARTHEST = 1e4
-"""m: no robot is as large, nor feels the ground from so far; a float32's micrometre is lost at 8 m,
-and a double's, squared, at this."""
+_MAX_LENGTH = 1e4
+"""Upper bound of positions and margins [m]. No robot is as large; at this distance the square of
+a micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Checks the options, rotors, lengths and gears on which all simulations rest.
+    """Check the options, rotor inertias, lengths and gears on which all simulations depend.
 
     Raises:
-        ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
+        ModelError: If a value is out of its range; the error has file, line and value.
     """
-    for kind, field, stated, (least, most) in _bounded(mjcf.model):
+    for kind, field, stated, (least, most) in _list_bounded_values(mjcf.model):
         numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
         bad = ~((least <= numbers) & (numbers <= most)).all(axis=1)
         for row in np.flatnonzero(bad).tolist():
             raise make_file_error(
-                _place(mjcf, kind, field, row),
+                _find_place(mjcf, kind, field, row),
                 diagnose(
                     "number-not-simulated",
-                    subject=None if kind == "option" else (kind, _name(mjcf.model, kind, row)),
+                    subject=None
+                    if kind == "option"
+                    else (kind, _name_element(mjcf.model, kind, row)),
                     field=field,
                     value=" ".join(f"{number:g}" for number in numbers[row]),
                     least=None if least == -most else f"{least:g}",
@@ -66,38 +65,41 @@ def check_simulable(mjcf: MjcfFile) -> None:
             )
 
 
-def _bounded(model: mujoco.MjModel) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
-    """Yields elements and attributes, their numbers, and between which these have a meaning."""
-    option, near, any_mass = model.opt, (-_FARTHEST, _FARTHEST), (0.0, math.inf)
+def _list_bounded_values(
+    model: mujoco.MjModel,
+) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
+    """Yield (element, attribute, values, (minimum, maximum)) of all checked values."""
+    option, length_range, mass_range = model.opt, (-_MAX_LENGTH, _MAX_LENGTH), (0.0, math.inf)
     yield "option", "timestep", [option.timestep], TIMESTEP_RANGE
-    yield "option", "impratio", [option.impratio], (_LEAST, math.inf)
+    yield "option", "impratio", [option.impratio], (_MIN_IMPRATIO, math.inf)
     yield "option", "iterations", [option.iterations], (1, math.inf)
-    yield "option", "tolerance", [option.tolerance], (0.0, _TOLERANCE)
-    yield "joint", "armature", model.dof_armature[model.jnt_dofadr], any_mass
-    yield "actuator", "armature", model.actuator_armature, any_mass
-    # What stands in the world for itself may be hidden far away.
-    yield "body", "pos", model.body_pos * (model.body_weldid != 0)[:, None], near
-    yield "joint", "pos", model.jnt_pos, near
-    yield "geom", "margin", model.geom_margin, near
-    yield "pair", "margin", model.pair_margin, near
+    yield "option", "tolerance", [option.tolerance], (0.0, _MAX_SOLVER_TOLERANCE)
+    yield "joint", "armature", model.dof_armature[model.jnt_dofadr], mass_range
+    yield "actuator", "armature", model.actuator_armature, mass_range
+    # Objects fixed in the world may be hidden far away.
+    yield "body", "pos", model.body_pos * (model.body_weldid != 0)[:, None], length_range
+    yield "joint", "pos", model.jnt_pos, length_range
+    yield "geom", "margin", model.geom_margin, length_range
+    yield "pair", "margin", model.pair_margin, length_range
     gears = [actuator_gear(model, motor) for motor in range(model.nactuator)]
     at_joints = [abs(gear[0]) if len(gear) == 1 and gear[0] else 1.0 for gear in gears]
-    yield "actuator", "gear", at_joints, _GEARS
+    yield "actuator", "gear", at_joints, _GEAR_RANGE
 
 
-def _name(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Returns an element's name; of an actuator without one, its joint's."""
+def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
+    """Return the name of an element; of an actuator without a name, that of its joint."""
     name = str(getattr(model, kind)(row).name)
     if kind == "actuator" and not name and is_at_one_joint(model, row):
         return str(model.joint(int(model.actuator_trnid[row, 0])).name)
     return name
 
 
-def _place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
+def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
+    """Return the place of an element in the MJCF."""
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
         return next(stated, Place(mjcf.path))
-    return mjcf.place("contact" if kind == "pair" else kind, _name(mjcf.model, kind, row))
+    return mjcf.place("contact" if kind == "pair" else kind, _name_element(mjcf.model, kind, row))
 
 
 def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
@@ -122,85 +124,88 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
-    """Checks that each joint moves a mass in the URDF, as it has to in MuJoCo.
+    """Check that each joint moves a mass in the URDF, as MuJoCo requires.
 
     Raises:
-        ModelError: If one does not: its acceleration would be anything.
+        ModelError: If a joint moves no mass: its acceleration is undefined.
     """
-    felt = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
-    for name, inertia in zip(robot.joint_names, felt.tolist(), strict=True):
+    inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
+    for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):
         if inertia <= 0:
-            robot.check_bodies()  # a mass below zero is called so
+            robot.check_bodies()  # reports a negative mass by itself
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
             raise make_file_error(urdf.place("joint", name), problem)
 
 
 MAX_SOLVER_RESIDUAL = 0.01
-"""Of a robot's weight: what is left out of its equation of motion is to be below what simulations
-are compared to."""
+"""Upper bound of the residual of the equations of motion, relative to the weight. Chosen below
+the tolerances of comparisons with simulations."""
 
-_PUSH = 0.1
-"""Of the weight: at rest constraints balance what acts, and nothing shows."""
+_PUSH_FRACTION = 0.1
+"""Push in the test of the solver, relative to the weight. At rest, constraint forces are in
+equilibrium, and a residual does not show."""
 
-_SOLVES = 20
-"""Solvers of few iterations begin where they ended before, as they do from step to step."""
+_NUM_SOLVES = 20
+"""Number of repeated solves in that test. A solver with few iterations is warm-started, as in
+consecutive simulation steps."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
-    """Returns how much of the weight is missing in M qacc = f when a free base is pushed.
+    """Compute the residual of M qacc = f of a pushed free base, relative to the weight.
 
     Args:
-        model: The model.
-        data: Its state; the base is pushed, and what follows of it computed.
-        base: The body with the free joint.
+        model: Model.
+        data: State; the base is pushed, and the accelerations are computed in place.
+        base: Id of the body with the free joint.
 
     Returns:
-        The largest of the base's three forces that is left out, in parts of the robot's weight.
+        Largest of the residuals of the three base forces, divided by the robot's weight.
     """
-    # What weighs nothing is pushed with a tenth of its weight on Earth.
+    # Without gravity, the weight on Earth is the reference.
     gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH_GRAVITY
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])
-    data.xfrc_applied[base, :3] = _PUSH * weight
-    for _ in range(_SOLVES):
+    data.xfrc_applied[base, :3] = _PUSH_FRACTION * weight
+    for _ in range(_NUM_SOLVES):
         mujoco.mj_forward(model, data)
     data.xfrc_applied[base] = 0.0
-    moved = np.zeros(model.nv)
-    mujoco.mj_mulM(model, data, moved, data.qacc)
-    missing = (moved - data.qfrc_smooth - data.qfrc_constraint)[first : first + 3]
-    return float(np.abs(missing).max()) / weight
+    inertial_force = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, inertial_force, data.qacc)
+    residual = (inertial_force - data.qfrc_smooth - data.qfrc_constraint)[first : first + 3]
+    return float(np.abs(residual).max()) / weight
 
 
-_INTO_GROUND = 1e-3  # m: where feet that just touch push
+_TEST_PENETRATION = 1e-3
+"""Penetration of the feet in that test [m], so that contact forces act. Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Returns what the solver leaves out, in parts of the weight, if it is too much."""
+    """Return the residual of a robot's solver if it exceeds `MAX_SOLVER_RESIDUAL`; else None."""
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
     qpos = robot.home.copy()
-    qpos[2] -= _INTO_GROUND
+    qpos[2] -= _TEST_PENETRATION
     robot.mj_convention.set_state(data, qpos)
-    share = compute_solver_residual(model, data, base)
-    return share if share > MAX_SOLVER_RESIDUAL else None
+    residual = compute_solver_residual(model, data, base)
+    return residual if residual > MAX_SOLVER_RESIDUAL else None
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot dense matrices if MuJoCo's solver is exact with these alone.
+    """Set dense matrices if MuJoCo's solver is sufficiently accurate only with these.
 
     Args:
-        robot: The robot, with a free base.
+        robot: Robot with a free base.
 
     Returns:
-        The robot, and that it was done, or that nothing helps.
+        Robot, and a note if dense matrices are set, or if these do not help.
     """
-    part = find_solver_error(robot)
-    if part is None:
+    residual = find_solver_error(robot)
+    if residual is None:
         return robot, []
-    share = Quantity(part, "1")
+    residual_fraction = Quantity(residual, "1")
     if mujoco.mj_isSparse(robot.mj_model):
-        message = diagnose("solver-made-dense", share=share)
+        message = diagnose("solver-made-dense", share=residual_fraction)
         dense = with_additions(robot, Options(message, {"jacobian": "dense"}))
         if find_solver_error(dense) is None:
             return dense, [message]
-    return robot, [diagnose("solver-inexact", share=share)]
+    return robot, [diagnose("solver-inexact", share=residual_fraction)]

@@ -1,4 +1,4 @@
-"""A pose to start from: the MJCF's keyframe, or one that is found."""
+"""Find the start pose of a robot: a keyframe of the MJCF, or a stand that is searched."""
 
 from __future__ import annotations
 
@@ -33,20 +33,22 @@ from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
-_UPRIGHT = 1e-6
-"""1 - cosine of the tilt up to which a base is level: 1.4 mrad."""
+_LEVEL_COSINE_ATOL = 1e-6
+"""Upper bound of 1 - cos(tilt) of a level base: 1.4 mrad. Chosen, not tuned."""
 
-_CARRIED = 0.01
-"""Of the weight: by less than that the ground's force is off where a robot rests; where one was put
-by hand it is off by as much as it is."""
+_WEIGHT_RTOL = 0.01
+"""Upper bound of the relative difference between ground force and weight in a keyframe in which
+the robot rests. In a keyframe whose height was set by hand the difference is far larger."""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
-    """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
+    """Return {name: {joint: position}} of the keyframes of an MJCF.
+
+    A keyframe without a name is called "keyframe 1" etc. Free joints are excluded.
 
     Args:
-        spec: A copy of its spec, in which every joint has a name.
-        source: The file.
+        spec: Spec of the MJCF, in which every joint has a name; it is not changed.
+        source: File, for errors.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.
@@ -66,17 +68,19 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
 
 
 def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
-    """Returns how deep the ground has a robot's feet in keyframes in which it carries the robot.
+    """Compute the penetration of the feet in keyframes in which the ground carries the robot.
 
-    With the legs as they are there the feet are below the ground, as they sink in, and the base is
-    as high as it is to be. A keyframe in which a robot falls, or is thrown up, was put there by
-    hand: its height says nothing.
+    In such a keyframe the feet are below the ground, as in the simulation at rest, and the
+    height of the base is meaningful. In other keyframes, in which a robot would fall or be
+    thrown up, the height is ignored. Keyframes without ctrl, or with a tilted base, are
+    excluded.
 
     Args:
-        model: The MJCF's, as it is.
+        model: Unmodified model of the MJCF.
 
     Returns:
-        {keyframe: m}.
+        {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model
+            has exactly one free joint.
     """
     found, free = {}, free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():
@@ -93,8 +97,10 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
                 carried += float(force[0])
                 depth = max(depth, -float(touch.dist))
         weight = float(model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity))
-        level = float(np.abs(data.xmat[base][6:]).max()) > 1 - _UPRIGHT  # see ``place_base_frame``
-        if level and abs(carried - weight) < _CARRIED * weight:
+        level = (
+            float(np.abs(data.xmat[base][6:]).max()) > 1 - _LEVEL_COSINE_ATOL
+        )  # see ``place_base_frame``
+        if level and abs(carried - weight) < _WEIGHT_RTOL * weight:
             found[model.key(key).name or f"keyframe {key + 1}"] = depth
     return found
 
@@ -102,7 +108,12 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
 def choose_keyframes(
     mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
 ) -> dict[str, Mapping[str, float]]:
-    """Returns the keyframes to begin with: the one that is wanted, or ``home`` and then the others.
+    """Return the candidate keyframes: the requested keyframe alone, or all with `home` first.
+
+    Args:
+        mjcf: MJCF, for errors.
+        known: {keyframe: {joint: position}}.
+        wanted: Name of the requested keyframe, or None.
 
     Raises:
         UnknownNameError: If the MJCF has no such keyframe.
@@ -117,11 +128,11 @@ def choose_keyframes(
 def with_keyframes(
     description: Description, known: Mapping[str, Mapping[str, float]]
 ) -> Description:
-    """Returns a robot's files with keyframes, which were lost where the two were matched.
+    """Return a description with keyframes, which the matching of both files removes.
 
     Args:
-        description: Both files, made alike.
-        known: {keyframe: {joint: position}}; where they have none, a joint is at its reference.
+        description: Both files with matched names.
+        known: {keyframe: {joint: position}}; a joint without a position is at its reference.
     """
     if not known:
         return description
@@ -138,31 +149,41 @@ def with_keyframes(
 
 Array = NDArray[np.float64]
 
-_SLACK = 1e-3  # rad: keyframes are rounded, and may be that much outside of a limit
+_LIMIT_ATOL = 1e-3
+"""Upper bound of the distance [rad, m] of a keyframe's joint beyond its limit: keyframes are
+rounded."""
 
-_UNEVEN = 0.1
-"""Feet of a start pose that stands differ in height by no more than this part of the base's height
-above the lowest."""
+_MAX_FOOT_HEIGHT_SPREAD = 0.1
+"""Upper bound of the height difference between the feet of a standing pose, relative to the
+height of the base above the lowest foot. Chosen, not tuned."""
 
-_BRANCHES = 3  # to bend the legs that are tried at each height: the first are nearest to the pose
+_MAX_BRANCHES = 3
+"""Number of IK branches that are tried at each height, nearest to the pose first. Chosen."""
 
-_HEIGHTS = 12  # tried between a leg that is folded and one that is stretched
+_NUM_HEIGHTS = 12
+"""Number of heights that are tried between folded and straight legs. Chosen."""
 
-_CLEAR = 0.01
-"""Everything but the feet is as high above the ground in a start pose (m): feet sink in."""
+_MIN_GROUND_CLEARANCE = 0.01
+"""Lower bound of the height above the ground [m] of everything but the feet's bodies in a start
+pose: feet sink in. Chosen, not tuned."""
 
-_CALMING = 3
-"""How often arms and waist are put back where the pose has them, and the stand solved again."""
+_MAX_RESET_PASSES = 3
+"""Number of stands solved one after the other, each with arms and waist reset to the pose.
+Chosen."""
 
-_MARGINS = (0.2, 0.05, 0.0)
-"""How far a start pose has its joints off their limits (rad); the first with which there is one."""
+_JOINT_MARGINS = (0.2, 0.05, 0.0)
+"""Distances of the joints from their limits [rad, m] that are tried in this order. Chosen."""
 
-_BELOW, _ASIDE, _SPREAD, _BENT = 0.1, 0.4, 0.6, 0.5
-"""Feet that are not aside from their hips by a part of their distance between the first and the
-third are put aside by the second, and stand below the hips by the fourth."""
+_MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
+"""Bounds of the horizontal distance of a foot from its hip, relative to the distance of both.
+Outside, the foot is moved to `_TARGET_SIDE_DISTANCE`. Chosen, not tuned."""
 
-_KEY_DIGITS = 6
-"""Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
+_TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
+"""Horizontal distance of a moved foot from its hip, and depth of all feet below the hips, relative
+to the distance between foot and hip. Chosen, not tuned."""
+
+_NUM_KEYFRAME_DIGITS = 6
+"""Decimals of a keyframe's angles and height: 1 um, below any effect on a servo. Chosen."""
 
 _POSE_WEIGHT = 1e-3
 """Weight of the distance from the pose [rad] beside a contact point's height error, in parts of the
@@ -176,19 +197,23 @@ _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad]: SciPy requires
 it to be strictly inside."""
 
-_LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
+_MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
+"""Lowest and highest height that is tried, as fractions of the leg length. Chosen, not tuned."""
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
-    """Returns joint positions (nu,), zero where not given, cut to the limits."""
+    """Return joint positions (nu,) [rad, m], clipped to the limits; zero if not specified."""
     values = np.array([(joints or {}).get(name, 0.0) for name in robot.joint_names])
     return np.clip(values, robot.lower_limits, robot.upper_limits)
 
 
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
-    """Tells whether a robot stands in a pose: within its limits, its feet at about one height."""
+    """Return True if a robot stands in a pose: joints within limits, feet at about one height.
+
+    All feet must also be below the base.
+    """
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
-    if np.abs(values - clip_to_limits(robot, joints)).max() > _SLACK:
+    if np.abs(values - clip_to_limits(robot, joints)).max() > _LIMIT_ATOL:
         return False
     qpos = robot.posed(values)
     centres = Configuration(robot, qpos).foot_positions()
@@ -196,36 +221,35 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
         min(float(centres[point][2]) - robot.contact_radius[point] for point in points)
         for points in robot.feet.values()
     ]
-    return max(heights) < 0 and float(np.ptp(heights)) < _UNEVEN * -min(heights)
+    return max(heights) < 0 and float(np.ptp(heights)) < _MAX_FOOT_HEIGHT_SPREAD * -min(heights)
 
 
 def solve_nominal_stand(robot: Robot) -> Stand | None:
-    """Returns the robot's nominal stand, or None if it is out of reach, or in no balance."""
+    """Return the nominal stand of a robot; None if it is out of reach or not in equilibrium."""
     try:
         stand = solve_stand(robot, explain=False)
-        stand_statics(robot, stand)  # a com that may be anywhere inside may be a hair outside
+        stand_statics(robot, stand)  # the CoM may be just outside the polygon
     except PupperAnalysisError:
         return None
     return stand
 
 
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
-    """Finds a stand in the middle of the heights that the legs can reach.
+    """Search a stand in the middle of the heights that the legs can reach.
 
-    The horizontal positions of the feet are those of one of the poses; else beside the hips; else
-    those of legs that are bent until their soles are level: see ``_find_level_soles``.
+    The horizontal foot positions are those of one of the poses, or else beside the hips.
 
     Args:
-        robot: The robot with feet.
-        poses: Joint positions (nu,).
+        robot: Robot with feet.
+        poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        The robot with that as its nominal stand; None if it stands nowhere.
+        Robot with this nominal stand; None if no stand is found.
     """
     poses = list(poses)
     return (
-        _found(robot, poses)
-        or _found(robot, [_put_aside(robot, pose) for pose in poses])
+        _search_poses(robot, poses)
+        or _search_poses(robot, [_spread_feet(robot, pose) for pose in poses])
         or next(filter(None, (_find_level_soles(robot, pose) for pose in poses)), None)
     )
 
@@ -244,13 +268,15 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     if not any((np.abs(jacobian[:, 6:]) > _LIMIT_CLEARANCE).any() for jacobian in jacobians):
         return None
     length = compute_leg_length(robot, robot.posed(pose))
-    heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
+    heights = np.round(
+        length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS), 3
+    )
     heights = heights[heights > 0]
-    for margin in _MARGINS:
+    for margin in _JOINT_MARGINS:
         guesses = [(height, _level_soles(robot, pose, height, margin)) for height in heights]
-        found = _from_middle(
+        found = _choose_middle_start(
             [
-                _starting(replace(robot, nominal=joints), joints, float(height))
+                _set_start(replace(robot, nominal=joints), joints, float(height))
                 for height, joints in guesses
                 if joints is not None
             ]
@@ -297,33 +323,34 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     return found if np.abs(errors(found)).max() < _MAX_SOLE_ERROR * height else None
 
 
-def _starting(robot: Robot, joints: Array, height: float) -> Robot:
-    """Returns a robot whose nominal stand begins at joint positions (nu,), so high (m)."""
+def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
+    """Return a robot whose nominal stand starts from joint positions (nu,) at a height [m]."""
     return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
 
 
-def _from_middle(starts: Sequence[Robot]) -> Robot | None:
-    """Returns the first that stands, from the middle outwards; None if none does.
+def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
+    """Return the first robot with a nominal stand, from the middle outwards; None without one.
 
-    Legs that are straight where the search began may move the com once they are bent: the nominal
-    stand then has it in the centre, which may be out of reach here.
+    The nominal stand has its CoM in the centre, which may be out of reach for a start of the
+    search: straight legs move the CoM when they are bent.
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
     return next((starts[n] for n in ordered if solve_nominal_stand(starts[n]) is not None), None)
 
 
-def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    for margin in _MARGINS:
+def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
+    """Search the robot with the longest run of heights, with decreasing margins to the limits."""
+    for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
-            placed = _starting(replace(robot, nominal=pose), pose, robot.stand_height)
-            stands = _longest_run(placed, pose, margin, len(best[0]))
+            placed = _set_start(replace(robot, nominal=pose), pose, robot.stand_height)
+            stands = _find_longest_run(placed, pose, margin, len(best[0]))
             best = max(best, (stands, placed), key=lambda found: len(found[0]))
         stands, placed = best
-        found = _from_middle(
+        found = _choose_middle_start(
             [
-                _starting(
+                _set_start(
                     placed, one.joint_positions(robot), round(float(one.task.height or 0.0), 3)
                 )
                 for one in stands
@@ -334,12 +361,12 @@ def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     return None
 
 
-def _put_aside(robot: Robot, pose: Array) -> Array:
-    """Returns joint positions (nu,) with each foot aside from its hip, neither far nor below it.
+def _spread_feet(robot: Robot, pose: Array) -> Array:
+    """Return joint positions (nu,) with each foot at a bounded horizontal distance from its hip.
 
-    Legs that are straight to the side, as a spider's at zero angles, reach no ground where they
-    end. A leg that first turns about the vertical has to point to where its foot is: to anywhere,
-    if that is below the axis and the base moves aside.
+    Legs that are straight to the side, such as a spider's at zero angles, cannot reach the
+    ground from their foot positions. If no leg posture reaches the targets, the pose is
+    returned.
     """
     qpos = robot.posed(pose)
     config = Configuration(robot, qpos)
@@ -353,35 +380,45 @@ def _put_aside(robot: Robot, pose: Array) -> Array:
             out = feet[foot] - hip
             length = float(np.linalg.norm(out))
             aside = math.hypot(*out[:2])
-            if not _BELOW * length < aside < _SPREAD * length:
-                way = out if aside > _BELOW * length else hip - np.mean([*feet.values()], axis=0)
-                targets[foot] = hip + _ASIDE * length * way / max(math.hypot(*way[:2]), 1e-9)
-            drops.append(float(hip[2]) - _BENT * length)
+            if not _MIN_SIDE_DISTANCE * length < aside < _MAX_SIDE_DISTANCE * length:
+                way = (
+                    out
+                    if aside > _MIN_SIDE_DISTANCE * length
+                    else hip - np.mean([*feet.values()], axis=0)
+                )
+                targets[foot] = hip + _TARGET_SIDE_DISTANCE * length * way / max(
+                    math.hypot(*way[:2]), 1e-9
+                )
+            drops.append(float(hip[2]) - _TARGET_FOOT_DEPTH * length)
     for foot, place in targets.items():
         targets[foot] = np.array([*place[:2], min(drops)])
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     return next(combine_branches(found, pose), pose)
 
 
-def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
-    """Returns stands at heights, from high to low, without one between them out of reach.
+def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
+    """Return the longest run of stands at consecutive heights, from high to low.
 
     Args:
-        robot: The robot.
-        pose: (nu,) where its joints are to be, as far as its feet let them.
-        margin: How far off their limits (rad).
-        known: As many stands as this are known: fewer are of no use.
+        robot: Robot.
+        pose: Preferred joint positions, shape (nu,) [rad, m].
+        margin: Distance of the joints from their limits [rad, m].
+        known: Length of the longest run known so far; a shorter run may be returned incomplete.
     """
     length = compute_leg_length(robot, robot.posed(pose))
-    heights = [float(h) for h in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS) if h > 0]
+    heights = [
+        float(h)
+        for h in length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS)
+        if h > 0
+    ]
 
     def stand_at(height: float, seed: Stand | None = None) -> Stand | None:
         joints = None if seed is None else seed.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
-        stand = _calm(robot, task, pose)
+        stand = _solve_near_pose(robot, task, pose)
         return stand if stand is not None and is_clear_of_ground(robot, stand) else None
 
-    # A longer run has one of these heights in it.
+    # Each longer run contains one of these heights.
     if known and not any(stand_at(height) for height in heights[known :: known + 1]):
         return []
     longest, current = list[Stand](), list[Stand]()
@@ -394,16 +431,16 @@ def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[S
     return longest
 
 
-def find_non_foot_contacts(robot: Robot, stand: Stand, deeper: float) -> set[int]:
-    """Returns the geoms, but for those of the feet, that touch the ground in a stand that sank.
+def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[int]:
+    """Return the ids of the geoms, except feet, that touch the ground in a lowered stand.
 
     Args:
-        robot: The robot.
-        stand: The stand.
-        deeper: By how much (m).
+        robot: Robot.
+        stand: Stand.
+        sinkage: Distance by which the base is lowered [m].
     """
     qpos = stand.qpos.copy()
-    qpos[2] -= deeper
+    qpos[2] -= sinkage
     model, data = robot.mj_model, robot.placed(qpos)
     mujoco.mj_collision(model, data)
     pairs = [pair for pair in data.contact.geom if 0 in model.geom_bodyid[pair]]
@@ -416,23 +453,26 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, deeper: float) -> set[int
 
 
 def list_foot_bodies(robot: Robot) -> set[int]:
-    """Returns the ids of the moving bodies that carry the feet."""
+    """Return the ids of the moving bodies to which the feet belong."""
     weld = robot.mj_model.body_weldid
     return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Tells whether only the feet, and the links that carry them, are near the ground."""
+    """Return True if only feet, and the bodies to which they belong, are near the ground."""
     model = robot.mj_model
-    own = list_foot_bodies(robot)
+    foot_bodies = list_foot_bodies(robot)
     return all(
-        int(model.body_weldid[model.geom_bodyid[geom]]) in own
-        for geom in find_non_foot_contacts(robot, stand, _CLEAR)
+        int(model.body_weldid[model.geom_bodyid[geom]]) in foot_bodies
+        for geom in find_non_foot_contacts(robot, stand, _MIN_GROUND_CLEARANCE)
     )
 
 
-def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
-    """Solves a stand with all but the legs as in a pose, as far as the com allows."""
+def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
+    """Solve a stand with all joints except those of the legs near a pose; None without a stand.
+
+    Each of `_MAX_RESET_PASSES` solves starts from the last stand with the other joints reset.
+    """
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
         robot.check_bodies()
@@ -440,10 +480,10 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     except PupperAnalysisError:  # the margin leaves nothing of a joint's range, or no body is so
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
-    seeds: Iterable[Array] = itertools.chain(first, _bent(robot, goal, pose))
+    seeds: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
     with lend(robot, SearchContext) as context:
-        for _ in range(_CALMING):
-            stand = _first_solved(context, goal, seeds)
+        for _ in range(_MAX_RESET_PASSES):
+            stand = _solve_first_seed(context, goal, seeds)
             if stand is None:
                 return found
             found = stand
@@ -453,22 +493,22 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     return found
 
 
-def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
-    """Yields joint positions (nu,) with the legs bent in the first ways that reach the ground.
+def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
+    """Yield joint positions (nu,) of the first IK branches of the legs that reach the ground.
 
-    Nothing is looked for before the first is asked for: mostly the pose itself will do.
+    The branches are computed when the first is requested; mostly the pose itself is sufficient.
     """
     qpos = robot.posed(pose)
     qpos[:3] = (*goal.place, goal.height)
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    yield from itertools.islice(combine_branches(found, pose), _BRANCHES)
+    yield from itertools.islice(combine_branches(found, pose), _MAX_BRANCHES)
 
 
-def _first_solved(context: SearchContext, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
-    """Returns the first solved stand from some joint positions (nu,); not all that there may be.
+def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
+    """Return the first solved stand from some initial joint positions (nu,); None if all fail.
 
-    With the com anywhere inside it may be over the edge, and parts next to the ground: from another
-    start they need not be.
+    If the CoM is free within the support polygon, a stand that meets the constraints is tried,
+    too.
     """
     for joints in seeds:
         if (stand := search_from_joints(context, goal, joints)) is not None:
@@ -482,9 +522,12 @@ def _first_solved(context: SearchContext, goal: Goal, seeds: Iterable[Array]) ->
 
 
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
-    """Returns how far the base can be above the ground with the longest leg straight down (m).
+    """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    The lengths from joint to joint do not depend on how they are bent.
+    Distances between consecutive joints do not depend on the joint positions.
+
+    Returns:
+        Height [m].
     """
     config, model = Configuration(robot, qpos), robot.pin_model
     lengths = []
@@ -500,14 +543,17 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
 
 def with_foot_contacts_only(robot: Robot) -> Robot:
-    """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
+    """Return a robot in whose MuJoCo model only the feet collide, of all geoms of their bodies.
 
-    In which it is seen how a robot stands before ``touching`` knows what is in the
-    way. What is built from its description has it all again.
+    With this model a stand is solved before `touching` decides which shapes are in the way. The
+    description is not changed, so a robot that is built from it has all collisions again.
     """
-    model, own = copy.copy(robot.mj_model), list_foot_bodies(robot)
+    model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
-        if int(model.body_weldid[model.geom_bodyid[geom]]) in own and geom not in robot.foot_geoms:
+        if (
+            int(model.body_weldid[model.geom_bodyid[geom]]) in foot_bodies
+            and geom not in robot.foot_geoms
+        ):
             model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
     return replace(robot, mj_model=model)
 
@@ -541,12 +587,14 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
     return max(0.0, -float(end.contact.dist[grounded].min(initial=0.0)))
 
 
-def _objections(robot: Robot, name: str, joints: Mapping[str, float]) -> tuple[Diagnostic, ...]:
+def _list_objections(
+    robot: Robot, name: str, joints: Mapping[str, float]
+) -> tuple[Diagnostic, ...]:
     """Return the reasons why ``is_standing_pose`` rejects a keyframe: joint limits, uneven feet."""
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
     excess = np.abs(values - clip_to_limits(robot, joints))
-    beyond = np.flatnonzero(excess > _SLACK)
+    beyond = np.flatnonzero(excess > _LIMIT_ATOL)
     if not beyond.size:
         return (diagnose("keyframe-feet-uneven", subject=subject),)
     names = [robot.joint_names[joint] for joint in beyond]
@@ -588,69 +636,69 @@ def find_start_pose(
                 standing[name] = dict(
                     zip(robot.joint_names, clip_to_limits(robot, pose).tolist(), strict=True)
                 )
-                against += _objections(robot, name, pose)
+                against += _list_objections(robot, name, pose)
                 sunk[name] = depth  # straight legs are then a little bent, and not singular
     for name, pose in standing.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
-        at_home = _at(robot, home, sunk.get(name, 0.0))
+        at_home = _set_start_pose(robot, home, sunk.get(name, 0.0))
         starts = [replace(at_home, nominal=home)]
         if name not in sunk:
             starts.insert(0, replace(at_home, nominal=np.zeros(robot.nu)))
         elif against:  # a joint at its limit may not let the feet sink in
-            starts.append(replace(_at(robot, home, 0.0), nominal=home))
+            starts.append(replace(_set_start_pose(robot, home, 0.0), nominal=home))
         for tried in starts:
             if solve_nominal_stand(tried) is not None:
                 notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
                 notes += [note for note in against if note.subject == notes[0].subject]
                 if tried.nominal is home:
                     notes.append(diagnose("feet-placed-by-start-pose"))
-                return _kept(whole, tried), notes
+                return _copy_start_pose(whole, tried), notes
     poses = [*(clip_to_limits(robot, pose) for pose in known.values()), clip_to_limits(robot)]
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2
     found = search_start(robot, [*poses, middle])
     if found is None:  # refused are then the pose that the file asks for, and why that is none
-        kept = _kept(whole, replace(at_home, nominal=home)) if standing else whole
+        kept = _copy_start_pose(whole, replace(at_home, nominal=home)) if standing else whole
         return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
     height = Quantity(found.stand_height, "m")
     notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
-    return _kept(whole, found), [*notes, *against]
+    return _copy_start_pose(whole, found), [*notes, *against]
 
 
 def make_start_keyframe(
     robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
 ) -> StartKeyframe:
-    """Returns the pose to start from: a stand, and the commands with which servos hold it.
+    """Return the start keyframe of a stand, with the commands with which servos hold the stand.
 
     Args:
-        robot: The robot, with servos.
-        stand: As it rests on soft ground.
-        reason: Why it starts there.
-        kp: (nu,) stiffness of the servos (N m/rad); the robot's own by default.
-        kd: (nu,) damping (N m s/rad); likewise.
+        robot: Robot with servos.
+        stand: Stand on soft ground.
+        reason: Note that explains the keyframe.
+        kp: Servo stiffness, shape (nu,) [N m/rad]; None: that of the robot.
+        kd: Servo damping, shape (nu,) [N m s/rad]; None: that of the robot.
     """
     qpos = stand.qpos.copy()
     qpos[:2] = 0.0
-    qpos[2] = round(float(qpos[2]), _KEY_DIGITS)
-    qpos[-robot.nu :] = np.round(qpos[-robot.nu :], _KEY_DIGITS)
+    qpos[2] = round(float(qpos[2]), _NUM_KEYFRAME_DIGITS)
+    qpos[-robot.nu :] = np.round(qpos[-robot.nu :], _NUM_KEYFRAME_DIGITS)
     torques = stand_statics(robot, stand).joint_torques
     drive, data = model_with_servos(robot, kp, kd), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
-    ctrl = np.round(drive.command(robot, qpos[-robot.nu :], torques), _KEY_DIGITS)
+    ctrl = np.round(drive.command(robot, qpos[-robot.nu :], torques), _NUM_KEYFRAME_DIGITS)
     return StartKeyframe(reason, tuple(data.qpos.tolist()), tuple(ctrl.tolist()))
 
 
-def _at(robot: Robot, joints: Array, sunk: float) -> Robot:
-    """Returns the robot with a start pose whose lowest foot has sunk so far into the ground (m)."""
+def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
+    """Return the robot with a start pose in which the lowest foot penetrates the ground [m]."""
     qpos = robot.posed(joints)
     places = Configuration(robot, qpos).foot_positions()
     height = max(robot.contact_radius[foot] - float(place[2]) for foot, place in places.items())
     return replace(robot, home=qpos, stand_height=round(height - sunk, 9) if sunk else height)
 
 
-def _kept(whole: Robot, posed: Robot) -> Robot:
-    """Returns a robot with the start pose of one that is posed, also in its description."""
+def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
+    """Return a robot with the start pose of another robot, also in its description."""
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)
     home = posed.home.copy()

@@ -166,4 +166,4 @@ def test_level_soles_are_not_searched_for_wheels(
     assert start._find_level_soles(robot, clip_to_limits(robot)) is None
     assert searched_heights == []
     assert start._find_level_soles(load("v3"), clip_to_limits(load("v3"))) is None
-    assert len(searched_heights) > start._HEIGHTS
+    assert len(searched_heights) > start._NUM_HEIGHTS
