@@ -1,4 +1,4 @@
-"""Frees the base of a robot that its MJCF holds in the world."""
+"""Free the base of a robot that is fixed in its MJCF, and place the frame of a free base."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 Array = NDArray[np.float64]
 
-_AT_THE_GROUND = 1e-6
-"""By how much a limb's lowest point may be below a base's frame that is on the ground with it (m):
-what a wheel's height and radius are rounded to."""
+_GROUND_ATOL = 1e-6
+"""Distance [m] by which a limb's lowest point may be below a base frame at ground level:
+rounding of a wheel's height and radius."""
 
-_TILTED = 0.7
-"""Cosine of how far from level a base's frame has to be where a file has it, to be told: 45 deg."""
+_MIN_LEVEL_COSINE = 0.7
+"""Cosine of the tilt of the base frame in the first keyframe above which no note is added: 45
+deg."""
 
 
 def free_base(
     urdf: UrdfFile, spec: mujoco.MjSpec, source: Path
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Returns a spec in which the base of a robot with two limbs or more is free; what was done.
+    """Return a spec with a free base if the robot has two limbs or more, and notes.
 
     Args:
-        urdf: The URDF.
-        spec: The MJCF's; it is changed.
-        source: Its file.
+        urdf: URDF.
+        spec: Spec of the MJCF; it is changed.
+        source: File of the MJCF.
 
     Raises:
-        ModelError: If it has limbs and no base: MuJoCo fuses the root link of a URDF with the
-            world, where its mass is lost.
+        ModelError: If the robot has limbs but no base body: MuJoCo fuses the root link of a URDF
+            with the world, and its mass is lost.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
@@ -59,23 +60,23 @@ def free_base(
     base = max(bodies, key=lambda body: size[body.name], default=None)
     if base is None or list(base.joints):
         return spec, []
-    if len(list(_limbs(base))) < 2:
+    if len(list(_yield_limbs(base))) < 2:
         return spec, []
     base.add_freejoint()
     return spec, [diagnose("free-joint-added", subject=("body", base.name))]
 
 
-def _limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """Yields the bodies that joints attach to a base, or to what is fixed to it."""
+def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    """Yield the bodies with joints whose parent is the base, or is fixed to the base."""
     for body in base.bodies:
         if list(body.joints):
             yield body
         else:
-            yield from _limbs(body)
+            yield from _yield_limbs(body)
 
 
 def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Takes dry friction off an MJCF's free joints, in place: it would hold what falls."""
+    """Remove the dry friction of free joints, in place: it would hold a falling robot."""
     notes = []
     for joint in spec.joints:
         if joint.type == JointKind.FREE and joint.frictionloss:
@@ -85,89 +86,97 @@ def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) -> list[Diagnostic]:
-    """Raises the frame of a free base to the height of its com where no limb ends below it.
+    """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
-    Roll, pitch and height are of a base's frame with z up: that the file's first keyframe
-    (``home``) has it more than 45 deg from level is told. The URDF's frame follows, as it does
-    where files have it in other places.
+    Roll, pitch and height of a stand refer to the base frame with z up. A note is added instead
+    if the frame is tilted by more than 45 deg in the keyframe `home` (or the first keyframe, or
+    without keyframes in the initial state). The frame of the URDF is matched later, like other
+    differences of frames.
 
     Args:
-        spec: The MJCF's, in which all bodies have names; it is changed.
-        file: What MuJoCo compiles its file to: the same, unless the base has been freed.
-        source: The file.
+        spec: Spec of the MJCF, in which all bodies have names; it is changed.
+        file: Compiled model of the file; the same, unless the base has been freed.
+        source: File.
 
     Returns:
-        What was done.
+        Notes.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.
     """
     base = next((joint.parent for joint in spec.joints if joint.type == JointKind.FREE), None)
     if base is None or base.frame is not None:
-        return []  # what is in a frame has its place in that
+        return []  # the position is relative to a frame element
     body = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, base.name)
     if body >= 0 and body in file.jnt_bodyid[free_joints(file)]:
         model = file
     else:
-        whole = spec.copy()
-        whole.compiler.discardvisual = False  # a limb may end in what is only seen
-        model = compile_spec(whole, source)
+        complete = spec.copy()
+        complete.compiler.discardvisual = False  # a limb may end in visual geoms
+        model = compile_spec(complete, source)
         body = model.body(base.name).id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    turn, place = data.xmat[body].reshape(3, 3), int(model.jnt_qposadr[model.body_jntadr[body]])
+    rotation, address = (
+        data.xmat[body].reshape(3, 3),
+        int(model.jnt_qposadr[model.body_jntadr[body]]),
+    )
     keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
     # Of a file without keyframes it is where the bodies are written.
-    begun = (
-        rotation_from_quaternion(model.key_qpos[keys[0], place + 3 : place + 7]) if keys else turn
+    start_rotation = (
+        rotation_from_quaternion(model.key_qpos[keys[0], address + 3 : address + 7])
+        if keys
+        else rotation
     )
-    if begun[2, 2] < _TILTED:
-        tilt, subject = Quantity(float(np.arccos(begun[2, 2])), "rad"), ("body", base.name)
+    if start_rotation[2, 2] < _MIN_LEVEL_COSINE:
+        tilt, subject = Quantity(float(np.arccos(start_rotation[2, 2])), "rad"), ("body", base.name)
         return [diagnose("base-frame-tilted", subject=subject, tilt=tilt)]
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    for some in (below & touching, below):  # of what is only seen each vertex is looked at
-        bottom = compute_lowest_height(model, data, np.flatnonzero(some).tolist())
-        if data.xpos[body][2] > bottom + _AT_THE_GROUND:
+    for geoms in (below & touching, below):  # collision geoms first, then visual geoms
+        bottom = compute_lowest_height(model, data, np.flatnonzero(geoms).tolist())
+        if data.xpos[body][2] > bottom + _GROUND_ATOL:
             return []
-    fixed = model.body_weldid == model.body_weldid[body]  # a root may weigh nothing itself
+    fixed = model.body_weldid == model.body_weldid[body]  # a root body may have no mass of its own
     com = model.body_mass[fixed] @ data.xipos[fixed] / model.body_mass[fixed].sum()
-    up = float(com[2] - data.xpos[body][2])
+    rise = float(com[2] - data.xpos[body][2])
     reach = float(np.linalg.norm(data.xpos[ends] - com, axis=1).max(initial=0.0))
-    hangs = bottom < com[2] - min(up, reach) / 2
-    if not hangs or turn[2, 2] < 1 - 1e-9:
+    hangs = bottom < com[2] - min(rise, reach) / 2
+    if not hangs or rotation[2, 2] < 1 - 1e-9:
         return []
-    _raise_frame(spec, base, place, up, model)
-    return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(up, "m"))]
+    _raise_frame(spec, base, address, rise, model)
+    return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(rise, "m"))]
 
 
 def _raise_frame(
     spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, up: float, model: mujoco.MjModel
 ) -> None:
-    """Raises a free base's level frame, and nothing else.
+    """Raise the frame of a free base; all elements of the body keep their place in the world.
 
     Args:
-        spec: The base's, with its keyframes; it is changed.
-        base: The base.
-        place: Of its free joint in ``qpos``.
-        up: By how much, along its z axis (m).
-        model: What MuJoCo compiles of it.
+        spec: Spec, with keyframes; it is changed.
+        base: Base body.
+        place: Address of its free joint in ``qpos``.
+        up: Distance along the z axis of the frame [m].
+        model: Compiled model of the spec.
     """
-    there = np.array([0.0, 0.0, up])
-    own = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
-    frame = base.add_frame(pos=-there)
-    for element in own:
+    offset = np.array([0.0, 0.0, up])
+    elements = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
+    frame = base.add_frame(pos=-offset)
+    for element in elements:
         if element.frame is None:
             element.set_frame(frame)
     if base.explicitinertial:
-        base.ipos = base.ipos - there
-    start = model.body(base.name)
-    base.pos = make_placement(start.quat, start.pos).act(there)
+        base.ipos = base.ipos - offset
+    body = model.body(base.name)
+    base.pos = make_placement(body.quat, body.pos).act(offset)
     for key in spec.keys:
         qpos = np.array(key.qpos)
         if len(qpos) >= place + 7:
             quaternion = qpos[place + 3 : place + 7].copy()
-            mujoco.mju_normalize4(quaternion)  # of zeros it makes none, as its compiler
-            qpos[place : place + 3] = make_placement(quaternion, qpos[place : place + 3]).act(there)
+            mujoco.mju_normalize4(quaternion)  # zeros become the identity, as in the compiler
+            qpos[place : place + 3] = make_placement(quaternion, qpos[place : place + 3]).act(
+                offset
+            )
             key.qpos = qpos

@@ -1,4 +1,4 @@
-"""The joints of two files: limits that both keep, one motor at each, couplings."""
+"""Make the joints of both files consistent: joint limits, couplings, one actuator per joint."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
-_NARROWER = 1e-3
-"""A limit that is further in by more is another one (rad, m): keyframes and files are rounded."""
+_LIMIT_ATOL = 1e-3
+"""Difference [rad, m] above which two limits differ: keyframes and files are rounded. Chosen."""
 
-_TURNS = 2 * math.pi
-"""What a joint without limits may turn, either way, where loops bind it (rad): round."""
+_CONTINUOUS_LIMIT = 2 * math.pi
+"""Limit of a continuous joint in a closed loop, in both directions [rad]: one revolution."""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:
-    """Returns the description with limits for joints that turn round and round; None without loops.
+    """Return the description with limits for continuous joints of closed loops; else None.
 
-    Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the
-    limits are further away than such a joint has to turn.
+    PlaCo's joint constraints in closed loops require limits. No note is added, because such a
+    joint does not need to turn so far. If the MJCF has a limit, that limit is used.
     """
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
@@ -37,17 +37,22 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
     for name, joint in tree.joints.items():
         if joint.kind != "continuous" or name not in robot.joint_names:
             continue
-        number = robot.mj_model.joint(name).id
-        limited = bool(robot.mj_model.jnt_limited[number])
-        ends = robot.mj_model.jnt_range[number].tolist() if limited else (-_TURNS, _TURNS)
-        joint.set_range(*ends)
+        joint_id = robot.mj_model.joint(name).id
+        limited = bool(robot.mj_model.jnt_limited[joint_id])
+        bounds = (
+            robot.mj_model.jnt_range[joint_id].tolist()
+            if limited
+            else (-_CONTINUOUS_LIMIT, _CONTINUOUS_LIMIT)
+        )
+        joint.set_range(*bounds)
     return replace(robot.description, urdf=to_text(tree.root))
 
 
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
-    """Returns the description with the URDF's limits narrowed to the MJCF's; None if they are.
+    """Return the description with the URDF's joint limits narrowed to the MJCF's, and notes.
 
-    A stand at an angle that MuJoCo's limit excludes is thrown out of it by the first step.
+    The description is None if no limit changes. A stand at an angle beyond MuJoCo's limit would
+    be pushed away by the first simulation step.
     """
     model, narrower = robot.mj_model, {}
     for name, low, high in zip(
@@ -56,10 +61,12 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
         joint = model.joint(name).id
         if not model.jnt_limited[joint]:
             continue
-        first, last = (float(value) for value in model.jnt_range[joint])
-        inside = max(first, float(low)), min(last, float(high))
-        if inside[0] < inside[1] and (first > low + _NARROWER or last < high - _NARROWER):
-            narrower[name] = inside
+        mjcf_low, mjcf_high = (float(value) for value in model.jnt_range[joint])
+        bounds = max(mjcf_low, float(low)), min(mjcf_high, float(high))
+        if bounds[0] < bounds[1] and (
+            mjcf_low > low + _LIMIT_ATOL or mjcf_high < high - _LIMIT_ATOL
+        ):
+            narrower[name] = bounds
     if not narrower:
         return None, []
     tree = UrdfTree.of(robot.description.urdf)
@@ -74,22 +81,19 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 
 
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
-    """Returns the description with the URDF's ``<mimic>`` in its MJCF, where that says nothing.
+    """Return the description with the URDF's ``<mimic>`` couplings in the MJCF, and notes.
 
-    A joint that has a motor of its own in the MJCF, or is bound there, stays as it is; so does one
-    whose coupling is there and switched off.
+    A joint remains uncoupled if it has an actuator in the MJCF, or if an equality of the MJCF,
+    active or not, refers to it.
 
     Args:
-        matched: The two files.
-        description: What is to be built of them.
-
-    Returns:
-        The description, and what was done.
+        matched: Matched joints of both files.
+        description: Description.
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}
     closure, names = matched.robot.closure, matched.robot.joint_names
-    bound = {names[joint] for joint in closure.following} if closure is not None else set()
+    dependent = {names[joint] for joint in closure.following} if closure is not None else set()
     stated = {
         name
         for equality in spec.equalities
@@ -97,28 +101,28 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
         for name in (equality.name1, equality.name2)
     }
     joints = {joint.name for joint in spec.joints}
-    added, free = [], []
+    added, uncoupled = [], []
     for name, (leader, multiplier, offset) in matched.mimics.items():
-        if name in bound:
+        if name in dependent:
             continue
         if name in stated or name in driven or leader not in joints or name not in joints:
-            free.append(name)
+            uncoupled.append(name)
             continue
         SpecTree(spec).add_coupling(name, leader, multiplier, offset)
         added.append(name)
     notes = [diagnose("mimics-coupled", joints=added)] if added else []
-    notes += [diagnose("mimics-taken-as-free", joints=free)] if free else []
+    notes += [diagnose("mimics-taken-as-free", joints=uncoupled)] if uncoupled else []
     return (replace(description, mjcf=spec) if added else description), notes
 
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
-    """Refuses joints of several motors: a stand has one command for each joint.
+    """Refuse joints with several actuators: a stand has one command per joint.
 
     Raises:
-        ModelError: If a hinge or slide has several.
+        ModelError: If a hinge or slide has several actuators.
     """
     several = [
-        joint for joint, motors in group_actuators_by_joint(model).items() if len(motors) > 1
+        joint for joint, actuators in group_actuators_by_joint(model).items() if len(actuators) > 1
     ]
     if several:
         names = [str(model.joint(joint).name) for joint in several]

@@ -1,4 +1,4 @@
-"""What is to be known of a robot as it was loaded, and what was made up for."""
+"""Notes on the preparation: matched joints, feet, couplings, added servos."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pupper_analysis.stance.problem import can_move_com
 
 
 def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
-    """Tells what became of joints whose names differ, or which only one file has."""
+    """Report joints with different names or zero angles, the base frame, and unmatched joints."""
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
         for new, old in matched.urdf_joint.items()
@@ -25,18 +25,18 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
     ]
     if renamed:
         yield diagnose("joints-named-otherwise", joints=renamed)
-    meant = matched.conventions
-    if meant.zeros:
-        moved = [
+    conventions = matched.conventions
+    if conventions.zeros:
+        offsets = [
             diagnose(
                 "zero-moved",
                 subject=("joint", name),
                 offset=Quantity(offset, joint_unit(matched.robot, name)),
             )
-            for name, offset in meant.zeros.items()
+            for name, offset in conventions.zeros.items()
         ]
-        yield diagnose("zeros-elsewhere", joints=moved)
-    if meant.base is not None and matched.robot.floating:
+        yield diagnose("zeros-elsewhere", joints=offsets)
+    if conventions.base is not None and matched.robot.floating:
         yield diagnose("base-frame-taken")
     for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
         if names:
@@ -44,7 +44,13 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Tells which feet there are, and with how many contact points."""
+    """Report the feet, and the number of their contact points.
+
+    Args:
+        robot: Robot.
+        feet: Feet.
+        given: True if the user named the feet, False if they were detected.
+    """
     messages = [
         diagnose(
             "foot-on-body",
@@ -59,7 +65,7 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Tells of which feet balls take the place, {foot: why}; feet of a kind have one reason."""
+    """Return {foot: reason} of the feet with balls in place of their shape; one reason per kind."""
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
         if has_ellipsoids(robot, [foot]):
@@ -74,13 +80,13 @@ def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
 
 
 def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
-    """Tells so if the legs cannot move the com to every place over the feet."""
+    """Report if the legs cannot move the CoM to every position above the feet."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Tells which joints follow others."""
+    """Report the joints that follow others."""
     if robot.closure is not None:
         yield robot.closure.describe()
 
@@ -88,12 +94,12 @@ def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
 def report_added_servos(
     servos: Sequence[MadeServo], own: int, timestep: float
 ) -> Iterator[Diagnostic]:
-    """Tells which servos were made up, and instead of what.
+    """Report the added servos, and the defective servos that these replace.
 
     Args:
-        servos: Those that were made up.
-        own: How many joints have one of the MJCF's.
-        timestep: Of the model that has them (s).
+        servos: Added servos.
+        own: Number of joints with a servo of the MJCF.
+        timestep: Time step of the model with the added servos [s].
     """
     bad: dict[str, list[str]] = {}
     for servo in servos:
@@ -113,16 +119,18 @@ def report_added_servos(
 
 
 def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
-    """Tells which motors drive no joint of their own: a tendon, a site, a ball joint."""
+    """Report actuators that act on no single hinge or slide: at a tendon, site or ball joint."""
     model = robot.mj_model
-    others = [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
-    if not others:
+    actuators = [
+        actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)
+    ]
+    if not actuators:
         return
-    names = [model.actuator(motor).name or f"#{motor}" for motor in others]
+    names = [model.actuator(actuator).name or f"#{actuator}" for actuator in actuators]
     yield diagnose("motors-commanded-zero", motors=names)
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:
-    """Tells the least and the greatest of some numbers, or the one that all are."""
+    """Return the minimum and maximum of values with a unit; a single value if both are equal."""
     low, high = float(np.min(values)), float(np.max(values))
     return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)

@@ -1,7 +1,4 @@
-"""Shapes that would touch what they shall not, the ground beside a foot, or each other.
-
-And those that are only seen: a robot in the making is compiled without.
-"""
+"""Disable contacts of shapes beside the feet, and of bodies that overlap; drop visual geoms."""
 
 from __future__ import annotations
 
@@ -27,14 +24,15 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
 def discard_visuals(spec: mujoco.MjSpec) -> None:
-    """Has MuJoCo compile a spec without what has no effect on its dynamics, in place.
+    """Set the compiler option that discards visual geoms without effect, in place.
 
-    Of G1, with 393,000 faces, a model then takes 1 ms instead of 80 ms, and a copy of it 0.4 ms
-    instead of 60. Compiling such a spec takes the shapes out of it: it is a copy that is compiled.
+    A model of G1, with 393,000 faces, then compiles in 1 ms instead of 80 ms, and is copied in
+    0.4 ms instead of 60 ms. A compilation removes the geoms from the spec itself, so a copy must
+    be compiled.
 
-    Source: MuJoCo documentation, ``compiler/discardvisual``: exactly the same dynamics. In a fluid
-    shapes that nothing touches are kept all the same, since their bodies' drag may be theirs; so
-    are they where bodies weigh what all their shapes do.
+    Source: MuJoCo documentation, ``compiler/discardvisual``: the dynamics are the same. The
+    option is not set with fluid forces, which may act on visual geoms, and with
+    ``inertiafromgeom="true"``, because all geoms then contribute to the mass.
     """
     weighed = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if not (weighed or spec.option.density or spec.option.viscosity):
@@ -42,7 +40,11 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
-    """Has MuJoCo compile a spec as an original says, in place; tells whether that is a change."""
+    """Copy the option that discards visual geoms from an original spec, in place.
+
+    Returns:
+        True if the option changed.
+    """
     before = spec.compiler.discardvisual
     spec.compiler.discardvisual = original.compiler.discardvisual
     return bool(before != spec.compiler.discardvisual)
@@ -51,8 +53,9 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 Array = NDArray[np.float64]
 
 _MAX_FOOT_SHARE = 0.5
-"""Load share of a foot's own shape above which the foot keeps it as contact point. If the hull
-beside it carries more than the rest, the hull is the better single contact point. Chosen."""
+"""Load share of a foot's own shape above which the foot keeps this shape as contact point. If
+the hull beside the foot carries more than the rest, the hull is the better single contact
+point. Chosen."""
 
 
 def find_carrying_hulls(
@@ -119,25 +122,29 @@ def find_carrying_hulls(
     return new, message
 
 
-_BESIDE = 5e-3
-"""Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
+_MAX_SHAPE_CLEARANCE = 5e-3
+"""Height [m] above the ground within which a shape beside a sunk foot is kept from contact.
+Chosen."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
+    """Disable the contacts of shapes of a foot's body near the ground into which it sinks.
+
+    Returns:
+        Robot, and a note if contacts are disabled.
+    """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
     except PupperAnalysisError:
         return robot, []
-    model, own = robot.mj_model, start.list_foot_bodies(robot)
+    model, foot_bodies = robot.mj_model, start.list_foot_bodies(robot)
     beside = {
         geom
-        for geom in start.find_non_foot_contacts(robot, stand, _BESIDE)
-        if int(model.body_weldid[model.geom_bodyid[geom]]) in own
+        for geom in start.find_non_foot_contacts(robot, stand, _MAX_SHAPE_CLEARANCE)
+        if int(model.body_weldid[model.geom_bodyid[geom]]) in foot_bodies
     }
     if not beside:
         return robot, []
-    # All have names since feet were looked for.
     geoms = tuple(model.geom(geom).name for geom in sorted(beside))
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
@@ -146,34 +153,38 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Keeps bodies that overlap in the start pose from pushing each other apart."""
-    pose = _start_of(robot)
+    """Exclude contacts between bodies that overlap in the start pose.
+
+    Returns:
+        Robot, and a note if contacts are excluded.
+    """
+    pose = _find_start_configuration(robot)
     if pose is None:
         return robot, []
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, pose)
     mujoco.mj_forward(model, data)
-    deep: dict[tuple[str, str], float] = {}
+    depths: dict[tuple[str, str], float] = {}
     for touch in data.contact:
         bodies = model.geom_bodyid[touch.geom]
         if 0 not in bodies and touch.dist < 0:
             one, two = sorted(str(model.body(int(body)).name) for body in bodies)
-            deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
-    if not deep:
+            depths[one, two] = max(depths.get((one, two), 0.0), -float(touch.dist))
+    if not depths:
         return robot, []
     pairs = [
-        diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
-        for (one, two), by in deep.items()
+        diagnose("bodies-overlap", one=one, two=two, depth=Quantity(depth, "m"))
+        for (one, two), depth in depths.items()
     ]
     message = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
-    return with_additions(robot, *(ContactExclusion(message, *both) for both in deep)), [message]
+    return with_additions(robot, *(ContactExclusion(message, *both) for both in depths)), [message]
 
 
-def _start_of(robot: Robot) -> Array | None:
-    """Returns the qpos (nq,) that a robot starts in, standing or held; None if it has none."""
+def _find_start_configuration(robot: Robot) -> Array | None:
+    """Return the initial qpos, (nq,), of a robot with a free or fixed base; None without one."""
     if robot.floating:
         stand = start.solve_nominal_stand(robot)
         return None if stand is None else stand.qpos
-    with contextlib.suppress(PupperAnalysisError):  # loops that do not close are told of there
+    with contextlib.suppress(PupperAnalysisError):  # open loops are reported by other passes
         return find_posture(robot).qpos
     return None

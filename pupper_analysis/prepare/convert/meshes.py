@@ -1,4 +1,4 @@
-"""The mesh files of a URDF as an MJCF names them: as OBJ, where MuJoCo does not read them."""
+"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read their format."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, make_unique_name
 
-_PACKAGE = "package://"
+_PACKAGE_PREFIX = "package://"
 
 
 class MeshFiles:
-    """The meshes of a new MJCF, each file with each scale once.
+    """Meshes of a new MJCF; each file occurs once per scale.
 
     Attributes:
-        notes: What was left out.
-        copied: Whether all meshes are copied to a folder beside the MJCF.
-        made: {path that the MJCF names: content} of meshes that are written beside the MJCF: in
-            formats that MuJoCo cannot read, or copied.
+        copied: True to copy all meshes to a folder beside the MJCF.
+        made: {path in the MJCF: content} of the mesh files to be written: converted or copied.
     """
 
     def __init__(self, urdf: UrdfFile, output: Path, *, copied: bool = False) -> None:
@@ -48,7 +46,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """What was left out, by reason."""
+        """Notes on the meshes that were left out, one per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
@@ -56,14 +54,18 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Returns the first ROS package of which files are not there; empty if none is."""
-        there_not = files if why.code == "no-such-mesh-file" else ()
-        named = (file.removeprefix(_PACKAGE) for file in there_not if file.startswith(_PACKAGE))
+        """Return the first ROS package with missing files; empty if there is none."""
+        missing_files = files if why.code == "no-such-mesh-file" else ()
+        named = (
+            file.removeprefix(_PACKAGE_PREFIX)
+            for file in missing_files
+            if file.startswith(_PACKAGE_PREFIX)
+        )
         return next(named, "").partition("/")[0]
 
     @property
     def lost(self) -> list[Diagnostic]:
-        """Which files cannot be what the robot touches with, by reason."""
+        """Notes on collision meshes that were left out, one per reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
             for why, files in self._lost.items()
@@ -71,44 +73,46 @@ class MeshFiles:
 
     @property
     def missing(self) -> Diagnostic | None:
-        """Which files are not there, and what helps; None if all are."""
+        """Note on missing files, with the remedy; None if all files exist."""
         files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
         return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
     def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
-        """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out.
+        """Return the name of a URDF's <mesh> in the MJCF; None if the mesh is left out.
 
         Args:
             mesh: The element.
-            touches: Whether it is one for collisions, whose hull MuJoCo works out.
+            touches: True for a collision mesh, for which MuJoCo computes the convex hull.
         """
         file = str(mesh.get("filename"))
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
         if path is None:
-            self._leave(diagnose("no-such-mesh-file"), file, touches=touches)
+            self._record_loss(diagnose("no-such-mesh-file"), file, touches=touches)
             return None
         path = path.resolve()
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         if not touches and file in self._collided:
-            # MuJoCo keeps a mesh as it first meets it: the hull, most of the work, would be made
-            # anew in every model if the first had none.
+            # MuJoCo caches a mesh as it first occurs. If its first occurrence had no hull, the
+            # hull, which takes most of the time, would be computed again for each model.
             hulled = self.name(mesh, touches=True)
             if hulled is not None:
                 return hulled
         try:
-            self._take(path)
+            self._add_content(path)
         except UnreadableError as error:
-            self._leave(error.reason, file, touches=touches)
+            self._record_loss(error.reason, file, touches=touches)
             return None
-        content = self.made.get(self._place(path))
+        content = self.made.get(self._choose_path(path))
         try:
-            _compile(content, path, scale, touches=touches, shell=path in self._shells)
+            _test_compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
             if flat_mesh(error) is None:
-                self._leave(diagnose("mesh-refused", message=_said(error)), file, touches=touches)
+                self._record_loss(
+                    diagnose("mesh-refused", message=_extract_message(error)), file, touches=touches
+                )
                 return None
             self._shells.add(path)
             return self.name(mesh, touches=touches)
@@ -119,17 +123,20 @@ class MeshFiles:
         return self._names[path, scale]
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
-        """Returns what MuJoCo reads for a URDF's <mesh> that touches; None if it is left out.
+        """Return the file name that MuJoCo reads for a URDF's collision <mesh>, or None.
 
         Args:
             mesh: The element.
-            assets: Takes {name: content} of meshes that are written anew.
+            assets: Receives {name: content} of converted meshes.
+
+        Returns:
+            File name; None if the mesh is left out.
         """
         if self.name(mesh, touches=True) is None:
             return None
         path = self.urdf.resolve_mesh(str(mesh.get("filename")))
         assert path is not None
-        place = self._place(path.resolve())
+        place = self._choose_path(path.resolve())
         if place in self.made:
             assets[place.name] = self.made[place]
         return place.name if place in self.made else str(place)
@@ -141,19 +148,19 @@ class MeshFiles:
         used: Collection[str] | None = None,
         assets: dict[str, bytes] | None = None,
     ) -> None:
-        """Adds the meshes to an MJCF's <asset>.
+        """Add the meshes to an MJCF's <asset>.
 
         Args:
             asset: The element.
-            used: The names of those that are needed; all by default.
-            assets: Takes {name: content} of the meshes that are written anew, if there is to be no
-                file; all other paths are absolute then.
+            used: Names of the required meshes; None: all.
+            assets: Receives {name: content} of the converted meshes if no file is written; all
+                other paths are then absolute.
         """
         for (path, scale), name in self._names.items():
             if used is not None and name not in used:
                 continue
-            place = self._place(path)
-            file = self._relative(place)
+            place = self._choose_path(path)
+            file = self._make_relative(place)
             if assets is not None:
                 file = str(place)
                 if place in self.made:
@@ -170,47 +177,50 @@ class MeshFiles:
                 inertia="shell" if path in self._shells else None,
             )
 
-    def _relative(self, path: Path) -> str:
-        """Returns a file's path from the folder of the MJCF."""
+    def _make_relative(self, path: Path) -> str:
+        """Return a path relative to the folder of the MJCF."""
         return os.path.relpath(path, self.output.parent.resolve())
 
-    def _place(self, path: Path) -> Path:
-        """Returns the file that the MJCF names for a file of the URDF."""
+    def _choose_path(self, path: Path) -> Path:
+        """Return the path that the MJCF names for a mesh file of the URDF."""
         ending = path.suffix.lower()
         if ending in MUJOCO_MESH_SUFFIXES and not self.copied:
             return path
-        if path not in self._places:  # two of one name may come from different folders
+        if path not in self._places:  # unique: folders may contain equal names
             folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
             stem = make_unique_name(path.stem, self._stems)
             name = f"{stem}{ending if ending in MUJOCO_MESH_SUFFIXES else '.obj'}"
             self._places[path] = folder / name
         return self._places[path]
 
-    def _take(self, path: Path) -> None:
-        """Writes a mesh anew if it is in a format that MuJoCo does not read.
+    def _add_content(self, path: Path) -> None:
+        """Read a mesh file, and convert it if MuJoCo cannot read its format.
 
         Raises:
-            UnreadableError: If it cannot be, or is too large.
+            UnreadableError: If the file cannot be read or converted, or is too large.
         """
-        place, readable = self._place(path), path.suffix.lower() in MUJOCO_MESH_SUFFIXES
+        place, readable = self._choose_path(path), path.suffix.lower() in MUJOCO_MESH_SUFFIXES
         content = self.made.get(place)
         if content is None:
             content = read_mesh(path) if readable else convert_to_obj(path)
         if place != path:
             self.made[place] = content
 
-    def _leave(self, why: Diagnostic, file: str, *, touches: bool = False) -> None:
+    def _record_loss(self, why: Diagnostic, file: str, *, touches: bool = False) -> None:
+        """Record that a file is left out, and why."""
         for found in (self._left, self._lost) if touches else (self._left,):
             files = found.setdefault(why, [])
             if file not in files:
                 files.append(file)
 
 
-def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
-    """Lets MuJoCo compile a mesh.
+def _test_compile(
+    content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool
+) -> None:
+    """Compile a mesh with MuJoCo, as a test.
 
     Raises:
-        ValueError: If it does not take it.
+        ValueError: If MuJoCo refuses the mesh.
     """
     spec = mujoco.MjSpec()
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
@@ -236,30 +246,31 @@ def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, sh
         raise ValueError(str(error)) from error
 
 
-def _said(error: ValueError) -> str:
+def _extract_message(error: ValueError) -> str:
+    """Return the message of MuJoCo's error without prefix and element name."""
     return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")
 
 
 MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
-"""Endings of the mesh files that MuJoCo reads."""
+"""Suffixes of the mesh formats that MuJoCo reads."""
 
-_CONVERTIBLE: Final = (".dae", ".glb", ".off", ".ply")
-"""Endings of those that are read here: no archives, whose content may be of any size and kind."""
+_CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
+"""Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
 
 MAX_MESH_BYTES: Final = 50_000_000
-"""Largest mesh file that is read: twice the largest of a published robot that was seen, and of
-as much text MuJoCo works out the hull within a minute."""
+"""Maximum size of a mesh file [bytes]: twice the largest file of a published robot. For a text
+file of this size MuJoCo computes the hull within a minute."""
 
 MAX_MESH_VERTICES: Final = 1_000_000
-"""Most vertices of a mesh: MuJoCo takes 5 s and 2 GB to compile so many, each time it does. The
-most of a published robot that was seen are 830,000, three for each triangle (Go1's trunk)."""
+"""Maximum number of vertices of a mesh. MuJoCo compiles so many in 5 s, with 2 GB. The largest
+published mesh has 830,000, three per triangle (trunk of Go1)."""
 
 
 class UnreadableError(Exception):
-    """A mesh file is not taken.
+    """Mesh file that cannot be used.
 
     Attributes:
-        reason: Why, of several files.
+        reason: Reason, equal for files with the same problem.
     """
 
     def __init__(self, reason: Diagnostic) -> None:
@@ -268,14 +279,14 @@ class UnreadableError(Exception):
 
 
 def convert_to_obj(path: Path) -> bytes:
-    """Returns a mesh as OBJ, all its parts in one.
+    """Return a mesh as OBJ, with all parts merged.
 
     Raises:
-        UnreadableError: If it is in no format that is read, or too large, or broken.
+        UnreadableError: If the format is not supported, or the file is too large or broken.
     """
     ending = path.suffix.lower()
-    if ending not in _CONVERTIBLE:
-        formats = (*MUJOCO_MESH_SUFFIXES, *_CONVERTIBLE)
+    if ending not in _CONVERTIBLE_SUFFIXES:
+        formats = (*MUJOCO_MESH_SUFFIXES, *_CONVERTIBLE_SUFFIXES)
         raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
     import trimesh  # comes with yourdfpy, and is slow to import
 
@@ -288,22 +299,22 @@ def convert_to_obj(path: Path) -> bytes:
         )
         _check_count(count, MAX_MESH_VERTICES)
         for shape in scene.geometry.values():
-            shape.visual = None  # else pictures are put together for all parts: 200 MB a mesh
+            shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
         text: str = trimesh.exchange.obj.export_obj(
             scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
         )
         return text.encode()
     except UnreadableError:
         raise
-    except Exception as error:  # whatever the many readers raise of broken files
+    except Exception as error:  # the readers raise many types for broken files
         raise UnreadableError(diagnose("mesh-broken")) from error
 
 
 def read_mesh(path: Path) -> bytes:
-    """Returns the content of a mesh file that is no larger than any mesh of a robot.
+    """Return the content of a mesh file of at most `MAX_MESH_BYTES`.
 
     Raises:
-        UnreadableError: If it is, or cannot be read.
+        UnreadableError: If the file is larger, or cannot be read.
     """
     try:
         return read_input(path, MAX_MESH_BYTES)
@@ -315,6 +326,7 @@ def read_mesh(path: Path) -> bytes:
         raise UnreadableError(diagnose("mesh-broken")) from error
 
 
-def _check_count(vertices: int, most: int) -> None:
-    if vertices > most:
-        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=most))
+def _check_count(vertices: int, maximum: int) -> None:
+    """Refuse a mesh with too many vertices."""
+    if vertices > maximum:
+        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))

@@ -1,4 +1,4 @@
-"""Inertials that no body can have: given to what they are fixed to, or repaired if asked for."""
+"""Make the inertials of a URDF valid for MuJoCo: move them to fixed neighbours, or repair them."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
 Array = NDArray[np.float64]
 
 WORLD_LINK: Final = "world"
-"""A root link of this name is the world itself, as in MuJoCo's own importer."""
+"""Name of a root link that is the world itself, as in MuJoCo's own importer."""
 
-_TRIANGLE: Final = 1e-12
-"""Slack of A + B >= C between principal moments, relative: rounding of the eigenvalues."""
+_TRIANGLE_RTOL: Final = 1e-12
+"""Relative tolerance of A + B >= C between principal moments: rounding of the eigenvalues."""
 
-_LEAST_INERTIA: Final = 1e-14
-"""Least mass (kg) and principal moment (kg m^2) of a body that moves: ten times MuJoCo's."""
+_MIN_INERTIA: Final = 1e-14
+"""Lower bound of mass [kg] and principal moments [kg m^2] of a moving body: ten times MuJoCo's."""
 
 ADDED_MASS: Final = 1e-3
-"""Mass that a moved link without any is given (kg): what exporters give helper links."""
+"""Mass [kg] that a moving link without mass is given: common for helper links of exporters."""
 
-_GYRATION: Final = 0.01
-"""Radius of gyration of what has a mass and no inertia (m): that of a ball of 16 mm. A smaller one
-would be moved by the least torque faster than a time step of 2 ms follows."""
+_GYRATION_RADIUS: Final = 0.01
+"""Radius of gyration [m] of a link with mass and without inertia: that of a ball of 16 mm. With
+a smaller radius, the least torque moves the link faster than a time step of 2 ms can follow."""
 
-_MARGIN: Final = 1e-6
-"""What the repaired moments are inside of A + B >= C, relative: digits that are written."""
+_TRIANGLE_MARGIN: Final = 1e-6
+"""Relative margin of repaired moments in A + B >= C: rounding to the written digits."""
 
 
 @dataclass(frozen=True)
 class Repair(Result):
-    """An inertial that no body can have, and what was written in its place.
+    """An invalid inertial, and its replacement.
 
     Attributes:
-        link: The link.
-        body: The joint that moves it, or the link that is the base.
-        mass: What the URDF states (kg).
-        moments: Its principal moments (kg m^2).
-        new_mass: What was written (kg).
-        new_moments: Its principal moments (kg m^2); the axes are the same.
+        link: Name of the link.
+        body: Joint that moves the link, or the base link.
+        mass: Mass in the URDF [kg].
+        moments: Principal moments in the URDF [kg m^2].
+        new_mass: Written mass [kg].
+        new_moments: Written principal moments [kg m^2]; the axes are unchanged.
     """
 
     link: str
@@ -63,7 +63,7 @@ class Repair(Result):
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """What was written, as it is reported."""
+        """Note about the repair."""
         link = "link", self.link
         if not self.mass > 0:
             return diagnose("mass-given", subject=link, mass=Quantity(self.new_mass, "kg"))
@@ -73,11 +73,11 @@ class Repair(Result):
 
 @dataclass(frozen=True, eq=False)
 class LinkBodies:
-    """The links of a URDF as the bodies of an MJCF.
+    """Links of a URDF as bodies of an MJCF.
 
     Attributes:
-        tree: The links, to be changed.
-        free: Whether the base is free.
+        tree: Links; they are changed.
+        free: True if the base is free.
     """
 
     tree: UrdfTree
@@ -85,95 +85,95 @@ class LinkBodies:
 
     @property
     def names(self) -> list[str]:
-        """All bodies, parents first; the world is none."""
+        """Names of all bodies, parents first, without the world."""
         base = self.tree.base.name
         return [name for name in self.tree.subtree(base) if name != base or base != WORLD_LINK]
 
     def parent(self, body: str) -> str | None:
-        """Returns the body that carries one; None for the base, and a child of the world."""
+        """Return the parent body; None for the base, and for a child of the world."""
         above = self.tree.parent(body)
         return None if above == self.tree.base.name == WORLD_LINK else above
 
     def moves(self, body: str) -> bool:
-        """Tells whether a body can move against what carries it."""
+        """Return True if a body can move relative to its parent."""
         joint = self.tree.above.get(body)
         return self.free if joint is None else not joint.is_fixed
 
     def inertia(self, body: str) -> pin.Inertia | None:
-        """Returns what a body states that it weighs, in its own frame; None if nothing."""
+        """Return the inertia of a body, in its own frame; None without an inertial."""
         return self.tree.links[body].inertia
 
     def carried(self, body: str) -> bool:
-        """Tells whether a body is fixed to one that carries it."""
+        """Return True if a body is fixed to a parent body."""
         return not self.moves(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
-        """Yields a body and all that are fixed to it, above and below, the nearest first.
+        """Yield a body and all bodies fixed to it, in order of distance.
 
-        Each with where the first one is in it.
+        Each is given with the placement of the first body's frame in its own frame.
         """
         known, waiting = {body}, [(body, pin.SE3.Identity())]
         while waiting:
-            here, placement = waiting.pop(0)
-            yield here, placement
-            below = [joint for joint in self.tree.below.get(here, ()) if joint.is_fixed]
-            near = [(joint.child, joint.origin.inverse()) for joint in below]
-            if self.carried(here):
-                above = self.tree.above[here]
-                near.insert(0, (above.parent, above.origin))
-            for other, there in near:
-                if other not in known:
-                    known.add(other)
-                    waiting.append((other, there * placement))
+            current, placement = waiting.pop(0)
+            yield current, placement
+            below = [joint for joint in self.tree.below.get(current, ()) if joint.is_fixed]
+            neighbours = [(joint.child, joint.origin.inverse()) for joint in below]
+            if self.carried(current):
+                joint = self.tree.above[current]
+                neighbours.insert(0, (joint.parent, joint.origin))
+            for neighbour, offset in neighbours:
+                if neighbour not in known:
+                    known.add(neighbour)
+                    waiting.append((neighbour, offset * placement))
 
 
 def repair_inertials(
     urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
-    """Makes inertials such that MuJoCo takes them.
+    """Make all inertials valid for MuJoCo, in place.
 
-    One that no body can have is moved to a body that it is fixed to, however many links are between
-    them: what moves with them is the same then. Where that does not help, it is repaired.
+    An invalid inertial is moved to a body in its fixed group, over any number of links: the
+    motion is then the same. If no sum of both inertias is valid, the inertial is repaired.
 
     Args:
-        urdf: What was read.
-        bodies: Its bodies.
-        repair: Whether to repair: moments become the nearest that a body can have, and what moves
-            without any mass is given a gram.
+        urdf: URDF as read.
+        bodies: Bodies of the URDF.
+        repair: True to repair: moments become the nearest valid moments, and a moving body
+            without mass gets `ADDED_MASS`.
 
     Returns:
-        What was moved, and what was repaired.
+        Notes on moved inertials, and repairs.
 
     Raises:
-        ModelError: If one would have to be repaired, and shall not be.
+        ModelError: If a repair is necessary, and ``repair`` is False.
     """
     moved: list[Diagnostic] = []
     repairs: list[Repair] = []
     for body in bodies.names:
         inertia = bodies.inertia(body)
         if inertia is not None and not (inertia.mass or np.any(inertia.inertia)):
-            bodies.tree.links[body].remove("inertial")  # it states nothing
+            bodies.tree.links[body].remove("inertial")  # all values are zero
     for body in bodies.names:
         inertia = bodies.inertia(body)
         if inertia is None or is_valid_inertia(inertia):
             continue
-        said = _moved(bodies, body, inertia)
-        if said is not None:
-            moved.append(said)
+        note = _move_inertia(bodies, body, inertia)
+        if note is not None:
+            moved.append(note)
         elif repair and inertia.mass > 0:
-            repairs.append(_repaired(bodies, body))
+            repairs.append(_repair_inertia(bodies, body))
         elif inertia.mass > 0:
-            raise _refusal(urdf, body, inertia)
+            raise _make_inertia_error(urdf, body, inertia)
     for body in bodies.names:
-        if bodies.moves(body) and not _weighs(bodies, body):
+        if bodies.moves(body) and not _has_mass(bodies, body):
             if not repair:
-                raise _weightless(urdf, body)
-            repairs.append(_repaired(bodies, body))
+                raise _make_mass_error(urdf, body)
+            repairs.append(_repair_inertia(bodies, body))
     return moved, repairs
 
 
 def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> UrdfFile:
-    """Returns a URDF with the inertials that were repaired: what the new MJCF is of."""
+    """Return a URDF with the repaired inertials, which correspond to the new MJCF."""
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
@@ -184,81 +184,85 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 
 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
-    """Says whether a body can have an inertia, as MuJoCo sees it: or nothing, without mass."""
+    """Return True if MuJoCo accepts an inertia: valid moments; or, without mass, zero inertia."""
     if inertia.mass <= 0:
         return not np.array(inertia.inertia).any()
     low, middle, high = np.linalg.eigvalsh(np.array(inertia.inertia))
-    return bool(low > _LEAST_INERTIA and low + middle >= high * (1 - _TRIANGLE))
+    return bool(low > _MIN_INERTIA and low + middle >= high * (1 - _TRIANGLE_RTOL))
 
 
 def find_nearest_moments(moments: Array, mass: float) -> Array:
-    """Returns the principal moments of a body that are nearest to some that no body has.
+    """Return the valid principal moments that are nearest to invalid ones.
 
-    The condition is A + B >= C for the greatest C; what is missing is made up in equal parts by
-    all three, which is the least change (the projection on a half-space). MuJoCo's own
-    ``balanceinertia`` takes the mean of the three instead, which changes more. Where a moment would
-    not be positive, it is that of a body with a radius of gyration of 1 cm.
+    The condition is A + B >= C for the largest moment C. The missing amount is distributed in
+    equal parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
+    uses the mean of the moments instead, which is a larger change. If no moment is positive, the
+    moments are those of a radius of gyration of `_GYRATION_RADIUS`.
 
     Args:
-        moments: Principal moments (3,), the greatest last (kg m^2).
-        mass: Mass (kg).
+        moments: Principal moments, shape (3,) [kg m^2], the largest last.
+        mass: Mass [kg].
     """
     result: Array = np.maximum(moments, 0.0)
-    if result.max() <= _LEAST_INERTIA:
-        return np.full(3, mass * _GYRATION**2)
-    missing = float(result[2] * (1 + _MARGIN) - result[0] - result[1])
+    if result.max() <= _MIN_INERTIA:
+        return np.full(3, mass * _GYRATION_RADIUS**2)
+    missing = float(result[2] * (1 + _TRIANGLE_MARGIN) - result[0] - result[1])
     if missing > 0:
         result = result + np.array([1.0, 1.0, -1.0]) * missing / 3
-    return np.maximum(result, 10 * _LEAST_INERTIA)
+    return np.maximum(result, 10 * _MIN_INERTIA)
 
 
-def _moved(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Gives what a body cannot have to one that it is fixed to; says which, or None."""
-    moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _moments(inertia)
+def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
+    """Move an invalid inertia to a body of its fixed group; return a note, or None if none fits."""
+    moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
-    for other, placement in group[1:]:
-        there, total = bodies.inertia(other), placement.act(inertia)
-        if there is not None and is_valid_inertia(there + total):
-            links[other].set_inertia(there + total, NUM_DIGITS)
+    for neighbour, placement in group[1:]:
+        own_inertia, total = bodies.inertia(neighbour), placement.act(inertia)
+        if own_inertia is not None and is_valid_inertia(own_inertia + total):
+            links[neighbour].set_inertia(own_inertia + total, NUM_DIGITS)
             links[body].remove("inertial")
-            return diagnose("inertia-moved", subject=moved, mass=mass, moments=moments, to=other)
+            return diagnose(
+                "inertia-moved", subject=moved, mass=mass, moments=moments, to=neighbour
+            )
     return None
 
 
-def _weighs(bodies: LinkBodies, body: str) -> bool:
-    """Says whether a body, or one that is fixed to it, has a mass."""
-    inertias = (bodies.inertia(other) for other, _ in bodies.fixed_group(body))
+def _has_mass(bodies: LinkBodies, body: str) -> bool:
+    """Return True if a body, or a body fixed to it, has a mass."""
+    inertias = (bodies.inertia(member) for member, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
 
-def _repaired(bodies: LinkBodies, body: str) -> Repair:
-    """Gives a body the nearest inertia that it can have."""
+def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
+    """Replace the inertia of a body by the nearest valid inertia."""
     stated = bodies.inertia(body)
     old = pin.Inertia.Zero() if stated is None else stated
     moments, axes = np.linalg.eigh(np.array(old.inertia))
     mass = float(old.mass if old.mass > 0 else ADDED_MASS)
-    wanted = find_nearest_moments(moments, mass)
-    new = make_inertia(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
+    new_moments = find_nearest_moments(moments, mass)
+    new = make_inertia(mass, old.lever, axes @ np.diag(new_moments) @ axes.T)
     bodies.tree.links[body].set_inertia(new, NUM_DIGITS)
-    moved = _carrier(bodies, body)[0]
+    moved = _find_carrier(bodies, body)[0]
     joint = bodies.tree.above.get(moved)
     return Repair(
         link=body,
         body=moved if joint is None or joint.is_fixed else joint.name,
         mass=float(old.mass),
-        moments=_three(moments),
+        moments=_to_triple(moments),
         new_mass=mass,
-        new_moments=_three(wanted),
+        new_moments=_to_triple(new_moments),
     )
 
 
-def _carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
-    """Returns the body that carries a fixed one, itself if none does, and where it is in that.
+def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
+    """Return the first moving ancestor of a fixed body, and the placement of the body in it.
+
+    The body itself is returned if it is not fixed to a parent.
 
     Args:
-        bodies: The bodies.
-        body: The fixed one.
-        bare: Whether to stop at a body that states an inertia, too.
+        bodies: Bodies.
+        body: Body.
+        bare: True to stop also at a body with an inertial.
     """
     placement = pin.SE3.Identity()
     while bodies.carried(body) and not (bare and bodies.inertia(body) is not None):
@@ -267,40 +271,44 @@ def _carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str,
     return body, placement
 
 
-def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
-    mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
+def _make_inertia_error(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
+    """Return the error for an invalid inertia."""
+    mass, moments = Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
     return make_file_error(urdf.place("link", name, "inertial/inertia"), problem)
 
 
-def _weightless(urdf: UrdfFile, body: str) -> ModelError:
+def _make_mass_error(urdf: UrdfFile, body: str) -> ModelError:
+    """Return the error for a moving body without mass."""
     above = urdf.tree.above.get(body)
     joint = None if above is None else above.name
     problem = diagnose("link-without-mass", subject=("link", body), joint=joint)
     return make_file_error(urdf.place("link", body), problem)
 
 
-def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:
-    return _three(np.linalg.eigvalsh(np.array(inertia.inertia)))
+def _compute_moments(inertia: pin.Inertia) -> tuple[float, float, float]:
+    """Return the principal moments of an inertia [kg m^2], the largest last."""
+    return _to_triple(np.linalg.eigvalsh(np.array(inertia.inertia)))
 
 
-def _three(values: Array) -> tuple[float, float, float]:
-    one, two, three = (float(value) for value in values)
-    return one, two, three
+def _to_triple(values: Array) -> tuple[float, float, float]:
+    """Return three values as a tuple."""
+    first, second, third = (float(value) for value in values)
+    return first, second, third
 
 
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
-    """Moves collision shapes of bodies without joint and mass to the body that carries them.
+    """Move the collision shapes of fixed bodies without mass to the bodies that carry them.
 
-    MuJoCo's ground is the softer under a shape the more lightly the shape's body can be pushed, at
-    that body's own frame: a toe's sphere in a massless body of its own, at the end of a foot with
-    light ankles, sinks in 25 times as far as in the foot's body. MuJoCo's own importer merges both.
+    The compliance of MuJoCo's ground depends on the inertia of the shape's body at its own
+    frame: the sphere of a massless toe body sinks 25 times as far as the same sphere in the body
+    of the foot with light ankles. MuJoCo's own importer also merges both bodies.
 
     Returns:
-        The names of the bodies whose shapes were moved.
+        Names of the bodies whose shapes were moved.
     """
     touching = {name for name, link in bodies.tree.links.items() if link.touches}
-    carriers = {name: _carrier(bodies, name, bare=True) for name in bodies.names}
+    carriers = {name: _find_carrier(bodies, name, bare=True) for name in bodies.names}
     moved = [name for name, (to, _) in carriers.items() if to != name and name in touching]
     for name in moved:
         carrier, placement = carriers[name]
