@@ -83,8 +83,12 @@ def judge_simulation(
     null, unknown, masses = describe_null_efforts(robot), None, describe_given_masses(loaded)
     if null is not None and (not fed.passed or statics is None or null_bears(robot, statics)):
         # Other failures are consequences of motors without torque.
-        fed, null = replace(fed, passed=False, failures=(null,)), None
-        alone = None if alone is None else replace(alone, passed=False, failures=fed.failures)
+        fed, null = replace(fed, passed=False, stays=False, failures=(null,)), None
+        alone = (
+            None
+            if alone is None
+            else replace(alone, passed=False, stays=False, failures=fed.failures)
+        )
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
@@ -174,7 +178,7 @@ def _fail_if_upset(
         where=trial.where,
         time=Quantity(trial.time or 0.0, "s"),
     )
-    return replace(fed, passed=False, failures=(upset,))
+    return replace(fed, passed=False, stays=False, failures=(upset,))
 
 
 _FILE_ERROR_CODES = {

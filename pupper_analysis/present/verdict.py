@@ -100,10 +100,20 @@ def get_verdict_key(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
     if verdict.code in UNKNOWN:
         return "UNKNOWN"
+    if _disagrees(verdict):
+        return "DISAGREES"
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
         return "HOLDS with feed-forward"
     return _WORDS[verdict.asked][0 if verdict.passed else 1]
+
+
+def _disagrees(verdict: Verdict) -> bool:
+    """Return True if the robot stands in MuJoCo, and not as predicted: prepared or as published."""
+    if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
+        run = None if verdict.published is None else verdict.published.worst
+        return run is not None and not run.collapses
+    return verdict.code is VerdictCode.DISAGREES
 
 
 def clause_text(clause: Clause) -> Text:
@@ -214,7 +224,7 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
         converted: Which of the robot's models was made of the other one, if one was.
     """
     word = text(key)
-    good = converted and key not in ("FAILS", "FAILED", "UNKNOWN")
+    good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
     return text("verdict-from-one-file", word=word) if good else word
 
 
@@ -276,8 +286,13 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
             verdict.code is not VerdictCode.IN_BALANCE, message
         )  # what decides stands first
     elif fed is not Ending.HOLDS:
-        collapses = fed is Ending.COLLAPSES
-        message = diagnose("fails-in-mujoco", collapses=collapses, failures=verdict.failures)
+        message = diagnose(
+            "fails-in-mujoco",
+            collapses=fed is Ending.COLLAPSES,
+            disagrees=fed is Ending.DISAGREES,
+            fails=fed is Ending.FAILS,
+            failures=verdict.failures,
+        )
         yield Clause(False, message)
     else:
         message = diagnose(

@@ -36,6 +36,7 @@ class VerdictCode(StrEnum):
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
+    DISAGREES = "stands in simulation, and not as predicted"
     FAILS = "fails"
 
 
@@ -69,6 +70,7 @@ class Ending(StrEnum):
     """How a simulation ended."""
 
     HOLDS = "holds"
+    DISAGREES = "stands, and not as predicted"
     FAILS = "fails"
     COLLAPSES = "collapses"
     UNTRIED = "was not simulated"
@@ -89,6 +91,7 @@ class Outcome:
         stability: Of where it settled; None where that was not asked.
         creep: Motion over the last 10 s; None if it was not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
+        stays: Whether the robot stands still on its feet, even if not as predicted.
     """
 
     passed: bool
@@ -100,6 +103,7 @@ class Outcome:
     stability: Stability | None = None
     creep: Creep | None = None
     notes: tuple[Diagnostic, ...] = ()
+    stays: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +284,8 @@ def describe_ending(run: Outcome) -> Ending:
     """Tells how a simulation ended."""
     if run.passed:
         return Ending.HOLDS
+    if run.stays:
+        return Ending.DISAGREES
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
@@ -294,7 +300,7 @@ def _code(
 ) -> VerdictCode:
     """Returns the worst that applies."""
     if not fed.passed:
-        return VerdictCode.FAILS
+        return VerdictCode.DISAGREES if fed.stays and not overloaded else VerdictCode.FAILS
     given = servos.source is ServoSource.GIVEN  # then the file's own are not what holds it
     if (own is not None and own.fails and not given) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL

@@ -5,8 +5,10 @@ First the stand itself by MuJoCo's kinematics and dynamics.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -486,17 +488,27 @@ def _off_rest(robot: Robot, found: StandVerification, settled: SteadyState) -> l
 
 
 def deviations(
-    joint: float, torque: float, way: float = 0.0, share: float = 0.0
+    joint: float,
+    torque: float,
+    way: float = 0.0,
+    share: float = 0.0,
+    details: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Diagnostic]:
-    """Says so if joints (rad) or torques (in parts) are off what was predicted.
+    """Return the deviations of joints and torques that exceed the tolerances.
 
-    By more than what friction may hold them off: a way (rad), and a share of a torque.
+    Args:
+        joint: Largest deviation of a joint [rad].
+        torque: Largest deviation of a torque, in parts of the largest torque.
+        way: Deviation of a joint that dry friction may cause [rad].
+        share: Deviation of a torque that dry friction may cause, in parts of the largest torque.
+        details: Joint with the largest deviation of a torque; predicted and simulated torque.
     """
     off = []
     if not joint < JOINT_TOLERANCE + way:
         off.append(diagnose("joint-off", error=Quantity(joint, "rad")))
     if not torque < FORCE_TOLERANCE + share:
-        off.append(diagnose("motor-torque-off", error=torque))
+        numbers = dict.fromkeys(("joint", "predicted", "simulated")) | dict(details)
+        off.append(diagnose("motor-torque-off", error=torque, **numbers))
     return off
 
 
@@ -545,7 +557,14 @@ def _deviations(
     found: StandVerification,
 ) -> list[Diagnostic]:
     """Says what is not as predicted."""
-    off = deviations(found.joint_error, found.torque_error)
+    errors = np.abs(found.joint_torques - found.predicted_torques)
+    worst = int(np.argmax(np.nan_to_num(errors)))
+    details = {
+        "joint": robot.joint_names[worst],
+        "predicted": Quantity(float(found.predicted_torques[worst]), "N m"),
+        "simulated": Quantity(float(found.joint_torques[worst]), "N m"),
+    }
+    off = deviations(found.joint_error, found.torque_error, details=details)
     if found.force_error is not None and not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
     weight = robot.usual_weight

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.present.verdict import format_verdict
+from pupper_analysis.present.verdict import format_verdict, get_verdict_key, verdict_word
 from pupper_analysis.robot.as_published import (
     Cause,
     JointOff,
@@ -29,7 +29,7 @@ from pupper_analysis.simulation.verdict import (
 )
 
 
-def run(loss: float = 0.001, *, passed: bool = True) -> Any:
+def run(loss: float = 0.001, *, passed: bool = True, stays: bool = False) -> Any:
     """A simulation of a stand of 0.2 m that ends so much lower."""
     return Stub(
         passed=passed,
@@ -41,6 +41,7 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         stability=None,
         creep=None,
         notes=(),
+        stays=stays,
     )
 
 
@@ -139,6 +140,12 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         True,
         "on 8 spheres in place of its soles",
     ),
+    "stands otherwise": (
+        {"fed": run(passed=False, stays=True)},
+        VerdictCode.DISAGREES,
+        False,
+        "stands in MuJoCo, and not as predicted",
+    ),
     "too weak": ({"overloaded": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
     "falls": ({"fed": run(0.1, passed=False)}, VerdictCode.FAILS, False, "COLLAPSES in MuJoCo"),
 }
@@ -153,6 +160,25 @@ def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
     assert said in format_verdict(verdict)
     if not passed:
         assert not format_verdict(verdict).startswith("HOLDS")
+
+
+@pytest.mark.parametrize(
+    ("given", "english", "chinese"),
+    [
+        ({"fed": run(passed=False, stays=True)}, "DISAGREES", "与预测不符"),
+        ({"published": published(0.65)}, "DISAGREES", "与预测不符"),
+        ({"published": published(0.0, collapses=True)}, "FAILS", "不稳定"),
+        ({"fed": run(passed=False)}, "FAILS", "不稳定"),
+    ],
+)
+def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
+    given: dict[str, Any], english: str, chinese: str
+) -> None:
+    """FAILS means that the robot does not stand."""
+    verdict = judge_stance(given.get("fed", run()), run(), FILE, published=given.get("published"))
+    assert not verdict.passed
+    assert get_verdict_key(verdict) == english
+    assert verdict_word(verdict).zh == chinese
 
 
 def test_the_worst_check_decides_the_verdict() -> None:
