@@ -102,6 +102,12 @@ class Result:
     def _format_fields(self) -> list[tuple[str, str]]:
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
+    def _repr_html_(self) -> str:
+        """Return a table of fields, values and units, for notebooks."""
+        from pupper_analysis.base.notebook import render_result
+
+        return render_result(self)
+
     def to_json(self) -> str:
         """Return the result as indented JSON."""
         return to_json(self)

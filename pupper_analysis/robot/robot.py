@@ -271,6 +271,21 @@ class Robot:
             f"{len(self.feet)} feet>"
         )
 
+    def _repr_html_(self) -> str:
+        """Return a table of mass, base, joints and feet, for notebooks."""
+        from pupper_analysis.base.notebook import format_value, render_table
+
+        rows = [
+            ("total_mass", format_value(self.total_mass), "kg"),
+            ("floating", format_value(self.floating), ""),
+            ("base", format_value(self.base), ""),
+            ("joint_names", format_value(self.joint_names), ""),
+            ("effort_limits", format_value(self.effort_limits), "N m or N"),
+            ("feet", format_value(tuple(self.feet)), ""),
+            ("notes", format_value(self.notes), ""),
+        ]
+        return render_table(f"Robot {self.name}", rows)
+
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
         for made in _CACHED_ATTRIBUTES:

@@ -1,0 +1,144 @@
+"""HTML tables of results for notebooks: one row per field, with its value and its unit.
+
+``Result._repr_html_`` and the same method of ``Robot`` and ``Configuration`` use this module.
+Jupyter calls ``_repr_html_`` to display the value of a cell. Long arrays are summarised; the page
+of a command (``pa.report.write_html``) shows each number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from enum import Enum
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.base.diagnostics import Diagnostic, format_number
+from pupper_analysis.base.units import units_of
+
+MAX_SHOWN_NUMBERS = 12
+"""Largest number of elements of an array that a cell shows. Chosen, not tuned: the joints of a
+quadruped."""
+
+MAX_SHOWN_ROWS = 12
+"""Largest number of entries of a mapping or a sequence that a cell shows, one per line. Chosen, not
+tuned: the joints of a quadruped."""
+
+MAX_TEXT_LENGTH = 200
+"""Largest number of characters of the text of a nested object."""
+
+NUMBER_FORMAT = ".4g"
+"""Format of numbers in a cell; ``to_dict`` returns all digits."""
+
+ROUNDING_RTOL = 1e-12
+"""Numbers of an array below this fraction of the largest one, or of 1, are shown as 0: they are
+rounding of double precision."""
+
+_NOTHING = "&ndash;"
+"""HTML of an absent value."""
+
+Row = tuple[str, str, str]
+"""Name, HTML of the value, unit."""
+
+
+def render_result(result: object) -> str:
+    """Return the HTML table of a dataclass: its public fields and reported properties.
+
+    Args:
+        result: Instance of a dataclass.
+    """
+    kind: Any = type(result)
+    units = units_of(kind)
+    names = [f.name for f in fields(kind) if not f.name.startswith("_")]
+    names += [name for name in getattr(result, "_reported", ()) if name not in names]
+    rows = [(name, format_value(getattr(result, name)), units.get(name, "")) for name in names]
+    return render_table(kind.__name__, rows)
+
+
+def render_table(caption: str, rows: Iterable[Row]) -> str:
+    """Return an HTML table with the columns field, value and unit.
+
+    Args:
+        caption: Text above the table; it is escaped.
+        rows: Name (escaped), HTML of the value (from ``format_value``), and unit (escaped).
+    """
+    style = "text-align: left; vertical-align: top"
+    head = "".join(f'<th style="{style}">{name}</th>' for name in ("field", "value", "unit"))
+    body = "".join(
+        f'<tr><td style="{style}"><code>{escape(name)}</code></td>'
+        f'<td style="{style}">{value}</td><td style="{style}">{escape(unit)}</td></tr>'
+        for name, value, unit in rows
+    )
+    return (
+        f'<table><caption style="text-align: left; font-weight: bold">{escape(caption)}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def format_value(value: object) -> str:
+    """Return the HTML of a value: numbers with 4 digits, long containers summarised."""
+    if isinstance(value, Diagnostic):
+        return escape(str(value))
+    if isinstance(value, Enum):
+        return escape(str(value.value))
+    if isinstance(value, bool | np.bool_) or value is None:
+        return _NOTHING if value is None else str(bool(value))
+    if isinstance(value, float | np.floating):
+        return _number_text(float(value))
+    if isinstance(value, str | int | np.integer):
+        return escape(str(value))
+    if isinstance(value, np.ndarray):
+        return _array_html(value)
+    if isinstance(value, Mapping):
+        lines = [f"{escape(str(name))}: {format_value(item)}" for name, item in value.items()]
+        return _lines_html(lines)
+    if isinstance(value, Sequence):
+        return _sequence_html(value)
+    return escape(_summarise(value))
+
+
+def _number_text(value: float) -> str:
+    return format_number(value, NUMBER_FORMAT)
+
+
+def _array_html(values: np.ndarray[Any, Any]) -> str:
+    """Return all numbers of a short array, or the shape and the range of a longer one."""
+    if values.size == 0:
+        return "empty"
+    if values.dtype.kind not in "fiub":
+        return escape(f"array of {' x '.join(map(str, values.shape))}")
+    if values.ndim <= 1 and values.size <= MAX_SHOWN_NUMBERS:
+        scale = float(np.abs(values[np.isfinite(values)]).max(initial=1.0))
+        kept = np.where(np.abs(values) > ROUNDING_RTOL * scale, values, 0.0)
+        return escape(", ".join(_number_text(float(value)) for value in kept.ravel()))
+    shape = " x ".join(map(str, values.shape))
+    low, high = _number_text(float(values.min())), _number_text(float(values.max()))
+    return escape(f"array of {shape}, {low} to {high}")
+
+
+def _sequence_html(values: Sequence[object]) -> str:
+    """Return short sequences of numbers and names on one line, other items one per line."""
+    if not values:
+        return _NOTHING
+    simple = all(isinstance(value, str | int | float | np.number) for value in values)
+    if simple and len(values) <= MAX_SHOWN_NUMBERS:
+        return ", ".join(format_value(value) for value in values)
+    return _lines_html([format_value(value) for value in values])
+
+
+def _lines_html(lines: Sequence[str]) -> str:
+    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines only their number is stated."""
+    if not lines:
+        return _NOTHING
+    hidden = len(lines) - MAX_SHOWN_ROWS
+    shown = [*lines[:MAX_SHOWN_ROWS], *([f"and {hidden} more"] if hidden > 0 else [])]
+    return "<br>".join(shown)
+
+
+def _summarise(value: object) -> str:
+    """Return the text of an object that has one of its own, else its short ``repr``."""
+    own_text = type(value).__str__ is not object.__str__
+    text = str(value) if own_text else repr(value)
+    return text if len(text) <= MAX_TEXT_LENGTH else f"{text[:MAX_TEXT_LENGTH]} ..."

@@ -1,0 +1,81 @@
+"""Tables of results in notebooks: values, units and escaped names."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.notebook import format_value
+from pupper_analysis.base.results import Result
+from tests.support.variants import load, stand_of
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Result):
+    torque: float = field(metadata={"unit": "N m"})
+    shares: np.ndarray = field(metadata={"unit": "1"})
+    forces: dict[str, np.ndarray] = field(metadata={"unit": "N"})
+    name: str
+    hidden: float | None = None
+
+
+def rows_of(shown: Any) -> dict[str, tuple[str, str]]:
+    """Return {field: (value, unit)} of a table, as an XML parser reads the HTML."""
+    text = shown._repr_html_().replace("&ndash;", "none").replace("<br>", "<br/>")
+    found = {}
+    for row in ElementTree.fromstring(text).iterfind("tbody/tr"):
+        name, value, unit = ("".join(cell.itertext()) for cell in row)
+        found[name] = value, unit
+    return found
+
+
+def test_a_table_states_each_field_with_its_unit() -> None:
+    sample = Sample(0.123456, np.array([0.5, 1.0]), {"FL": np.array([0.0, 0.0, 8.0])}, "<b>", None)
+    assert rows_of(sample) == {
+        "torque": ("0.1235", "N m"),
+        "shares": ("0.5, 1", ""),
+        "forces": ("FL: 0, 0, 8", "N"),
+        "name": ("<b>", ""),
+        "hidden": ("none", ""),
+    }
+
+
+def test_rounding_noise_of_an_array_is_shown_as_zero() -> None:
+    assert format_value(np.array([1e-17, 2.0, -3e-18])) == "0, 2, 0"
+    assert format_value(np.array([1e-6, 2.0])) == "0.000001, 2"
+
+
+def test_long_arrays_and_mappings_are_summarised() -> None:
+    assert format_value(np.arange(24.0).reshape(8, 3)) == "array of 8 x 3, 0 to 23"
+    entries = format_value({f"joint{index}": float(index) for index in range(15)})
+    assert entries.count("<br>") == 12
+    assert entries.endswith("and 3 more")
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_numbers_that_are_not_finite_are_shown(value: float) -> None:
+    assert format_value(value).strip("-") in {"inf", "nan"}
+
+
+def test_robot_configuration_stand_and_statics_have_tables() -> None:
+    """Reference: the attributes that the tables show."""
+    robot, stand = load("v3"), stand_of("v3")
+    config = pa.Configuration(robot, stand.qpos)
+    assert rows_of(robot)["total_mass"] == (f"{robot.total_mass:.4g}", "kg")
+    position, unit = rows_of(config)["base position"]
+    assert unit == "m"
+    assert float(position.split(", ")[2]) == pytest.approx(stand.qpos[2], rel=1e-3)
+    assert rows_of(stand)["foot_error"][1] == "m or rad"
+    torques, unit = rows_of(pa.gravity_compensation(config))["joint_torques"]
+    assert (len(torques.split(", ")), unit) == (robot.nu, "N m")
+
+
+def test_the_repr_of_a_configuration_states_robot_and_base() -> None:
+    text = repr(pa.Configuration(load("v3"), stand_of("v3").qpos))
+    assert text.startswith("<Configuration of 'v3': base at (")
+    assert text.endswith("m, 12 joints, at rest>")
