@@ -269,7 +269,8 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
     axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
-                  size=drawing.FONT_SIZE - 1, arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
+                  size=drawing.FONT_SIZE - 1,
+                  arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
 
 
 def _contacts_with_ground(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
