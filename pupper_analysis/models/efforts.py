@@ -28,12 +28,12 @@ from pupper_analysis.models.transmission import actuator_gear, list_joint_actuat
 if TYPE_CHECKING:
     from pupper_analysis.models.mjcf_file import MjcfFile
 
-_HOLDING = (
+_BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_NONE.value,
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Dynamics through which a force is never more than that of the greatest command."""
+"""Actuator dynamics with which a force never exceeds that of the largest command."""
 
 
 class EffortCode(StrEnum):
@@ -47,18 +47,19 @@ class EffortCode(StrEnum):
 
 @dataclass(frozen=True)
 class EffortStatement(Result):
-    """One place where a file says what a joint's motor can give.
+    """Torque limit of a joint's motor as one attribute of a file states it.
 
     Attributes:
-        file: ``URDF`` or ``MJCF``; ``""`` of a limit that was asked for in place of theirs.
+        file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces those of the files.
         element: ``joint`` or ``actuator``.
-        name: The element's; of several actuators at a joint theirs, with commas.
+        name: Name of the element; of several actuators at a joint their names, separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
-        stated: The lower and the upper end of the range as the file has it, an effort's with both
-            signs; of several actuators those at the joint.
-        factor: What one of it is at the joint: the gear, times the gain of a ``ctrlrange``.
-        lower: At the joint (N m; N of a joint that slides).
-        upper: Likewise.
+        stated: Lower and upper end of the range in the file, for an effort with both signs; for
+            several actuators the sum at the joint.
+        factor: Torque at the joint per unit of ``stated``: the gear, for a ``ctrlrange`` times the
+            gain.
+        lower: Lower end at the joint (N m; N of a slide).
+        upper: Upper end at the joint (N m; N of a slide).
     """
 
     file: str
@@ -79,7 +80,7 @@ class EffortStatement(Result):
         stated: Sequence[float],
         factor: float = 1.0,
     ) -> EffortStatement:
-        """Returns a statement, worked out at the joint."""
+        """Create a statement with the range at the joint."""
         low, high = (float(end) for end in stated)
         ends = sorted((factor * low, factor * high))
         return EffortStatement(file, element, name, attribute, (low, high), factor, *ends)
@@ -94,24 +95,24 @@ class EffortStatement(Result):
 
     @property
     def greatest(self) -> float:
-        """What the motor can give one way at the most (N m)."""
+        """Largest torque in one of the two directions [N m]."""
         return max(abs(self.lower), abs(self.upper))
 
     @property
     def least(self) -> float:
-        """What the motor can give either way (N m): the lesser of the two ends; 0 if one is 0."""
+        """Torque that is available in both directions [N m]; 0 if one end is 0."""
         return max(0.0, min(-self.lower, self.upper))
 
 
 @dataclass(frozen=True)
 class EffortLimit(Result):
-    """What a joint's motor can give.
+    """Torque limit of a joint.
 
     Attributes:
-        joint: The joint.
-        lower: The greatest torque the one way (N m), negative; -inf without a limit.
-        upper: The other way; inf without a limit.
-        origin: The statement that is the least; None without a limit.
+        joint: Name of the joint.
+        lower: Lower end of the torque range (N m); -inf without a limit.
+        upper: Upper end of the torque range (N m); inf without a limit.
+        origin: Statement with the smallest limit; None without a limit.
         stated: All statements of both files.
         code: Meaning of the limit: ``unknown`` if no file states one, ``zero`` and ``negative`` if
             the motor has no torque, else ``stated``.
@@ -142,13 +143,13 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """The smallest positive limit that another statement has; None without one."""
+        """Statement with the smallest positive limit; None if there is none."""
         positive = [statement for statement in self.stated if statement.least > 0]
         return min(positive, key=lambda statement: statement.least, default=None)
 
     @property
     def least(self) -> float:
-        """What it can give either way (N m)."""
+        """Torque that is available in both directions [N m]."""
         return max(0.0, min(-self.lower, self.upper))
 
 
@@ -164,48 +165,52 @@ def resolve_effort_limit(
     """Return the torque limit of a joint by both files.
 
     Args:
-        model: MuJoCo's model of the MJCF.
-        joint: The id of a hinge or slide in it.
-        effort: The URDF's for the joint (N m); None or infinite if it states none.
-        name: The joint's in the URDF; by default as in the MJCF.
-        drives: Its actuators, where they are known.
-        null: An empty range of the MJCF, which its compiled model lacks: ``null_efforts``.
+        model: MuJoCo model of the MJCF.
+        joint: Joint id of a hinge or slide.
+        effort: Effort of the URDF's joint [N m]; None or infinite if the URDF states none.
+        name: Name of the joint in the URDF. Default: as in the MJCF.
+        drives: Actuators of the joint. Default: determined from the model.
+        null: Empty range of the MJCF from ``null_efforts``, which the compiled model lacks.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives
-    stated = _stated(model, joint, drives)
+    stated = _list_statements(model, joint, drives)
     if null is not None:
         stated.append(null)
     if effort is not None and effort < UNSTATED:
-        # First: of two that say the same, the one that says it of the joint.
+        # First, so that of two equal limits the one of the joint is the origin.
         range_ = (-effort, effort)
         make = EffortStatement.of if effort > 0 else EffortStatement.empty
         stated.insert(0, make("URDF", "joint", name or own, "effort", range_))
     return EffortLimit(
         joint=name or own,
-        lower=max((one.lower for one in stated), default=-math.inf),
-        upper=min((one.upper for one in stated), default=math.inf),
-        origin=min(stated, key=lambda one: one.least, default=None),
+        lower=max((statement.lower for statement in stated), default=-math.inf),
+        upper=min((statement.upper for statement in stated), default=math.inf),
+        origin=min(stated, key=lambda statement: statement.least, default=None),
         stated=tuple(stated),
     )
 
 
-def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[EffortStatement]:
-    """Returns what an MJCF states of a joint's effort, each worked out at the joint.
+def _list_statements(
+    model: mujoco.MjModel, joint: int, drives: Sequence[int]
+) -> list[EffortStatement]:
+    """Return the statements of an MJCF about a joint, with ranges at the joint.
 
-    Several actuators at a joint add up: what bounds their sum is one statement.
+    Several actuators at a joint are summed to one statement.
     """
-    found = read_joint_effort(model, joint)
+    statements = read_joint_effort(model, joint)
     if len(drives) == 1:
-        return found + read_actuator_efforts(model, drives[0])
-    each = [read_actuator_efforts(model, actuator) for actuator in drives]
-    if drives and all(each):
-        lower = sum(max(one.lower for one in own) for own in each)
-        upper = sum(min(one.upper for one in own) for own in each)
-        names = ", ".join(own[0].name for own in each)
-        least = min(each[0], key=lambda one: one.least)
-        found.append(EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper)))
-    return found
+        return statements + read_actuator_efforts(model, drives[0])
+    by_drive = [read_actuator_efforts(model, actuator) for actuator in drives]
+    if drives and all(by_drive):
+        lower = sum(max(statement.lower for statement in own) for own in by_drive)
+        upper = sum(min(statement.upper for statement in own) for own in by_drive)
+        names = ", ".join(own[0].name for own in by_drive)
+        least = min(by_drive[0], key=lambda statement: statement.least)
+        statements.append(
+            EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper))
+        )
+    return statements
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
@@ -220,7 +225,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     found: dict[str, EffortStatement] = {}
     by_joint: dict[str, list[EffortStatement | None]] = {}
     for actuator in file.spec.actuators:
-        if actuator.trntype in _SPEC_JOINTS:
+        if actuator.trntype in _JOINT_TRANSMISSIONS:
             by_joint.setdefault(actuator.target, []).append(_empty_range(file, actuator))
     for joint, statements in by_joint.items():
         first = statements[0]
@@ -234,7 +239,8 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     return found
 
 
-_SPEC_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+_JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+"""Transmissions of actuators that act on one joint, in an ``MjSpec``."""
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
@@ -261,8 +267,10 @@ def _is_empty(
 
 
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Returns what a joint's own attribute states."""
-    unknown = model.jnt_actfrcrange[joint, 1] >= UNSTATED  # MuJoCo's import of such a URDF
+    """Return the ``actuatorfrcrange`` of a joint as a list with at most one statement."""
+    unknown = (
+        model.jnt_actfrcrange[joint, 1] >= UNSTATED
+    )  # from MuJoCo's import of a URDF without effort
     if unknown or not model.jnt_actfrclimited[joint]:
         return []
     name, range_ = str(model.joint(joint).name), model.jnt_actfrcrange[joint]
@@ -270,13 +278,13 @@ def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement
 
 
 def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
-    """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited."""
+    """Return the largest force or torque of the actuators of a joint; inf if unlimited."""
     limit = resolve_effort_limit(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Returns what an actuator's own attributes state."""
+    """Return the statements of the attributes of an actuator."""
     found, name = [], str(model.actuator(actuator).name)
     gear = float(actuator_gear(model, actuator)[0])
     if model.actuator_forcelimited[actuator]:
@@ -288,7 +296,7 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
     plain = (
         model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
         and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
-        and model.actuator_dyntype[actuator] in _HOLDING
+        and model.actuator_dyntype[actuator] in _BOUNDED_DYNAMICS
     )
     control = int(model.actuator_ctrladr[actuator])
     if plain and model.actuator_ctrllimited[control]:
@@ -302,29 +310,29 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
-"""N m that no motor with its gear gives for each of its kg: the best give 150. Of 1500 joints in
-use none is above 117 that has a motor in one of the two links it joins; tendons may come from afar.
-"""
+"""Torque per mass of the two connected links [N m/kg] that no geared motor exceeds: the best have
+150. Of 1500 joints of robots in use that have a motor in one of the two links, none is above 117;
+tendons may come from distant motors."""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
-"""N m that all motors of a robot give together for each kg of it: 150 each, and motors are not more
-than six tenths of it. Robots in use have 2 to 55."""
+"""Sum of all torques per mass of the robot [N m/kg] that no robot exceeds: 150 per kg of motor,
+with motors of at most six tenths of the mass. Robots in use have 2 to 55."""
 
 MAX_ROTOR_ACCELERATION = 1e5
-"""rad/s^2 that no motor gives its own rotor, effort / armature: 100 rad/s within 1 ms. Robots in
-use have 350 to 25,000."""
+"""Acceleration of a rotor without load, effort / armature [rad/s^2], that no motor exceeds: 100
+rad/s within 1 ms. Robots in use have 350 to 25,000."""
 
 
 @dataclass(frozen=True)
 class Motor:
-    """What an effort is held against.
+    """Effort of a joint with the quantities that bound it.
 
     Attributes:
-        joint: A hinge.
-        effort: What a file says that it can give (N m).
-        mass: Of the two links that it joins, one of which has the motor, and what is fixed to them
-            (kg).
-        armature: kg m^2; 0 where none is stated.
+        joint: Name of a hinge.
+        effort: Stated torque limit [N m].
+        mass: Mass [kg] of the two links that the joint connects, with links fixed to them; one
+            contains the motor.
+        armature: Rotor inertia at the joint [kg m^2]; 0 if not stated.
     """
 
     joint: str
@@ -336,18 +344,18 @@ class Motor:
 def placeholder_efforts(
     motors: Sequence[Motor], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yields which efforts nobody can have meant: they are written where a number has to be.
+    """Yield the efforts that are placeholders, since no motor can have them.
 
-    A round one (1, 2 or 5 times 10^n, from 100) that is beyond any motor of its links' mass; one
-    beyond any motor of its armature; and all the others where they are, together, beyond what
-    motors of a robot of that mass give.
+    These are: round efforts (1, 2 or 5 times 10^n, from 100) above `MAX_TORQUE_PER_LINK_MASS`;
+    efforts above `MAX_ROTOR_ACCELERATION`; and all others, if their sum is above
+    `MAX_TORQUE_PER_ROBOT_MASS`.
 
     Args:
         motors: All hinges with a limit.
-        total: The robot's mass (kg).
+        total: Mass of the robot [kg].
 
     Yields:
-        Joints, the one to look at first, and what is wrong with their efforts.
+        Joints, the most suspicious first, and the finding about their efforts.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[Motor]] = {}
@@ -395,6 +403,6 @@ def placeholder_efforts(
 
 
 def _is_round(value: float) -> bool:
-    """Says whether a number is 1, 2 or 5 times a power of ten, of 100 at least."""
+    """Return True if a number is 1, 2 or 5 times a power of ten, and at least 100."""
     digits, _, exponent = f"{value:.6e}".partition("e")
     return float(digits) in (1.0, 2.0, 5.0) and int(exponent) >= 2

@@ -21,36 +21,39 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FALLEN_TILT = 0.5
-"""A base that leans by more than this against its task has fallen over (rad)."""
+"""Tilt of the base against its task [rad] above which a robot has fallen over. Chosen, not
+tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
-"""What has lost this share of its height has collapsed: what sags on servos that carry it
-loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half. One that has gained it was thrown
-up."""
+"""Change of the CoM height, relative to the initial height, above which a robot has collapsed or
+been thrown up. A robot that sags on its servos loses a tenth (v3 at kp 5: 9 %); a robot that lies
+on its shanks has lost half."""
 
 
-def tilt_between(one: Array, other: Array) -> float:
-    """Returns the angle between the verticals of two rotations (3, 3) (rad)."""
-    return math.acos(min(1.0, max(-1.0, float(one[2] @ other[2]))))
+def tilt_between(first: Array, second: Array) -> float:
+    """Return the angle [rad] between the vertical axes of two rotations, shape (3, 3)."""
+    return math.acos(min(1.0, max(-1.0, float(first[2] @ second[2]))))
 
 
 MAX_KEYFRAME_DURATION = 5.0
-"""Of a run from a keyframe (s): it drops by a few centimetres, servos catch it, and what gives way
-slowly (a knee whose servo has no force: 2 cm/s after 2 s) has done so."""
+"""Simulated time of a run from a keyframe [s]. Within this time a drop by centimetres has ended,
+and slow failures have become visible (a knee without torque: 2 cm/s after 2 s)."""
 
-_MOST_STEPS = 5000
-"""Of such a run: a model of shorter steps is simulated for less time, but not for less than ..."""
+_MAX_KEYFRAME_STEPS = 5000
+"""Upper bound of the steps of such a run. With a shorter time step, the simulated time is
+shorter."""
 
-_LEAST_SECONDS = 2.0
-"""... this (s), in which what falls from its own height lies."""
+_MIN_KEYFRAME_DURATION = 2.0
+"""Lower bound of the simulated time [s]: a robot that falls from its own height lies on the ground
+by then."""
 
 MAX_TRAVEL_RATIO = 1.0
-"""Heights that what stands does not travel: on feet that stay where they are, no robot
-gets so far; what slides, rolls or flies does. (Gravity that is sideways moves it 20 m in 2 s.)"""
+"""Horizontal travel of the CoM, relative to its height, above which a robot has left its place. On
+planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
-"""Greatest speed in a nudge, of each coordinate (m/s, rad/s). Equilibria that shake to pieces at
-the next touch have basins of 1e-7, and survive 1e-9; those that stand forget 1e-2."""
+"""Largest component of a nudge [m/s, rad/s]. Equilibria that a later touch destroys have basins of
+attraction of 1e-7, and survive 1e-9; stable stands return after 1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
@@ -66,25 +69,25 @@ _MIN_UPWARD_NORMAL = 0.1
 """Least vertical component of the unit normal of a contact with the ground; a wall has less."""
 
 
-_LOST = (
+_RESET_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQPOS.value,
     mujoco.mjtWarning.mjWARN_BADQVEL.value,
     mujoco.mjtWarning.mjWARN_BADQACC.value,
 )
-"""What MuJoCo warns of as it resets a state."""
+"""Warnings with which MuJoCo resets a state."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return random velocities of base and joints, shape (nv,), of at most ``NUDGE_SPEED``."""
-    # Seeded: the same robot is nudged alike. No mode is orthogonal to what is random.
+    # The seed makes results repeatable. A random vector excites all modes.
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
 
 
 def keyframe_duration(model: mujoco.MjModel) -> float:
-    """Returns for how long a run from a keyframe is simulated (s)."""
-    affordable = _MOST_STEPS * float(model.opt.timestep)
-    return min(MAX_KEYFRAME_DURATION, max(_LEAST_SECONDS, affordable))
+    """Return the simulated time [s] of a run from a keyframe."""
+    affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
+    return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
 
 
 @dataclass(frozen=True)
@@ -136,32 +139,32 @@ def simulate_keyframe(
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulates a keyframe for ``keyframe_duration``: nudged, nudged the other way, and not at all.
+    """Simulate a state for ``keyframe_duration`` with a nudge, its opposite, and no nudge.
 
-    What a drop leaves on an edge between two falls, or a fall and a stand, goes to one of them by a
-    nudge of one sign, and to the other by one of the other: the first run that collapses counts.
+    A drop may end on an edge between a fall and a stand; a nudge of one sign then leads to the
+    fall. The first run that collapses is returned, otherwise the first run.
 
     Args:
-        model: MuJoCo's model.
-        start: The keyframe with its commands; it stays as it is.
-        base: The base's body.
-        ground: Height of the ground (m).
-        advance: Simulates data for some seconds, in place.
+        model: MuJoCo model.
+        start: State with its commands; it is not changed.
+        base: Body index of the base.
+        ground: Height of the ground [m], if no geom of the ground is found below the robot.
+        advance: Advances a state by a time [s], in place.
 
     Returns:
-        What became of the robot, and the data at the end.
+        Motion of the robot, and the state at the end.
     """
-    seconds, before, runs = keyframe_duration(model), _placed(model, start), []
+    seconds, before, runs = keyframe_duration(model), _copy_with_kinematics(model, start), []
     initial = initial_height(model, start, base, ground)
     for sign in (1.0, -1.0, 0.0):
         data, diverged = copy.copy(start), False
         data.qvel[:] += sign * nudge_velocity(model)
         try:
             advance(data, seconds)
-        except mujoco.FatalError:  # a contact of shapes without directions, say
+        except mujoco.FatalError:  # for example degenerate contacts
             diverged = True
         moved = measure_motion(model, before, data, base, seconds, initial)
-        lies = _lies(model, data, base)
+        lies = _lies_on_trunk(model, data, base)
         runs.append((replace(moved, diverged=moved.diverged or diverged, lies=lies), data))
         if runs[-1][0].collapses:
             return runs[-1]
@@ -173,7 +176,16 @@ def simulate_held_keyframe(
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulates what is held in the world, nudged, for ``keyframe_duration``: it cannot fall."""
+    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``. It can only diverge.
+
+    Args:
+        model: MuJoCo model.
+        start: State with its commands; it is not changed.
+        advance: Advances a state by a time [s], in place.
+
+    Returns:
+        Motion of the robot, with lengths of 0, and the state at the end.
+    """
     data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
     diverged = False
@@ -185,15 +197,15 @@ def simulate_held_keyframe(
 
 
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
-    """Tells whether MuJoCo reset a state on its way, as it does where numbers are no longer any.
+    """Return True if MuJoCo has reset the state, as it does if numbers are no longer finite.
 
-    It counts that; the time tells nothing of one that was lost in its first step.
+    The warning counters show it; the time does not, if the first step diverged.
     """
-    return any(data.warning[kind].number > 0 for kind in _LOST)
+    return any(data.warning[kind].number > 0 for kind in _RESET_WARNINGS)
 
 
-def _placed(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Returns a copy of data that knows where its bodies and their centres of mass are."""
+def _copy_with_kinematics(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Return a copy of a state with evaluated positions of bodies and centres of mass."""
     placed = copy.copy(data)
     mujoco.mj_kinematics(model, placed)
     mujoco.mj_comPos(model, placed)
@@ -218,7 +230,7 @@ def measure_motion(
         seconds: Simulated time (s).
         initial: Heights at reset.
     """
-    first, last = (_placed(model, data) for data in (start, end))
+    first, last = (_copy_with_kinematics(model, data) for data in (start, end))
     there, here = first.subtree_com[base], last.subtree_com[base]
     return BodyMotion(
         duration=seconds,
@@ -263,7 +275,7 @@ def initial_height(
         base: Body index of the base.
         ground: Height of the ground (m) that is returned if no ground is found.
     """
-    trial = _placed(model, start)
+    trial = _copy_with_kinematics(model, start)
     com, clearance = float(trial.subtree_com[base][2]), 0.0
     flags, margin = model.opt.enableflags, float(model.opt.o_margin)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
@@ -310,40 +322,42 @@ def _distance_above_ground(
     return min(float(distances[lowest]), _SEARCH_MARGIN), height
 
 
-def _world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
+def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
+    """Return a mask of the contacts with bodies that are fixed to the world."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
     return np.asarray((bodies == 0).any(axis=1))
 
 
-def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
-    """Returns the bodies that touch the world, each by the one to which it is welded."""
+def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+    """Return the bodies that touch the world, as indices of their weld groups."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
-    return set(bodies[_world_contacts(model, data)].ravel().tolist()) - {0}
+    return set(bodies[_find_world_contacts(model, data)].ravel().tolist()) - {0}
 
 
-def _lies(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
-    """Tells whether a robot touches the world with its base or hips, or with no end of a limb."""
+def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
+    """Return True if base or hips touch the world, or if something but no end of a limb does."""
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
     carrying = {int(above[body]) for body in moving}
     trunk = {own} | {body for body in moving if above[body] == own and body in carrying}
-    touching = _touching(model, data)
+    touching = _find_touching_bodies(model, data)
     return bool(touching & trunk) or (bool(touching) and touching <= carrying)
 
 
 def horizontal_distance(start: Array, end: Array) -> float:
-    """Returns how far a position (3,) is from another, as seen from above (m)."""
+    """Return the horizontal distance [m] between two positions, shape (3,)."""
     return float(np.linalg.norm((end - start)[:2]))
 
 
 def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool:
-    """Tells whether a robot has fallen over, sunk on to itself, or left where it stood.
+    """Return True if a robot has fallen over, sunk, been thrown up, or left its place.
 
     Args:
-        leaning: How far it leans (rad); not a number of what has diverged, like the next two.
-        lost: By how much it is lower than it was (m).
-        away: How far it has travelled, as seen from above (m).
-        size: The height of its centre of mass, where it stood, above what carries it (m).
+        leaning: Tilt of the base [rad]; NaN, like the next two, after a divergence, which returns
+            True.
+        lost: Height loss of the CoM [m].
+        away: Horizontal distance of the CoM from its start [m].
+        size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT
     return not (upright and away <= MAX_TRAVEL_RATIO * size)

@@ -1,4 +1,9 @@
-"""The position servos of a robot's MuJoCo model."""
+"""Position servos of a robot's MuJoCo model: gains, commands, and models with other gains.
+
+A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at its joint.
+`model_with_servos` returns a copy of the model with requested gains; `resolve_servo_gains` returns
+the gains without a model.
+"""
 
 from __future__ import annotations
 
@@ -27,31 +32,31 @@ INTEGRATOR_TYPES = {
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
-"""MuJoCo's integrators, as MJCF names them."""
+"""{name in MJCF: MuJoCo's integrator}."""
 
 CONE_TYPES = {
     "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
     "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
 }
-"""Forms of MuJoCo's friction cones, likewise."""
+"""{name in MJCF: form of MuJoCo's friction cones}."""
 
-_HOLDING = (
+_CONVERGING_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_NONE.value,
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Dynamics after which a command that stays is at last what is commanded."""
+"""Actuator dynamics with which the activation converges to a constant command."""
 
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """The position servos of a MuJoCo model: tau = clip(kp (ctrl' - q) - kd qvel, +- limit).
+    """Position servos of a MuJoCo model: tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit).
 
     Attributes:
-        model: The model, a copy of the robot's.
-        kp: (nu,) at the joints (N m/rad); 0 at those that follow others, without a motor.
-        kd: (nu,) at the joints (N m s/rad); likewise.
-        gear: (nu,) actuator length per joint angle; ctrl' = ctrl / gear.
+        model: MuJoCo model, a copy of the robot's.
+        kp: Stiffness at the joints, shape (nu,) [N m/rad]; 0 for coupled joints without motor.
+        kd: Damping at the joints, shape (nu,) [N m s/rad]; 0 for coupled joints without motor.
+        gear: Actuator length per joint angle, shape (nu,).
         integrator: Name of MuJoCo's integrator.
     """
 
@@ -67,22 +72,22 @@ class Servos:
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
-        """Returns the ctrl (..., model.nu) for joint positions, with a feed-forward torque.
+        """Compute the ctrl (..., model.nu) for joint positions with a feed-forward torque.
 
-        Servos at tendons and sites are asked for the length that they have there, as a joint's are:
-        they exert nothing then. All other motors are commanded 0.
+        Servos on tendons and sites are commanded their present length, so that they exert no force.
+        All other motors are commanded 0.
 
         Args:
-            robot: The robot.
-            positions: (..., nu) joint positions (rad).
-            torques: (..., nu) torques (N m) to be given at these positions; zero if None.
+            robot: Robot.
+            positions: Joint positions, shape (..., nu) [rad, m].
+            torques: Feed-forward torques, shape (..., nu) [N m]. Default: 0.
         """
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros((*positions.shape[:-1], self.model.nu))
         target = (
             positions if torques is None else positions + compute_command_lead(torques, self.kp)
         )
-        if _servos_elsewhere(self.model, actuators[driven]).size:
+        if _find_other_servos(self.model, actuators[driven]).size:
             data = mujoco.MjData(self.model)
             for row in np.ndindex(positions.shape[:-1]):
                 data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions[row]
@@ -93,14 +98,14 @@ class Servos:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Returns the ctrl (model.nu,) with which servos at tendons and sites exert nothing.
+    """Compute the ctrl (model.nu,) with which servos on tendons and sites exert no force.
 
     Args:
-        model: The model.
-        qpos: (model.nq,) where it is.
-        known: The actuators that are commanded otherwise; theirs is 0.
+        model: MuJoCo model.
+        qpos: Configuration, shape (model.nq,).
+        known: Actuators that are commanded otherwise; their ctrl is 0.
     """
-    others, ctrl = _servos_elsewhere(model, known), np.zeros(model.nu)
+    others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
     if others.size:
         data = mujoco.MjData(model)
         data.qpos[:] = qpos
@@ -117,12 +122,12 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
     return ctrl
 
 
-def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns the position servos that are none of the known actuators."""
+def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the position servos that are not among the known actuators."""
     servo = (
         (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value)
         & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE.value)
-        & np.isin(model.actuator_dyntype, _HOLDING)
+        & np.isin(model.actuator_dyntype, _CONVERGING_DYNAMICS)
         & (model.actuator_gainprm[:, 0] != 0)
         & (model.actuator_biasprm[:, 1] != 0)
     )
@@ -130,9 +135,9 @@ def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArra
 
 
 def compute_command_lead(torques: Array, kp: Array) -> Array:
-    """Returns by how much (..., nu) a command is beyond a pose for torques (..., nu) to be given.
+    """Compute the command offset, shape (..., nu) [rad], of feed-forward torques: torque / kp.
 
-    Nothing where there is no servo, at joints that follow others.
+    0 for joints without a servo, which are coupled to others.
     """
     ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
     return ahead
@@ -144,17 +149,17 @@ def model_with_servos(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Servos:
-    """Returns a copy of the robot's MuJoCo model with position servos.
+    """Return a copy of the robot's MuJoCo model with position servos.
 
     Args:
-        robot: The robot.
-        kp: Stiffness at the joints (N m/rad), one or (nu,); the model's own by default.
-        kd: Damping at the joints (N m s/rad), one or (nu,); the model's own by default.
-        integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``; the model's by default.
+        robot: Robot.
+        kp: Stiffness at the joints [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Damping at the joints [N m s/rad], scalar or shape (nu,). Default: the model's.
+        integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``. Default: the model's.
 
     Raises:
-        ConfigurationError: If a gain is not positive (kd: negative), or the integrator is unknown.
-        ModelError: If a joint has no motor, or its motor is no position servo and kp, kd are not
+        ConfigurationError: If a gain is out of range, or the integrator is unknown.
+        ModelError: If a joint has no motor, or its motor is no position servo and kp and kd are not
             both given.
     """
     model = copy.copy(robot.mj_model)
@@ -164,9 +169,9 @@ def model_with_servos(
     if kp is not None or kd is not None:
         write_position_servos(model, actuators, wanted.kp[driven], wanted.kd[driven])
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
-    _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
+    _narrow_force_ranges(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
-        model.opt.integrator = _value_of("integrator", integrator, INTEGRATOR_TYPES)
+        model.opt.integrator = _find_option_value("integrator", integrator, INTEGRATOR_TYPES)
     used = next(
         (name for name, kind in INTEGRATOR_TYPES.items() if kind.value == model.opt.integrator),
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
@@ -197,15 +202,16 @@ def write_position_servos(
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains of a robot's motors, checked, and what they are used with.
+    """Checked gains of the motors of a robot.
 
-    Joints that follow others have gains of 0, and need no motor.
+    Coupled joints have gains of 0, and need no motor.
 
     Attributes:
-        kp: (nu,) at the joints (N m/rad).
-        kd: (nu,) at the joints (N m s/rad).
-        gear: (nu,) actuator length per joint angle.
-        servo: (nu,) whether the motor is a servo in the robot's model.
+        kp: Stiffness at the joints, shape (nu,) [N m/rad].
+        kd: Damping at the joints, shape (nu,) [N m s/rad].
+        gear: Actuator length per joint angle, shape (nu,).
+        servo: Mask, shape (nu,): the motor is a position servo in the robot's model, or the joint
+            is coupled.
     """
 
     kp: Array
@@ -214,17 +220,19 @@ class Gains:
     servo: NDArray[np.bool_]
 
 
-def _limit(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array) -> None:
-    """Writes what motors can give (n, 2), at their joints, into a model as their force ranges.
+def _narrow_force_ranges(
+    model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array
+) -> None:
+    """Write effort ranges at the joints, shape (n, 2) [N m], to the force ranges of a model.
 
-    A URDF's effort, and the command of a motor that is driven as a servo, bound no force there. A
-    range that MuJoCo has bounded already is written only where it is wider.
+    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. A
+    force range that exists already is replaced only by a narrower one.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)
     free = ~model.actuator_forcelimited[actuators].astype(bool)
     now = np.where(free[:, None], (-np.inf, np.inf), model.actuator_forcerange[actuators])
-    # To rounding: what is stated there already stays to the last digit.
+    # Ranges that are equal up to rounding stay unchanged.
     slack = 1 + 1e-12
     narrower = (wanted[:, 0] > now[:, 0] / slack) | (wanted[:, 1] < now[:, 1] / slack)
     chosen = narrower & (gear != 0) & np.isfinite(wanted).all(axis=1)
@@ -233,20 +241,20 @@ def _limit(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ran
 
 
 MAX_GAIN = 1e9
-"""N m/rad (kd: N m s/rad): more than any machine's; what overflows is far beyond."""
+"""Upper bound of kp [N m/rad] and kd [N m s/rad], above those of any machine and below overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""N m/rad: commands are the torque divided by kp, and overflow far below."""
+"""Lower bound of kp [N m/rad]. Commands contain torque / kp, which overflows far below."""
 
 
 def resolve_servo_gains(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> Gains:
-    """Returns what ``model_with_servos`` works out, without a model that has it.
+    """Return the gains of `model_with_servos`, without a model.
 
     Raises:
-        ConfigurationError: As ``model_with_servos``.
-        ModelError: Likewise.
+        ConfigurationError: As for `model_with_servos`.
+        ModelError: As for `model_with_servos`.
     """
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)
@@ -257,19 +265,19 @@ def resolve_servo_gains(
             problem = diagnose("joint-without-actuator", subject=("joint", name))
             raise ModelError(robot.description.mjcf_source, problem)
     if robot.closure is None:
-        gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
+        gain, damped, gear, servo = _read_gains(robot.mj_model, actuators)
     else:
         gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
         servo = following.copy()
-        gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
+        gain[~following], damped[~following], gear[~following], servo[~following] = _read_gains(
             robot.mj_model, actuators[~following]
         )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
         problem = diagnose("actuator-is-no-servo", subject=("joint", robot.joint_names[index]))
         raise ModelError(robot.description.mjcf_source, problem)
-    stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
-    damping = damped if kd is None else _gain("kd", kd, robot.nu)
+    stiffness = gain if kp is None else _check_gain("kp", kp, robot.nu)
+    damping = damped if kd is None else _check_gain("kd", kd, robot.nu)
     if kp is not None and (stiffness[~following] < MIN_STIFFNESS).any():
         problem = diagnose("stiffness-too-small", kp=stiffness.min(), least=MIN_STIFFNESS)
         raise ConfigurationError("kp", problem)
@@ -278,15 +286,15 @@ def resolve_servo_gains(
 
 
 def command_ranges(robot: Robot) -> Array:
-    """Returns between which joint positions (nu, 2) servos can be commanded (rad, m).
+    """Return the ranges of servo commands, shape (nu, 2) [rad, m].
 
-    MuJoCo cuts the command of a servo off at its ``ctrlrange``. A motor that is driven as a servo
-    has none, nor has a joint without a motor: infinite.
+    MuJoCo clips the command of a servo to its ``ctrlrange``. The range is infinite for a torque
+    motor that is driven as a servo, and for a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
     driven = np.flatnonzero(actuators >= 0)
-    _, _, gear, servo = _of_model(model, actuators[driven])
+    _, _, gear, servo = _read_gains(model, actuators[driven])
     controls = model.actuator_ctrladr[actuators[driven]]
     cut = servo & model.actuator_ctrllimited[controls].astype(bool)
     stated = model.actuator_ctrlrange[controls[cut]] / gear[cut, None]
@@ -295,14 +303,14 @@ def command_ranges(robot: Robot) -> Array:
 
 
 def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Returns the joints whose motor is a position servo in the robot's model.
+    """Return the joints whose motor is a position servo in the robot's model.
 
     Returns:
-        {joint: its kp (N m/rad) and kd (N m s/rad)}.
+        {joint: kp [N m/rad] and kd [N m s/rad]}.
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
-    gain, damping, _, servo = _of_model(robot.mj_model, actuators[driven])
+    gain, damping, _, servo = _read_gains(robot.mj_model, actuators[driven])
     return {
         robot.joint_names[joint]: (float(kp), float(kd))
         for joint, kp, kd, holds in zip(driven, gain, damping, servo, strict=True)
@@ -313,16 +321,16 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
-    """Tells where the gains of a robot's servos are from.
+    """Return source and range of the gains of a robot's servos.
 
     Args:
-        robot: The robot.
-        kp: As for ``model_with_servos``.
-        kd: As for ``model_with_servos``.
+        robot: Robot.
+        kp: As for `model_with_servos`.
+        kd: As for `model_with_servos`.
 
     Raises:
-        ConfigurationError: As ``model_with_servos``.
-        ModelError: Likewise.
+        ConfigurationError: As for `model_with_servos`.
+        ModelError: As for `model_with_servos`.
     """
     found, made = resolve_servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}
@@ -341,13 +349,13 @@ def find_servos_used(
     )
 
 
-def _of_model(
+def _read_gains(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos.
+    """Return gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
 
-    One with a force of its own, or whose command is integrated or delayed, is none: its ctrl is not
-    where it holds a joint.
+    An actuator with a constant force, or with an integrated or delayed command, is no position
+    servo: its ctrl is not a joint position.
     """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -356,26 +364,28 @@ def _of_model(
     plain = affine & (model.actuator_gaintype[actuators] == mujoco.mjtGain.mjGAIN_FIXED.value)
     plain &= (model.actuator_biasprm[actuators, 0] == 0) & (model.actuator_delay[actuators] == 0)
     kinds = model.actuator_dyntype[actuators].tolist()
-    plain &= np.array([kind in _HOLDING for kind in kinds], dtype=bool)
-    # The bounds of np.isclose, which takes as long as all else here.
+    plain &= np.array([kind in _CONVERGING_DYNAMICS for kind in kinds], dtype=bool)
+    # Tolerances of np.isclose, which would be slow.
     as_stiff = np.abs(gain - bias[:, 0]) <= 1e-8 + 1e-5 * np.abs(bias[:, 0])
     return gain, bias[:, 1], gear, plain & as_stiff & (gain > 0)
 
 
-def _gain(name: str, value: ArrayLike, size: int) -> Array:
+def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
+    """Convert a gain to shape (size,), and check its range."""
     given = real_array(name, value)
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()
     except ValueError as error:
         raise ConfigurationError(name, diagnose("no-numbers", count=size)) from error
-    for one in gain.tolist():
-        if not 0 <= one <= MAX_GAIN:
-            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one, most=MAX_GAIN))
+    for number in gain.tolist():
+        if not 0 <= number <= MAX_GAIN:
+            problem = diagnose("gain-not-valid", gain=number, most=MAX_GAIN)
+            raise ConfigurationError(name, problem)
     return gain
 
 
-def _value_of(option: str, name: str, known: Mapping[str, Any]) -> int:
-    """Returns MuJoCo's number of a name."""
+def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
+    """Return the MuJoCo constant of a name."""
     if name not in known:
         problem = diagnose("option-unknown", option=option, name=name, known=tuple(known))
         raise ConfigurationError(option, problem)
@@ -388,24 +398,25 @@ def with_options(
     cone: str | None = None,
     impratio: float | None = None,
 ) -> Robot:
-    """Returns the robot with other options of MuJoCo's, said in its notes; as it is without any.
+    """Return a robot with other MuJoCo options, with a note; the robot itself without options.
 
-    Its file is then simulated with these, too: it is they that are asked about.
+    Simulations of the unmodified file use the options as well.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
-        cone: ``elliptic`` or ``pyramidal``: the friction cones' form.
-        impratio: How much stiffer friction is than the ground; more of it creeps less.
+        cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
+        impratio: Ratio between the stiffness of friction and of the normal force; larger values
+            creep less.
 
     Raises:
-        ConfigurationError: If one is unknown, or no positive number.
+        ConfigurationError: If a name is unknown, or ``impratio`` is not a positive number.
     """
     asked: dict[str, Any] = {}
     if integrator is not None:
-        asked["integrator"] = _value_of("integrator", integrator, INTEGRATOR_TYPES)
+        asked["integrator"] = _find_option_value("integrator", integrator, INTEGRATOR_TYPES)
     if cone is not None:
-        asked["cone"] = _value_of("cone", cone, CONE_TYPES)
+        asked["cone"] = _find_option_value("cone", cone, CONE_TYPES)
     if impratio is not None:
         if not 0 < impratio < math.inf:
             raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))

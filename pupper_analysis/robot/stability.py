@@ -1,8 +1,9 @@
-"""Spectrum of one MuJoCo step at a state, with contacts, servos and integrator as they are.
+"""Spectrum of one MuJoCo step at a state, with its contacts, servos and integrator.
 
-A mode that grows is a hypothesis: the linearisation is valid for motions of micrometres only if a
-foot carries next to nothing, and it depends on the finite-difference step if a joint has dry
-friction. ``simulation.growth`` tests the hypothesis in a nudged simulation.
+`step_stability` returns the modes that grow. Such a mode is a hypothesis: the linearisation is
+valid for motions of micrometres only if a foot carries almost no load, and it depends on the
+finite-difference step if a joint has dry friction. ``simulation.growth`` tests the hypothesis in a
+nudged simulation.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 Array = NDArray[np.float64]
 
 DIFFERENCE_STEP = 1e-7
-"""Step of the centred differences (m, rad, and their rates). Contacts are curved over 1e-5; the
-error of the eigenvalues is 1e-9 with this step, and as much with 1e-6."""
+"""Step of centred differences [m, rad, and rates]. Contact forces are curved on a scale of 1e-5.
+Measured: the error of the eigenvalues is 1e-9 with this step, and with 1e-6."""
 
 SECOND_STEP = 3e-8
 """Step with which a mode that grows must be found again. Two public MJCFs with dry friction have a
@@ -34,22 +35,22 @@ spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this step."
 _RATE_TOLERANCE = 0.3
 """Relative difference of the growth per step up to which both steps agree on a mode."""
 
-_TOLERANCE = 1e-14
-"""Of the solver while differences are taken: with the usual 1e-8 it sometimes ends an iteration
-earlier on one side of a difference, and an element is off by 0.03. A copy of the model, with the
-meshes of a humanoid, takes longer than all else."""
+_SOLVER_TOLERANCE = 1e-14
+"""Solver tolerance during differences. Measured with the default of 1e-8: the solver sometimes
+stops an iteration earlier on one side, and an element deviates by 0.03. The model is changed in
+place, since a copy with the meshes of a humanoid is slow."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
-"""``<flag sleep="enable"/>``."""
+"""Enable flag of ``<flag sleep="enable"/>``."""
 
 
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Returns data of its own at the same state.
+    """Return a copy of a state with its own memory.
 
     Args:
-        model: The model.
-        data: The state.
+        model: MuJoCo model.
+        data: State.
     """
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
@@ -72,24 +73,24 @@ def step_derivative(
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
     flags = int(model.opt.enableflags)
-    model.opt.tolerance = min(tolerance, _TOLERANCE)
-    # What sleeps has no derivative: a change of its state wakes it, or is forgotten.
+    model.opt.tolerance = min(tolerance, _SOLVER_TOLERANCE)
+    # Sleeping bodies have no derivative: a change of their state wakes them, or is ignored.
     model.opt.enableflags = flags & ~SLEEP_FLAG
     if flags & SLEEP_FLAG:
         data = copy_data(model, data)
     try:
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
-            return _differences(model, data, matrix, difference)
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # not supported by MuJoCo
+            return _difference_steps(model, data, matrix, difference)
         mujoco.mjd_transitionFD(model, data, difference, True, matrix, None, None, None)
     finally:
         model.opt.tolerance, model.opt.enableflags = tolerance, flags
     return matrix
 
 
-def _differences(
+def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Fill in centred differences of whole steps."""
+    """Fill in centred differences of whole steps (for RK4, which mjd_transitionFD lacks)."""
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
@@ -110,63 +111,66 @@ def _differences(
 
 
 HOLD_DURATION = 12.0
-"""How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by
-it buckles slowly: v3's payload limit doubles a deviation in 30 s."""
+"""Duration for which a stand must hold to count as holding [s]. Regularised friction creeps, and a
+load on it buckles slowly: v3's payload limit doubles a deviation in 30 s."""
 
 SETTLING_TIME = 0.5
-"""Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
-and a mode that doubles in a second has multiplied rounding by 1.4."""
+"""Time for which a state settles before it is evaluated [s]. Contacts settle within 0.05 s; a mode
+that doubles in a second grows by 1.4 only."""
 
-_LONGEST_DOUBLING = 600.0  # s: what is simulated at most, as of a stand
+_MAX_SETTLING_TIME = 600.0
+"""Upper bound of the settling time, the longest simulation of a stand [s]."""
 
-_EDGE = 10 * DIFFERENCE_STEP
-"""So near to its limit a joint is at it (rad, m): differences would be taken half inside, half
-outside, and their mean is the motion of neither. ANYmal at a hard limit of its knees was said to
-shake at 9 Hz, and forgot each nudge."""
+_LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
+"""Distance from a joint limit [rad, m] below which differences would be taken partly beyond the
+limit, so that their mean is invalid. ANYmal at a hard knee limit appeared to shake at 9 Hz, and
+returned from each nudge."""
 
 _NEUTRAL_RATE = 1e-4
-"""Rate of a mode that neither grows nor decays (1/s): it takes two hours to double."""
+"""Rate of a mode that neither grows nor decays [1/s]: it takes two hours to double."""
 
-_NOISE = 1e-9
+_EIGENVALUE_ERROR = 1e-9
 """Error of a well-conditioned eigenvalue."""
 
-_VAGUE = 1e-5
-"""Error up to which an ill-conditioned eigenvalue at 1 may be noise: a wheel that rolls freely has
-two there, with one eigenvector, and differences part them by the root of their error."""
+_MAX_EIGENVALUE_ERROR = 1e-5
+"""Upper bound of the error of an ill-conditioned eigenvalue at 1. A wheel that rolls freely has a
+double one with a single eigenvector, which errors split by their square root."""
 
-_RESTING = 0.1
-"""Greatest speed of what has settled (m/s, rad/s): v3's sag swings by 0.02 after half a second.
-What is faster may have been thrown off by a mode that doubles within steps: the start is judged
-too."""
+_MAX_REST_SPEED = 0.1
+"""Largest speed of a state at rest [m/s, rad/s]. v3 sags with up to 0.02 after half a second. A
+faster state may have been thrown off by a mode that doubles within steps, so that the initial state
+is evaluated as well."""
 
-_THROWN = 6
-"""So often a mode doubles while it settles that throws off what began within a millimetre, to the
-speed above. What began without balance and moves on for that (servos that sag) is not at rest, and
-where it began, nothing is: v3 half way down on soft servos told 1.5 to 25 s for the same rest."""
+_MIN_THROWING_DOUBLINGS = 6
+"""Number of doublings within the settling time by which a mode can throw off a robot from a
+deviation below a millimetre. With fewer, the robot moves since its start was no equilibrium, and
+the spectrum at the start is meaningless (v3 half way down on soft servos: 1.5 to 25 s for one rest
+position)."""
 
-_NAMED_SHARE = 0.5
-"""Of the greatest share in a mode: what moves by less is not named."""
+_MIN_NAMED_SHARE = 0.5
+"""Smallest motion of a named joint, relative to the largest."""
 
-_MOST_NAMED_JOINTS = 4  # that are named
+_MAX_NAMED_JOINTS = 4
+"""Upper bound of the number of named joints of a mode."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mode(Result):
-    """A way in which a state deviates from itself step by step: an eigenvalue, or a pair of them.
+    """Mode of a step at a state: an eigenvalue, or a conjugate pair.
 
     Attributes:
         growth: |eigenvalue| - 1, per step.
-        frequency: Hz; 0: it does not swing.
-        damping_ratio: 1: it decays without swinging; 0: it swings on; negative: it grows.
-        time_constant: In which it grows or decays by a factor of e (s).
-        doubling_time: s; None if it decays, or if it is ``sustained``.
-        joints: Those that move most in it, the first most of all.
-        freed: Whether the mode is that of a motion which has overcome the dry friction of joints
-            and tendons.
-        repeated: Whether the spectrum with ``SECOND_STEP`` has the mode, too.
-        nudge: Deviation of a joint from which growth was measured in simulation (rad, m); None of
-            a mode that is known from the spectrum alone. If it is given, ``doubling_time`` is the
-            simulated one.
+        frequency: Frequency (Hz); 0 without oscillation.
+        damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
+            growth.
+        time_constant: Time in which the mode grows or decays by a factor of e (s).
+        doubling_time: Time in which the mode doubles (s); None if it decays, or is ``sustained``.
+        joints: Joints with the largest motion in the mode, largest first.
+        freed: Whether the spectrum is that without dry friction of joints and tendons.
+        repeated: Whether the spectrum with ``SECOND_STEP`` has the mode as well.
+        nudge: Deviation of a joint from which growth was measured in simulation (rad or m); None if
+            the mode is known from the spectrum only. With a value, ``doubling_time`` is the
+            simulated time.
     """
 
     growth: float = field(metadata={"unit": "1"})
@@ -196,18 +200,18 @@ class Mode(Result):
 
     @property
     def shakes(self) -> bool:
-        """Whether it swings faster than it grows; what grows otherwise buckles.
+        """Whether the mode is an oscillation: it turns by more than 1 rad in its time constant.
 
-        What takes longer for a swing than a stand is to last is no shaking, but creep.
+        Oscillations with a period above ``HOLD_DURATION`` do not count; they are creep.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
 
     def grows_within(self, duration: float) -> bool:
-        """Tells whether it leaves the state in that time (s).
+        """Return True if the mode leaves the state within a duration [s].
 
-        What shakes never comes to rest, however slowly it grows. What buckles on regularised
-        friction may stay for minutes; it stays for a time in which it does not double.
+        An oscillation that grows never comes to rest, so it always counts. Other modes count if
+        they double within the duration: buckling on regularised friction may take minutes.
         """
         if self.doubling_time is None:
             return self.sustained
@@ -216,20 +220,20 @@ class Mode(Result):
 
 @dataclass(frozen=True, eq=False)
 class Stability(Result):
-    """Whether a state of a MuJoCo model is stable, and what of it is least so.
+    """Stability of a state of a MuJoCo model, with its critical modes.
 
     Attributes:
-        timestep: s.
-        radius: The greatest absolute eigenvalue of a step, with dry friction.
-        unstable: The modes that grow, the fastest first. After ``confirm_growth`` those that would
-            leave the state within ``HOLD_DURATION`` are confirmed by a simulation.
-        least_damped: The mode with the least damping ratio of those that swing and decay, with dry
-            friction or once that is overcome.
-        speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
-            rest is not judged by this.
-        sticks: Whether friction sticks (``noslip_iterations``): it holds what would buckle until it
-            slips, and what its iterations leave is no mode: only a simulation shows.
-        refuted: Modes that grow by the spectrum, and do not in a nudged simulation.
+        timestep: Time step (s).
+        radius: Largest absolute eigenvalue of a step, with dry friction.
+        unstable: Modes that grow, fastest first. After ``confirm_growth``, modes that leave the
+            state within ``HOLD_DURATION`` are confirmed by a simulation.
+        least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
+            friction; None without oscillations.
+        speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
+            rest, the spectrum does not describe its stability.
+        sticks: Whether MuJoCo's no-slip solver is active. Friction then holds buckling modes until
+            it slips, and the spectrum does not show them; a simulation does.
+        refuted: Modes that grow in the spectrum, but not in a nudged simulation.
     """
 
     timestep: float = field(metadata={"unit": "s"})
@@ -242,33 +246,33 @@ class Stability(Result):
 
     @property
     def at_rest(self) -> bool:
-        """Whether it was at rest, near enough to be judged."""
-        return self.speed <= _RESTING
+        """Whether the state was nearly at rest, so that the spectrum is meaningful."""
+        return self.speed <= _MAX_REST_SPEED
 
     @property
     def stable(self) -> bool:
-        """Whether no mode grows, however slowly."""
+        """Whether no mode grows."""
         return not self.unstable
 
     @property
     def doubling_time(self) -> float | None:
-        """In which the fastest mode that grows doubles (s); None if none grows."""
+        """Doubling time of the fastest mode that grows [s]; None if none grows."""
         return self.unstable[0].doubling_time if self.unstable else None
 
     @property
     def damping_ratio(self) -> float:
-        """The least damping ratio of the modes that swing: 1 without any, negative if one grows."""
+        """Smallest damping ratio of oscillations: 1 without any, negative if one grows."""
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
         return min((mode.damping_ratio for mode in swinging), default=1.0)
 
     def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
-        """Returns the modes with which it does not stay for that time (s); see ``grows_within``."""
+        """Return the modes that leave the state within a duration [s]; see `Mode.grows_within`."""
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
         return tuple(mode for mode in growing if mode.shakes or not self.sticks)
 
     def lasts(self, duration: float = HOLD_DURATION) -> bool:
-        """Tells whether it stays for that time (s) when it is nudged."""
+        """Return True if a nudged state remains for a duration [s]."""
         return not self.modes_growing_within(duration)
 
 
@@ -276,37 +280,37 @@ class Stability(Result):
 def step_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judges the stability of a state, by the eigenvalues of one of MuJoCo's steps.
+    """Evaluate the stability of a state by the eigenvalues of one MuJoCo step.
 
-    A step takes a deviation x of (qpos, qvel, act) to A x, with the contacts, the servos under
-    their commands (``data.ctrl``), friction, and the integrator as they are. Where an eigenvalue of
-    A is beyond the unit circle, the deviation grows: by swinging if it is complex (the robot
-    shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
+    A step maps a deviation x of (qpos, qvel, act) to A x, with contacts, servos under their
+    commands (``data.ctrl``), friction and integrator of the model. An eigenvalue outside of the
+    unit circle grows: as an oscillation if complex (the robot shakes), otherwise monotonically (it
+    buckles). With time step h, the rate is ln|eigenvalue| / h.
 
-    Dry friction of joints and tendons, which MuJoCo makes viscous if nothing slides, hides a mode
-    until a push overcomes it. So the modes that leave within ``HOLD_DURATION`` without it are
-    returned, too (``Mode.freed``). Contacts keep their friction.
+    Dry friction of joints and tendons is viscous in MuJoCo while nothing slides, and hides a mode
+    until a push overcomes it. Modes that leave within ``HOLD_DURATION`` without this friction are
+    therefore returned as well (``Mode.freed``). Contacts keep their friction.
 
-    Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
-    state survives a harder push, a simulation tells.
+    The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
+    pushes, simulate.
 
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: MuJoCo model. During the call its solver's tolerance is tighter, and the dry friction
-            of its joints and tendons may be zero.
-        data: The state, with ``ctrl``; it stays as it is.
-        settle: Time for which it is simulated first (s).
+        model: MuJoCo model. During the call its solver tolerance is smaller, and the dry friction
+            of joints and tendons may be zero.
+        data: State with ``ctrl``; it is not changed.
+        settle: Time for which the state is simulated first [s].
 
     Returns:
-        The modes that grow, and what is left of those that do not.
+        The modes that grow, and the decaying oscillation with the smallest damping.
 
     Raises:
-        ConfigurationError: If an argument is no such thing, or the time is not from 0 to 600 s.
+        ConfigurationError: If an argument has another type, or ``settle`` is not from 0 to 600 s.
     """
-    if not 0 <= settle <= _LONGEST_DOUBLING:
+    if not 0 <= settle <= _MAX_SETTLING_TIME:
         raise ConfigurationError(
-            "settle", diagnose("settling-time", settle=settle, most=_LONGEST_DOUBLING)
+            "settle", diagnose("settling-time", settle=settle, most=_MAX_SETTLING_TIME)
         )
     return judge_settled(model, data, settle)[0]
 
@@ -314,32 +318,32 @@ def step_stability(
 def judge_settled(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Return the result of ``step_stability`` and the state that it is about.
+    """Return the result of `step_stability`, and the state to which it applies.
 
-    That is the state after settling. It is the initial state if the simulation diverges, or if the
-    initial state has a mode so fast that it throws off the robot while it settles.
+    This is the state after settling. It is the initial state if the simulation diverges, or if the
+    initial state has a mode that is fast enough to throw off the robot while it settles.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
-        return _judged(model, data), data
+        return _evaluate_friction(model, data), data
     with silence_mujoco():
         mujoco.mj_step(model, data, steps)
     before = copy_data(model, start)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
-        # It diverged, and MuJoCo began anew.
-        return _judged(model, before), before
-    found = _judged(model, data)
+        # The simulation diverged, and MuJoCo reset the state.
+        return _evaluate_friction(model, before), before
+    found = _evaluate_friction(model, data)
     if found.at_rest:
         return found, data
-    other = _judged(model, before)
-    threw = (other.doubling_time or math.inf) < settle / _THROWN
+    other = _evaluate_friction(model, before)
+    threw = (other.doubling_time or math.inf) < settle / _MIN_THROWING_DOUBLINGS
     return (other, before) if other.at_rest and threw else (found, data)
 
 
-def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Judge a state with the dry friction of joints and tendons, and without."""
-    found = _repeated(model, data, _judged_at_limits(model, data))
+def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
+    """Evaluate a state with and without the dry friction of joints and tendons."""
+    found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
     rubs = any(values.any() for values in rubbing)
     if not rubs:
@@ -348,7 +352,7 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     for values in rubbing:
         values[:] = 0.0
     try:
-        free = _repeated(model, data, _judged_at_limits(model, copy_data(model, data)))
+        free = _mark_repeated(model, data, _evaluate_at_limits(model, copy_data(model, data)))
     finally:
         for values, before in zip(rubbing, kept, strict=True):
             values[:] = before
@@ -362,13 +366,14 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     return replace(found, unstable=tuple(unstable), least_damped=least)
 
 
-def _repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Mark the leaving modes that the spectrum with ``SECOND_STEP`` does not have."""
+def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
+    """Mark the growing modes that the spectrum with ``SECOND_STEP`` has as well."""
     if not found.modes_growing_within():
         return found
-    second = _judged_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
+    second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
     def repeats(mode: Mode) -> bool:
+        """Return True if the second spectrum has a mode with nearly equal growth."""
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
         )
@@ -377,36 +382,35 @@ def _repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> S
     return replace(found, unstable=tuple(modes))
 
 
-def _judged_at_limits(
+def _evaluate_at_limits(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Stability:
-    """Judge a state; if joints are at their limits, on both sides of these: the worse counts."""
+    """Evaluate a state, with joints at limits on both sides of these; the larger radius counts."""
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
-    ends = angles + np.outer(
-        model.jnt_margin, (-1.0, 1.0)
-    )  # limits of which they would be at the edge
+    ends = angles + np.outer(model.jnt_margin, (-1.0, 1.0))  # limits at the present position
     limited = (scalar & (model.jnt_limited == 1))[:, None]
-    edges = limited & (np.abs(ends - model.jnt_range) <= _EDGE)
+    edges = limited & (np.abs(ends - model.jnt_range) <= _LIMIT_DISTANCE)
     if not edges.any():
-        return _Modes(model, data, difference).judged()
+        return _Modes(model, data, difference).summarise()
     ranges, found = model.jnt_range.copy(), []
     try:
-        for apart in (-_EDGE, _EDGE):
+        for apart in (-_LIMIT_DISTANCE, _LIMIT_DISTANCE):
             moved = ends + np.array([apart, -apart])
             model.jnt_range[:] = np.where(edges, moved, ranges)
-            found.append(_Modes(model, copy_data(model, data), difference).judged())
+            found.append(_Modes(model, copy_data(model, data), difference).summarise())
     finally:
         model.jnt_range[:] = ranges
-    return max(found, key=lambda one: one.radius)
+    return max(found, key=lambda result: result.radius)
 
 
 class _Modes:
-    """The modes of a step at a state.
+    """Eigenvalues and eigenvectors of a step at a state.
 
     Args:
-        model: The model.
-        data: The state, after ``mj_forward`` or ``mj_step``.
+        model: MuJoCo model.
+        data: State, after ``mj_forward`` or ``mj_step``.
+        difference: Step of the centred differences.
     """
 
     def __init__(
@@ -417,58 +421,62 @@ class _Modes:
         matrix = np.where(np.isfinite(matrix), matrix, 0.0)
         self._values, left, self._vectors = linalg.eig(matrix, left=True)
         aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))
-        error = np.minimum(_NOISE / np.maximum(aligned, _NOISE), _VAGUE)
+        error = np.minimum(
+            _EIGENVALUE_ERROR / np.maximum(aligned, _EIGENVALUE_ERROR), _MAX_EIGENVALUE_ERROR
+        )
         self._growth = np.abs(self._values) - 1
         still = np.maximum(_NEUTRAL_RATE * float(model.opt.timestep), error)
         self._drifts = np.abs(self._values - 1) <= still
-        # A pendulum without damping swings on, and rounding lets it grow by nothing.
+        # An undamped pendulum must not count as growing by rounding.
         self._grows = (self._growth > still) & ~self._drifts
 
-    def judged(self) -> Stability:
-        """Returns what there is to say of them."""
+    def summarise(self) -> Stability:
+        """Return the growing modes and the least damped oscillation."""
         model, data = self._model, self._data
-        single = self._values.imag >= 0  # of a pair of conjugates, one
+        single = self._values.imag >= 0  # one of each conjugate pair
         growing = np.flatnonzero(self._grows & single)
         growing = growing[np.argsort(-self._growth[growing])]
-        # What is gone within a step is no swing.
-        decaying = single & ~self._grows & ~self._drifts & (self._growth > -1 + _NOISE)
-        swinging = np.flatnonzero(decaying & (np.abs(np.angle(self._values)) > _NOISE))
-        damped = [self._damping(mode) for mode in swinging.tolist()]
+        # A mode that decays within a step is no oscillation.
+        decaying = single & ~self._grows & ~self._drifts & (self._growth > -1 + _EIGENVALUE_ERROR)
+        swinging = np.flatnonzero(decaying & (np.abs(np.angle(self._values)) > _EIGENVALUE_ERROR))
+        damped = [self._damping_ratio(mode) for mode in swinging.tolist()]
         return Stability(
             timestep=float(model.opt.timestep),
             radius=1 + float(self._growth.max(initial=-1.0)),
-            unstable=tuple(self._mode(mode) for mode in growing.tolist()),
-            least_damped=self._mode(int(swinging[int(np.argmin(damped))])) if damped else None,
+            unstable=tuple(self._make_mode(mode) for mode in growing.tolist()),
+            least_damped=self._make_mode(int(swinging[int(np.argmin(damped))])) if damped else None,
             speed=float(np.abs(data.qvel).max(initial=0.0)),
             sticks=bool(model.opt.noslip_iterations > 0),
         )
 
-    def _damping(self, mode: int) -> float:
+    def _damping_ratio(self, mode: int) -> float:
+        """Return the damping ratio of a mode."""
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
 
-    def _mode(self, mode: int) -> Mode:
+    def _make_mode(self, mode: int) -> Mode:
+        """Create the result for an eigenvalue."""
         timestep = float(self._model.opt.timestep)
         value, growth = self._values[mode], float(self._growth[mode])
         constant = timestep / abs(math.log1p(growth)) if growth else math.inf
         return Mode(
             growth=growth,
             frequency=abs(float(np.angle(value))) / (2 * math.pi * timestep),
-            damping_ratio=self._damping(mode),
+            damping_ratio=self._damping_ratio(mode),
             time_constant=constant,
             doubling_time=math.log(2) * constant if self._grows[mode] else None,
-            joints=select_most_moving(self._joints(mode)),
-            _direction=self._direction(mode),
+            joints=select_most_moving(self._joint_motions(mode)),
+            _direction=self._mode_direction(mode),
         )
 
-    def _direction(self, mode: int) -> Array:
+    def _mode_direction(self, mode: int) -> Array:
         """Return a mode's real direction, scaled to a largest deviation of a position of 1."""
         vector = self._vectors[:, mode]
         largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)
 
-    def _joints(self, mode: int) -> dict[str, float]:
-        """Returns how far each joint moves (rad, m); the base's own motion is none."""
+    def _joint_motions(self, mode: int) -> dict[str, float]:
+        """Return the motion of each joint in a mode [rad, m], without the free base."""
         model, moves = self._model, np.abs(self._vectors[: self._model.nv, mode])
         ends = [*model.jnt_dofadr[1:].tolist(), model.nv] if model.njnt else []
         return {
@@ -479,7 +487,7 @@ class _Modes:
 
 
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
-    """Return the few names with the greatest shares, the greatest first."""
+    """Return up to `_MAX_NAMED_JOINTS` names with the largest shares, largest first."""
     names = sorted(shares, key=shares.__getitem__, reverse=True)
-    least = _NAMED_SHARE * shares[names[0]] if names else 0.0
-    return tuple(name for name in names[:_MOST_NAMED_JOINTS] if shares[name] >= least > 0)
+    least = _MIN_NAMED_SHARE * shares[names[0]] if names else 0.0
+    return tuple(name for name in names[:_MAX_NAMED_JOINTS] if shares[name] >= least > 0)

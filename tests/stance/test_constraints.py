@@ -80,7 +80,7 @@ def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> Non
     demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
     elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
     random = np.random.default_rng(1)
-    x = elastic._start(pa.solve_stand(robot).qpos, None)
+    x = elastic._make_start(pa.solve_stand(robot).qpos, None)
     free = elastic._high > elastic._low  # margins and lifts become no more
     x += free * random.uniform(0.01, 0.05, len(x))
     way = free * random.normal(size=len(x))
