@@ -1,6 +1,6 @@
 """Open a page to play with stances.
 
-A page to play with: sliders in, a stand and what it takes out.
+A server with a page per browser: sliders for a stance, a 3-D scene, and the loads of the stance.
 """
 
 HEADING = "Look"

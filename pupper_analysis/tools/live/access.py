@@ -1,9 +1,9 @@
-"""Who may open the page, and what may come in by it.
+"""Access control of the page server.
 
-Any page in a browser can connect to a server on the same machine, and by a name of its own that it
-lets point there (DNS rebinding). So a request must name the server as it is known here, and what
-opens a connection must come from the server's own page. Where others can reach the server, they
-must know a token, too.
+Any web page can connect to a server on the same machine, also under a host name of its own that it
+directs there (DNS rebinding). Therefore a request must name the server by a known name, and a
+connection must originate from the server's own page. If other machines can reach the server, a
+request must also contain a token.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from urllib.parse import parse_qs, urlsplit
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESSAGE_BYTES = 1 << 20
-"""Of a message from a browser: those of sliders and cameras have some hundred."""
+"""Maximum size of a message from a browser [bytes]. Messages of sliders and cameras have some
+hundred bytes. Chosen, not tuned."""
 
 CHECKED_HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
-"""What is looked at of a request's."""
+"""Headers of a request that are evaluated."""
 
 TOKEN_COOKIE = "pupper_analysis_token"
 
-_LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
+_LOOPBACK_NAMES = frozenset(("localhost", "127.0.0.1", "::1"))
 
 
 def is_loopback(host: str) -> bool:
-    """Tells whether an address can be reached from this machine alone."""
+    """Return True if an address can be reached from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -38,13 +39,13 @@ def is_loopback(host: str) -> bool:
 
 
 class Access:
-    """Decides who may come in.
+    """Decides on the access of requests.
 
     Args:
-        host: Where the server can be reached.
+        host: Address of the server.
 
     Attributes:
-        token: What others than this machine must know; empty if none can reach it.
+        token: Token that requests must contain; empty if only this machine can reach the server.
     """
 
     def __init__(self, host: str) -> None:
@@ -52,40 +53,41 @@ class Access:
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
 
     def find_refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
-        """Says why a request is refused; None if it is not.
+        """Return the reason to refuse a request, or None.
 
         Args:
-            path: What is asked for, with its query.
-            headers: Of the request.
+            path: Requested path with its query.
+            headers: Headers of the request.
         """
         host = headers.get("Host", "")
-        if not self.token and _name(host) not in {*_LOOPBACK, self._host}:
+        if not self.token and _parse_host_name(host) not in {*_LOOPBACK_NAMES, self._host}:
             return diagnose("server-called-otherwise")
         origin = headers.get("Origin", "")
         if origin and urlsplit(origin).netloc != host:
             return diagnose("another-page-asks")
         asset = headers.get("Upgrade", "").lower() != "websocket" and urlsplit(path).path != "/"
-        if self.token and not asset and not self._knows(path, headers):
+        if self.token and not asset and not self._has_token(path, headers):
             return diagnose("token-missing")
         return None
 
-    def _knows(self, path: str, headers: Mapping[str, str]) -> bool:
-        given = parse_qs(urlsplit(path).query).get("token", [])
+    def _has_token(self, path: str, headers: Mapping[str, str]) -> bool:
+        """Return True if the query or the cookie contains the token."""
+        tokens = parse_qs(urlsplit(path).query).get("token", [])
         try:
             cookie = SimpleCookie(headers.get("Cookie", "")).get(TOKEN_COOKIE)
         except CookieError:
             cookie = None
-        given += [cookie.value] if cookie is not None else []
-        return any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given)
+        tokens += [cookie.value] if cookie is not None else []
+        return any(hmac.compare_digest(token.encode(), self.token.encode()) for token in tokens)
 
     @property
     def cookie_header(self) -> str:
-        """The header by which a browser remembers the token."""
+        """Header that stores the token in the browser."""
         return f"{TOKEN_COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
 
-def _name(host: str) -> str:
-    """Returns the name in a Host header, without its port."""
+def _parse_host_name(host: str) -> str:
+    """Return the host name of a Host header, without its port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -93,11 +95,11 @@ def _name(host: str) -> str:
 
 
 def strip_folders(text: str) -> str:
-    """Returns a text in which files are called by their names alone.
+    """Return a text with file names instead of paths.
 
-    An error tells of a file where the server has it: that is nothing for who looks at the page.
+    Errors contain paths on the server, which the user of a page should not see.
     """
-    return _FOLDERS.sub("", text)
+    return _FOLDER_PATTERN.sub("", text)
 
 
-_FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
+_FOLDER_PATTERN = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")

@@ -1,4 +1,4 @@
-"""``pupper-analysis live``: a page to play with, or MuJoCo's own viewer."""
+"""Command ``pupper-analysis live``: a page to play with stances, or MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -36,14 +36,23 @@ PYTHON_THRESHOLDS = 700, 10, 10
 """Python's default thresholds of garbage collection: new objects, and collections of each younger
 generation, after which a generation is collected."""
 
-_ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
-_USES = {
-    "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
-    "--drop": {*_ROBOT, "dropped", "headless"},
-    "--policy": {*_ROBOT, "policy", "contract", "asked", "language", "host", "port", "no_browser"},
-    "the page": {*_ROBOT, "stance", "language", "host", "port", "no_browser"},
+_ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
+_OPTIONS_OF_MODE = {
+    "--mujoco": {*_ROBOT_OPTIONS, "viewer", "headless", "fixed_base"},
+    "--drop": {*_ROBOT_OPTIONS, "dropped", "headless"},
+    "--policy": {
+        *_ROBOT_OPTIONS,
+        "policy",
+        "contract",
+        "asked",
+        "language",
+        "host",
+        "port",
+        "no_browser",
+    },
+    "the page": {*_ROBOT_OPTIONS, "stance", "language", "host", "port", "no_browser"},
 }
-"""What each mode uses."""
+"""Options that each mode uses."""
 
 
 @shared.command("live")
@@ -124,7 +133,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
-    refuse_unused(mode, _USES)
+    refuse_unused(mode, _OPTIONS_OF_MODE)
     meant = which.select_robot(words) or "v3"
     where: ServeOptions = {"language": language, "host": host, "port": port}
     if policy is not None:
@@ -146,10 +155,10 @@ def command(
 
 
 def read_stance(path: Path) -> State:
-    """Returns the state of a stance's file.
+    """Read the state of a stance file.
 
     Raises:
-        ConfigurationError: If it is none, or none that the sliders have.
+        ConfigurationError: If the file is not a stance, or has an option without slider.
     """
     from pupper_analysis.tools.live.state import (
         ROBOT_SLIDER_FIELDS,
@@ -161,15 +170,17 @@ def read_stance(path: Path) -> State:
         """Takes the options of a stance."""
 
     options = add_options((stance_option,), PAYLOAD_OPTIONS, GAIN_OPTIONS, make_options())
-    given = click.command(options(typed)).make_context("stance", ["--stance", str(path)]).params
-    more = {"payload": given["payload"]}
-    if given["payload_at"] is not None:
-        place = shared.parse_place("payload-at", given["payload_at"])
-        more["payload_at"] = convert_to_page_units(ROBOT_SLIDER_FIELDS["payload_at"], place)
+    parameters = (
+        click.command(options(typed)).make_context("stance", ["--stance", str(path)]).params
+    )
+    robot_values = {"payload": parameters["payload"]}
+    if parameters["payload_at"] is not None:
+        point = shared.parse_place("payload-at", parameters["payload_at"])
+        robot_values["payload_at"] = convert_to_page_units(ROBOT_SLIDER_FIELDS["payload_at"], point)
     for name in ("kp", "kd"):
-        for gain in given[name]:
-            _, more[name] = shared.parse_number_assignment(name, f"*={gain}")
-    return make_state(make_task({name: given[name] for name in OPTION_FIELDS}), **more)
+        for gain in parameters[name]:
+            _, robot_values[name] = shared.parse_number_assignment(name, f"*={gain}")
+    return make_state(make_task({name: parameters[name] for name in OPTION_FIELDS}), **robot_values)
 
 
 def _open_page(
@@ -179,15 +190,15 @@ def _open_page(
     browser: bool,
     **where: Unpack[ServeOptions],
 ) -> None:
-    """Serves the page until Ctrl-C."""
+    """Serve the page until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
 
-    import_viser()  # before anything is loaded
-    begin = None if stance is None else read_stance(stance)
+    import_viser()  # before the robot is loaded
+    initial_state = None if stance is None else read_stance(stance)
     robot = load_walking_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = Page(robot, begin, **where)
+        page = Page(robot, initial_state, **where)
     _serve(page, where["host"], browser=browser)
 
 
@@ -200,20 +211,20 @@ def _open_walk(
     browser: bool,
     **where: Unpack[ServeOptions],
 ) -> None:
-    """Serves the page of a policy until Ctrl-C."""
+    """Serve the page of a walking policy until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.walking import WalkPage
     from pupper_analysis.tools.walk.gait import check_command
     from pupper_analysis.tools.walk.policy import Policy
 
     import_viser()  # before anything is loaded
-    wanted, brain = (
+    command, loaded_policy = (
         check_command(shared.parse_point("command", asked, 3)),
         Policy.load(policy, contract),
     )
     robot = load_walking_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = WalkPage(robot, brain, wanted, **where)
+        page = WalkPage(robot, loaded_policy, command, **where)
     _serve(page, where["host"], browser=browser)
 
 
@@ -234,11 +245,11 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
 
 
 def collect_garbage_often() -> None:
-    """Let Python look for reference cycles as it does by default, among new objects only.
+    """Restore Python's default thresholds of garbage collection, for new objects only.
 
-    Commands postpone that, since they end soon (``cli.GARBAGE``). A page runs for hours, and the
-    PlaCo robots of its answers are in cycles: 60 KB per action stayed in memory.
+    Commands postpone collections because they end soon (``cli.GARBAGE``). A page runs for hours,
+    and its PlaCo robots are in reference cycles: 60 KB per action were not released.
     """
     gc.collect()
-    gc.freeze()  # what is loaded stays: no collection visits it again
+    gc.freeze()  # loaded objects are permanent: exclude them from collections
     gc.set_threshold(*PYTHON_THRESHOLDS)

@@ -1,4 +1,4 @@
-"""A page's sliders and buttons, and the state that they say."""
+"""Sliders and buttons of a page, and the state that results from them."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, f
 Array = NDArray[np.float64]
 
 PLACE_LABELS = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
-"""{what decides where the base is: what it is called}."""
+"""Catalogue key of the label of each place mode."""
 
 LIFT_SLIDER = "lift"
-"""The slider of a foot that does not carry: who moves it lifts the foot."""
+"""Slider of the height of a lifted foot. Moving the slider lifts the foot."""
 
 
 class Controls:
-    """The sliders of one page.
+    """Controls of one page.
 
     Args:
-        gui: viser's interface of one page.
-        robot: The robot as it is on a page just opened.
-        say: The page's language.
-        changed: What is called when the state has changed.
+        gui: viser's interface of the page.
+        robot: Robot of the initial page.
+        say: Language of the page.
+        changed: Function that is called when the state has changed.
     """
 
     def __init__(
@@ -63,77 +63,83 @@ class Controls:
         self.sliders: dict[str, Any] = {}
 
     def add_stance_controls(self) -> None:
-        """Adds what says how it stands, where viser adds next."""
+        """Add the controls of the stance to the current container of viser."""
         gui, say = self._gui, self._say
-        self._places = {say(label): name for name, label in PLACE_LABELS.items()}
-        for folder in _folders(FIELDS):
+        self._name_of_place = {say(label): name for name, label in PLACE_LABELS.items()}
+        for folder in _list_folders(FIELDS):
             with gui.add_folder(term(folder, say.code)):
                 if folder == "Where":
-                    self.place = gui.add_dropdown(say("what-counts"), list(self._places))
+                    self.place = gui.add_dropdown(say("what-counts"), list(self._name_of_place))
                 if folder == "Feet":
                     self.foot = gui.add_dropdown(
                         say("foot"), list(self._feet), hint=say("hint-foot")
                     )
-                self._add(folder, LIFT_SLIDER)
+                self._add_folder_sliders(folder, LIFT_SLIDER)
                 if folder == "Feet":
                     self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
-                    self._add_one(CONTROL_BY_NAME[LIFT_SLIDER])
+                    self._add_slider(CONTROL_BY_NAME[LIFT_SLIDER])
                     self.contacts = gui.add_text(
                         say("contacts"), "", multiline=True, hint=say("hint-contacts")
                     )
-        self.place.on_update(self._when(lambda s: s.having(place=self._places[self.place.value])))
-        self.lifted.on_update(self._when(self._with_lift))
-        self.foot.on_update(self._foot_chosen)
-        self.contacts.on_update(self._when(self._with_contacts))
+        self.place.on_update(
+            self._make_callback(lambda s: s.having(place=self._name_of_place[self.place.value]))
+        )
+        self.lifted.on_update(self._make_callback(self._apply_lift))
+        self.foot.on_update(self._on_foot_selected)
+        self.contacts.on_update(self._make_callback(self._apply_contacts))
 
     def add_joint_controls(self) -> None:
-        """Adds what says where joints are that carry no foot: of the posture."""
+        """Add the sliders of the posture: joints that carry no foot."""
         gui, robot = self._gui, self._robot
         free, home = free_joints(robot), robot.home[-robot.nu :]
         with gui.add_folder(term("Posture", self._say.code), visible=bool(free)):
-            self.posture = JointSliders(gui, robot, free, home, self._placed)
+            self.posture = JointSliders(gui, robot, free, home, self._set_joint)
 
-    def _placed(self, joint: str, position: float) -> None:
-        """Takes a joint's place in the posture."""
+    def _set_joint(self, joint: str, position: float) -> None:
+        """Set the position of a joint in the posture [rad or m]."""
         with self._lock:
             self._state = self._state.having(posture={**self._state.posture, joint: position})
         self._changed()
 
     def add_body_controls(self) -> None:
-        """Adds what says what it carries, and which robot it is."""
+        """Add the controls of payload and servo gains."""
         gui, say = self._gui, self._say
         for folder in ("Payload", "Servos"):
             with gui.add_folder(term(folder, say.code)):
-                self._add(folder)
+                self._add_folder_sliders(folder)
 
-    def _add(self, folder: str, *but: str) -> None:
-        """Adds the sliders under a heading."""
+    def _add_folder_sliders(self, folder: str, *excluded: str) -> None:
+        """Add the sliders of a folder, without the excluded names."""
         for name, control in CONTROL_BY_NAME.items():
-            if name not in but and _folder(control.field) == folder:
-                self._add_one(control)
+            if name not in excluded and _find_folder(control.field) == folder:
+                self._add_slider(control)
 
-    def _add_one(self, control: Control) -> None:
+    def _add_slider(self, control: Control) -> None:
+        """Add one slider."""
         span, code = self._ranges[control.name], self._say.code
         handle = self._gui.add_slider(
             control.label(code),
             span.low,
             span.high,
             span.step,
-            _within(span, span.value),
+            _clamp_to_range(span, span.value),
             hint=control.hint(code),
         )
-        handle.on_update(self._when(partial(self._with, control)))
+        handle.on_update(self._make_callback(partial(self._apply_slider, control)))
         self.sliders[control.name] = handle
 
-    def _when(self, change: Callable[[State], State]) -> Callable[[Any], None]:
-        """Returns what a control calls when someone moves it; what a program sets is known."""
+    def _make_callback(self, change: Callable[[State], State]) -> Callable[[Any], None]:
+        """Return the callback of a control.
+
+        Changes by the program (without a client) are ignored.
+        """
 
         def moved(event: Any) -> None:
             if event.client is None:
                 return
             with self._lock:
                 before = self._state
-                with suppress(PupperAnalysisError):  # no number
+                with suppress(PupperAnalysisError):  # not a valid number
                     self._state = change(before)
                 if self._state.place != before.place:
                     self._show_place()
@@ -143,79 +149,90 @@ class Controls:
 
         return moved
 
-    def _with(self, control: Control, state: State) -> State:
-        """Returns a state with a slider's value."""
+    def _apply_slider(self, control: Control, state: State) -> State:
+        """Return the state with the value of a slider."""
         field = control.field
         value = float(self.sliders[control.name].value)
-        # What is typed may lie beyond its end, and would be cut off later.
-        self._slide(control.name, value)
-        if control.name == LIFT_SLIDER:  # who says how high lifts it
+        # A typed value may exceed the range of the slider and would be clipped later.
+        self._move_slider(control.name, value)
+        if control.name == LIFT_SLIDER:  # setting the height lifts the foot
             self.lifted.value = True
-        whole = getattr(state, field.name)
-        own = whole.get(self._chosen) if field.per else whole
+        field_value = getattr(state, field.name)
+        current = field_value.get(self._selected_foot) if field.per else field_value
         if field.kind == "contact":
-            if not isinstance(own, Contact):  # a foot on the ground
+            if not isinstance(current, Contact):  # the foot is on the ground
                 return state
-            new: Any = own.at(value / find_contact_factor(own))
+            new_value: Any = current.at(value / find_contact_factor(current))
         elif control.axis is not None:
-            numbers = list(own or (0.0,) * len(field.axes))
-            numbers[control.axis - len(field.axes)] = value  # behind a frame
-            new = tuple(numbers)
+            numbers = list(current or (0.0,) * len(field.axes))
+            numbers[control.axis - len(field.axes)] = value  # the name of a frame may precede
+            new_value = tuple(numbers)
         else:
-            new = value
-        state = state.having(**{field.name: {**whole, self._chosen: new} if field.per else new})
+            new_value = value
+        state = state.having(
+            **{
+                field.name: {**field_value, self._selected_foot: new_value}
+                if field.per
+                else new_value
+            }
+        )
         return state.having(place="offset") if field.name == "offset" else state
 
-    def _with_lift(self, state: State) -> State:
-        others = {foot: height for foot, height in state.swing.items() if foot != self._chosen}
+    def _apply_lift(self, state: State) -> State:
+        """Return the state with the selected foot lifted or not."""
+        swing = {
+            foot: height for foot, height in state.swing.items() if foot != self._selected_foot
+        }
         if self.lifted.value:
-            others[self._chosen] = float(self.sliders[LIFT_SLIDER].value)
-        return state.having(swing=others)
+            swing[self._selected_foot] = float(self.sliders[LIFT_SLIDER].value)
+        return state.having(swing=swing)
 
-    def _with_contacts(self, state: State) -> State:
-        """Returns a state with the contacts that are typed."""
+    def _apply_contacts(self, state: State) -> State:
+        """Return the state with the typed contacts."""
         lines = filter(str.strip, self.contacts.value.splitlines())
         return state.having(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Shows the state's contacts: as text, unless they are from there, and among the feet."""
+        """Show the contacts of the state as text, unless typed, and in the list of feet."""
         contacts = self._state.contacts
         if not typed:
-            self.contacts.value = "\n".join(f"{of}={one}" for of, one in contacts.items())
-        touching = (of for of, one in contacts.items() if one.plane is not None)
-        self._feet = {escape_control(one): one for one in (*self._robot.feet, *touching)}
+            self.contacts.value = "\n".join(
+                f"{link}={contact}" for link, contact in contacts.items()
+            )
+        planes = (link for link, contact in contacts.items() if contact.plane is not None)
+        self._feet = {escape_control(foot): foot for foot in (*self._robot.feet, *planes)}
         if [*self.foot.options] != [*self._feet]:
             self.foot.options = [*self._feet]
         self._show_foot()
 
     @property
-    def _chosen(self) -> str:
-        """The foot that its sliders are about."""
+    def _selected_foot(self) -> str:
+        """Foot whose sliders are shown."""
         return self._feet[self.foot.value]
 
-    def _foot_chosen(self, _event: Any) -> None:
-        """Lets the sliders of a foot be those of another one."""
+    def _on_foot_selected(self, _event: Any) -> None:
+        """Show the values of the newly selected foot."""
         with self._lock:
             self._show_foot()
 
     @property
     def state(self) -> State:
-        """What the controls say."""
+        """Current state of the controls."""
         with self._lock:
             return self._state
 
     def set_state(self, state: State, *, notify: bool) -> None:
-        """Sets all controls.
+        """Set all controls.
 
         Args:
-            state: What they shall say.
-            notify: Whether that is a change to be answered.
+            state: New state.
+            notify: True to report the change.
         """
         with self._lock:
             self._state = state
             for name in self.sliders:
                 if not CONTROL_BY_NAME[name].field.per:
-                    self._slide(name, self._value(state, CONTROL_BY_NAME[name]))
+                    self._move_slider(name, self._slider_value(state, CONTROL_BY_NAME[name]))
             special = {
                 foot
                 for name, field in FIELDS.items()
@@ -224,20 +241,21 @@ class Controls:
             }
             self._show_contacts(typed=False)
             first = next((name for name, foot in self._feet.items() if foot in special), None)
-            if first is not None and self._chosen not in special:
+            if first is not None and self._selected_foot not in special:
                 self.foot.value = first
             self._show_place()
             self._show_foot()
-            self.posture.show(self._posture_of(state))
+            self.posture.show(self._find_posture(state))
         if notify:
             self._changed()
 
-    def _value(self, state: State, control: Control) -> float:
+    def _slider_value(self, state: State, control: Control) -> float:
+        """Return the value of a slider in a state."""
         value = getattr(state, control.field.name)
         return self._ranges[control.name].value if value is None else control.extract_number(value)
 
-    def _slide(self, name: str, value: float) -> None:
-        """Moves a slider; it is made longer if it does not go so far."""
+    def _move_slider(self, name: str, value: float) -> None:
+        """Set a slider; extend its range if necessary."""
         handle = self.sliders[name]
         if value < handle.min:
             handle.min = value
@@ -246,28 +264,32 @@ class Controls:
         handle.value = value
 
     def _show_place(self) -> None:
+        """Show the place mode of the state."""
         self.place.value = self._say(PLACE_LABELS[self._state.place])
 
-    def _posture_of(self, state: State) -> Mapping[str, float]:
-        """Returns where a state puts joints; nowhere, if it names none of the robot."""
+    def _find_posture(self, state: State) -> Mapping[str, float]:
+        """Return the joint positions of a state; empty if the robot lacks a joint."""
         try:
             return named_positions(self._robot, state.posture)
-        except PupperAnalysisError:  # the answer says so
+        except PupperAnalysisError:  # the result contains the error
             return {}
 
     def _show_foot(self) -> None:
-        foot, state = self._chosen, self._state
+        """Show the values of the selected foot."""
+        foot, state = self._selected_foot, self._state
         self.lifted.value = foot in state.swing
         for name in self.sliders:
             control = CONTROL_BY_NAME[name]
             if control.field.per:
                 values = getattr(state, control.field.name)
-                usual = self._ranges[name].value
-                self._slide(name, control.extract_number(values[foot]) if foot in values else usual)
+                default = self._ranges[name].value
+                self._move_slider(
+                    name, control.extract_number(values[foot]) if foot in values else default
+                )
 
 
-def _folders(fields: Mapping[str, Field]) -> list[str]:
-    """Returns the headings of fields, in the order in which they come, but for those of joints."""
+def _list_folders(fields: Mapping[str, Field]) -> list[str]:
+    """Return the folders of all fields except those of joints, in order."""
     return list(
         dict.fromkeys(
             field.slider.folder
@@ -277,39 +299,42 @@ def _folders(fields: Mapping[str, Field]) -> list[str]:
     )
 
 
-def _folder(field: Field) -> str:
+def _find_folder(field: Field) -> str:
+    """Return the folder of a field, or an empty text."""
     return field.slider.folder if field.slider else ""
 
 
-def _within(span: Range, value: float) -> float:
+def _clamp_to_range(span: Range, value: float) -> float:
+    """Return a value rounded and clipped to a range."""
     return min(max(round(value, 2), span.low), span.high)
 
 
-# Sliders of joints: of a stand's posture.
+# Sliders of the joints of a posture.
 
 
-_ENDS = {"rad": math.pi, "m": 1.0}
-"""{unit of a joint: the end of a slider of one without limits}."""
+_UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
+"""Bound of a slider of a joint without limits, by unit [rad or m]. Chosen, not tuned."""
 
-_STEP = 0.5
-"""From notch to notch of a slider (deg, mm): half of what one tells apart on the page."""
+_JOINT_STEP = 0.5
+"""Step of a joint slider [deg or mm]: half of the smallest visible change."""
 
-_FINE = 2
-"""Digits of a slider's value (deg, mm) where a program sets it."""
+_SLIDER_DIGITS = 2
+"""Number of decimals of a slider value [deg or mm] that the program sets."""
 
-_DIGITS = 6
-"""Of a position (rad, m): what is finer than a micrometre or microradian nobody types."""
+_POSITION_DIGITS = 6
+"""Number of decimals of a joint position [rad or m]."""
 
 
 class JointSliders:
-    """A slider for each of some joints, in degrees, or in mm of those that slide.
+    """Sliders of joints, in degrees, or in mm for prismatic joints.
 
     Args:
-        gui: viser's interface of one page.
-        robot: The robot.
-        joints: Which.
-        start: (nu,) where they are (rad, m).
-        moved: Is called with a joint and its position (rad, m) when somebody moves a slider.
+        gui: viser's interface of the page.
+        robot: Robot.
+        joints: Names of the joints.
+        start: Initial joint positions, shape (nu,) [rad or m].
+        moved: Function that is called with a joint and its position [rad or m] after a change by
+            the user.
 
     Attributes:
         sliders: {joint: viser's slider}.
@@ -329,46 +354,54 @@ class JointSliders:
         ranges, units = joint_ranges(robot), joint_units(robot)
         for name in joints:
             index = robot.joint_names.index(name)
-            (scale, unit), end = READ_IN[units[index]], _ENDS[units[index]]
-            ends = np.clip(ranges[index], -end, end) * scale
-            # Inwards, so that no end of a slider is beyond the joint's.
-            low, high = math.ceil(ends[0] / _STEP) * _STEP, math.floor(ends[1] / _STEP) * _STEP
-            value = float(np.clip(round(float(start[index]) * scale, _FINE), low, max(high, low)))
+            (scale, unit), unlimited_bound = READ_IN[units[index]], _UNLIMITED_BOUND[units[index]]
+            limits = np.clip(ranges[index], -unlimited_bound, unlimited_bound) * scale
+            # Rounded inwards, so that a slider does not exceed the limits of its joint.
+            low, high = (
+                math.ceil(limits[0] / _JOINT_STEP) * _JOINT_STEP,
+                math.floor(limits[1] / _JOINT_STEP) * _JOINT_STEP,
+            )
+            value = float(
+                np.clip(round(float(start[index]) * scale, _SLIDER_DIGITS), low, max(high, low))
+            )
             name_and_unit = f"{escape_control(name)} ({unit})"
-            slider = gui.add_slider(name_and_unit, low, max(high, low + _STEP), _STEP, value)
-            slider.on_update(partial(self._by_hand, name))
+            slider = gui.add_slider(
+                name_and_unit, low, max(high, low + _JOINT_STEP), _JOINT_STEP, value
+            )
+            slider.on_update(partial(self._on_moved, name))
             self.sliders[name], self._scales[name] = slider, scale
-        self._begin = {name: slider.value for name, slider in self.sliders.items()}
+        self._initial_values = {name: slider.value for name, slider in self.sliders.items()}
 
-    def _by_hand(self, joint: str, event: Any) -> None:
-        if event.client is not None:  # what a program sets is known
+    def _on_moved(self, joint: str, event: Any) -> None:
+        """Report a change by the user."""
+        if event.client is not None:  # not a change by the program
             value = float(self.sliders[joint].value) / self._scales[joint]
-            self._moved(joint, round(value, _DIGITS) + 0.0)  # never -0
+            self._moved(joint, round(value, _POSITION_DIGITS) + 0.0)  # never -0
 
     def show(self, positions: Mapping[str, float]) -> None:
-        """Moves sliders to where joints are (rad, m); the others to where they began."""
+        """Show joint positions [rad or m]; joints without position return to the initial value."""
         for joint, slider in self.sliders.items():
-            value = self._begin[joint]
+            value = self._initial_values[joint]
             if joint in positions:
-                value = round(positions[joint] * self._scales[joint], _FINE)
+                value = round(positions[joint] * self._scales[joint], _SLIDER_DIGITS)
             value = min(max(value, slider.min), slider.max)
             if slider.value != value:
                 slider.value = value
 
 
-# The sliders of a page: what each is about, and how far it goes for one robot.
+# Sliders of a page, and their ranges for a robot.
 
-_AXIS_WORDS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
+_AXIS_TERMS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
 
 
 @dataclass(frozen=True)
 class Control:
-    """One slider: a field's number, or one of a point's.
+    """One slider: a number of a field, or one element of a point.
 
     Attributes:
-        name: What it is called: ``roll``, ``offset_x``.
-        field: What it sets.
-        axis: Which number of a point; None for a number.
+        name: Name, for example ``roll`` or ``offset_x``.
+        field: Field of the state.
+        axis: Index into a point; None for a number.
     """
 
     name: str
@@ -376,18 +409,18 @@ class Control:
     axis: int | None = None
 
     def label(self, language: str) -> str:
-        """Returns what it is called, with its unit."""
+        """Return the label with its unit."""
         unit, _ = PAGE_UNITS[self.field.kind]
         axis = "" if self.axis is None else f" {self.field.axes[self.axis]}"
         return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
 
     def hint(self, language: str) -> str:
-        """Returns what it is about."""
-        way = {} if self.axis is None else {"axis": _AXIS_WORDS[self.field.axes[self.axis]]}
-        return fill_template(self.field.words(language).hint, way, language)
+        """Return the hint."""
+        arguments = {} if self.axis is None else {"axis": _AXIS_TERMS[self.field.axes[self.axis]]}
+        return fill_template(self.field.words(language).hint, arguments, language)
 
     def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
-        """Returns its number of the field's value."""
+        """Return the number of this slider from the value of the field."""
         if isinstance(value, Contact | Weld):
             return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number
         if self.axis is None:
@@ -404,19 +437,18 @@ CONTROL_BY_NAME = {
         or [Control(field.address, field)]
     )
 }
-"""{name: slider} of all there are, by the names that the page's address has for them; those of
-joints are the robot's (``live.joints``)."""
+"""Sliders by their names in the address of a page, except the sliders of joints."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """How a slider goes.
+    """Range of a slider, in the units of the page.
 
     Attributes:
-        low: Where it begins.
-        high: Where it ends.
-        step: From notch to notch.
-        value: Where it is on a page just opened.
+        low: Lower bound.
+        high: Upper bound.
+        step: Step.
+        value: Initial value.
     """
 
     low: float
@@ -426,54 +458,58 @@ class Range:
 
 
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
-    """Returns the range of each slider: in mm, degrees, kg and N m/rad.
+    """Return the range of each slider, in mm, degrees, kg and N m/rad.
 
-    Lengths are parts of the height of the nominal stand, so that they suit a robot of any size.
+    Ranges of lengths are proportional to the height of the nominal stand, ranges of masses to the
+    mass of the robot.
     """
-    found = {}
+    ranges = {}
     for name, control in CONTROL_BY_NAME.items():
         field, slider = control.field, control.field.slider
-        assert slider is not None  # or the page would not show it
+        assert slider is not None  # fields on the page have a slider
         if field.kind in ("stiffness", "damping"):
-            found[name] = _gain(field, slider, robot)
+            ranges[name] = _make_gain_range(field, slider, robot)
         elif field.kind == "angle":
-            found[name] = Range(slider.low, slider.high, slider.step or 0.1, 0.0)
+            ranges[name] = Range(slider.low, slider.high, slider.step or 0.1, 0.0)
         else:
-            found[name] = _span(field, slider, robot)
-    return found
+            ranges[name] = _make_length_range(field, slider, robot)
+    return ranges
 
 
-def _span(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Returns how a length goes, in parts of the robot's height; a mass, of its mass."""
-    whole = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
-    low, high = (math.copysign(round_up_slider_end(abs(end) * whole), end) if end else 0.0
-                 for end in (slider.low, slider.high))  # fmt: skip
-    step = choose_slider_step((slider.high - max(slider.low, 0.0)) * whole)
+def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Return the range of a length [mm] or mass [kg]."""
+    scale = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
+    low, high = (math.copysign(round_up_slider_end(abs(bound) * scale), bound) if bound else 0.0
+                 for bound in (slider.low, slider.high))  # fmt: skip
+    step = choose_slider_step((slider.high - max(slider.low, 0.0)) * scale)
     value = 0.0 if field.nominal == "zero" else 1e3 * getattr(robot, field.nominal)
     if slider.start is not None:
         value = min(1e3 * slider.start, high)
     return Range(step if field.open and low == 0.0 else low, high, step, value)
 
 
-def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Returns the range of a gain, around the model's own; 0 is no stiffness."""
-    own = list_position_servos(robot)
-    values = [gains[("kp", "kd").index(field.name)] for gains in own.values()]
-    middle = float(np.median(values)) if values else 0.0
-    middle = middle or slider.start or 1.0
-    high = round_up_slider_end(8 * middle)
+def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Return the range of a servo gain, from the median of the model's gains.
+
+    A stiffness of 0 is excluded.
+    """
+    servos = list_position_servos(robot)
+    values = [gains[("kp", "kd").index(field.name)] for gains in servos.values()]
+    median = float(np.median(values)) if values else 0.0
+    median = median or slider.start or 1.0
+    high = round_up_slider_end(8 * median)
     low = choose_slider_step(high) if field.kind == "stiffness" else 0.0
-    return Range(low, high, choose_slider_step(high), middle)
+    return Range(low, high, choose_slider_step(high), median)
 
 
 def choose_slider_step(span: float) -> float:
-    """Returns a step of which a span has some hundreds: 1, 2 or 5 times a power of ten."""
+    """Return a step of 1, 2 or 5 x 10^k that divides the range into 100 to 400 steps."""
     power = 10.0 ** math.floor(math.log10(span / 200))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)
 
 
 def round_up_slider_end(value: float) -> float:
-    """Returns the next number of one digit, or of one and a half."""
+    """Return the next larger number of the form 1, 1.5, 2, 3, 4, 5, 6 or 8 x 10^k."""
     power = 10.0 ** math.floor(math.log10(value))
     factors = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     return next(round(f * power, 9) for f in factors if f * power >= value * (1 - 1e-9))

@@ -1,4 +1,7 @@
-"""What the panels of a page tell, as documents: in no language yet; ``live/render`` shows them."""
+"""Documents of the panels of a page, independent of the language.
+
+`render` converts them to HTML.
+"""
 
 from __future__ import annotations
 
@@ -28,25 +31,25 @@ from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.stand.stance import Stance
 
 NO_TITLE = doc.Name("")
-"""The title of what is shown of no robot."""
+"""Empty title of a document without robot."""
 
 
 def stance_document(
     answer: Answer, sag: SteadyState | Diagnostic | None, judged: Verdict | None
 ) -> doc.Document:
-    """Returns what a stance takes.
+    """Create the document of a stance.
 
     Args:
-        answer: The stance.
-        sag: Where it settles; None while that is worked out.
-        judged: Its verdict; None if it is out of reach, or not in balance.
+        answer: Solved state.
+        sag: Predicted equilibrium, or the reason why there is none; None until it is computed.
+        judged: Verdict; None if the stance is out of reach or not in balance.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
     blocks: list[doc.Block] = []
     if robot is not None and stand is not None:
         blocks.append(stand_table(stand, statics))
         if statics is not None:
-            blocks += _sag(sag)
+            blocks += _make_sag_blocks(sag)
             blocks += [torque_table(statics, robot.effort_limits.tolist()), contact_table(statics)]
     messages: tuple[doc.Words, ...] = ()
     if judged is not None:
@@ -57,16 +60,18 @@ def stance_document(
         messages = (doc.diagnostic_text(answer.refusal.diagnostic),)
     passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
     return doc.Document(
-        text("stance"), _title(answer), tuple(blocks), passed=passed, findings=messages
+        text("stance"), _make_title(answer), tuple(blocks), passed=passed, findings=messages
     )
 
 
-def _title(answer: Answer) -> doc.Name:
+def _make_title(answer: Answer) -> doc.Name:
+    """Return name and mass of the robot."""
     robot = answer.robot
     return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
-def _sag(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
+def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
+    """Yield the blocks of the predicted sag."""
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)
@@ -81,12 +86,12 @@ def _sag(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
 def refusal_document(
     answer: Answer, error: StanceUnreachableError | None, *, pending: bool
 ) -> doc.Document:
-    """Returns why a stance is out of reach, and how far it could go.
+    """Create the document of a stance that is out of reach.
 
     Args:
-        answer: What is out of reach.
-        error: The explained refusal.
-        pending: Whether it is not explained yet; ``error`` is None then.
+        answer: Unreachable state.
+        error: Explained refusal; None if the stance is reachable after all.
+        pending: True until the refusal is explained; ``error`` is then None.
     """
     blocks: list[doc.Block] = []
     message: doc.Words = text("out-of-reach")
@@ -101,40 +106,40 @@ def refusal_document(
             blocks.append(doc.Lines((task_text(error.nearest.task),), title=title))
     passed = not pending and error is None
     return doc.Document(
-        text("stance"), _title(answer), tuple(blocks), passed=passed, findings=(message,)
+        text("stance"), _make_title(answer), tuple(blocks), passed=passed, findings=(message,)
     )
 
 
 def simulation_document(stance: Stance) -> doc.Document:
-    """Returns what MuJoCo made of a stance without feed-forward, beside the prediction."""
+    """Create the document of a simulated stance without feed-forward, with the prediction."""
     run = stance.sagging
     expected = None if stance.settled is None else stance.settled.base_height
-    headed = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")
+    title = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")
     table = replace(simulated_table(run), title=NO_TITLE)
     predicted = (text("base-at-predicted"), doc.number_cell(expected, ".5f"), doc.Name("m"))
-    blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)
+    blocks = (replace(table, rows=(predicted, *table.rows)), _SIMULATION_NOTE)
     good = stance.verdict.passed
     messages = tuple(map(clause_text, verdict_clauses(stance.verdict)))
-    return doc.Document(text("stance"), headed, blocks, passed=good, findings=messages)
+    return doc.Document(text("stance"), title, blocks, passed=good, findings=messages)
 
 
 def push_document(trial: PushTrial) -> doc.Document:
-    """Returns the results of a push."""
+    """Create the document of a push."""
     document = trial_document(trial)
-    return replace(document, blocks=(*document.blocks, _AS_SIMULATED))
+    return replace(document, blocks=(*document.blocks, _SIMULATION_NOTE))
 
 
-_AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
+_SIMULATION_NOTE = doc.Lines((text("orange-as-simulated"),))
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:
-    """Returns why something could not be done."""
+    """Create the document of an error of this package."""
     messages = (doc.diagnostic_text(error.diagnostic),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)
 
 
 def unexpected_document(error: Exception) -> doc.Document:
-    """Returns that something went wrong that should not."""
-    what = strip_folders(f"{type(error).__name__}: {error}".rstrip(": "))
-    messages = (text("unexpected", what=what),)
+    """Create the document of an unexpected error."""
+    description = strip_folders(f"{type(error).__name__}: {error}".rstrip(": "))
+    messages = (text("unexpected", what=description),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)

@@ -1,6 +1,6 @@
-"""From a state to what there is to show: the Python interface, called for a page.
+"""Computations for a page: from a state to stand, statics, sag, verdict and simulations.
 
-Nothing here knows of a browser. Every number is that of the public function which its field names.
+This module does not depend on viser.
 """
 
 from __future__ import annotations
@@ -34,21 +34,20 @@ from pupper_analysis.tools.stand.stance import Stance, study_stance
 Array = NDArray[np.float64]
 
 PUSH_SECONDS = 4.0
-"""s after a push: a robot that recovers has by then come to rest."""
+"""Duration of the simulation of a push [s]. A robot that recovers is at rest by then."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a state comes to, at once.
+    """Immediate result of a state.
 
     Attributes:
-        state: What was asked.
-        robot: The robot, with its payload; None if there is none.
-        task: The stand task; None if it is none.
-        stand: ``solve_stand_as_simulated``'s: on MuJoCo's soft ground, if that is in reach; None if
-            it is out of reach.
-        statics: ``stand_statics``'s of it; None if it cannot be held.
-        refusal: Why one of these is None; a ``StanceUnreachableError`` here is not yet explained.
+        state: Requested state.
+        robot: Robot with its payload; None if the payload is not valid.
+        task: Stand task; None if the state is not valid.
+        stand: Stand, on MuJoCo's soft ground if reachable there; None if out of reach.
+        statics: Static torques and forces; None if the stand cannot be held.
+        refusal: Error, if a result is None. A ``StanceUnreachableError`` is not yet explained.
     """
 
     state: State
@@ -60,37 +59,37 @@ class Answer:
 
     @property
     def unreachable(self) -> bool:
-        """Whether it is out of reach, so that there is more to be said of it."""
+        """True if the stance is out of reach."""
         return isinstance(self.refusal, StanceUnreachableError)
 
 
 class StanceSolver:
-    """Answers for one robot's states; several threads may ask.
+    """Solves the states of one robot. Several threads may call its methods.
 
     Args:
-        robot: The robot.
+        robot: Robot.
     """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._loaded: tuple[object, Robot] | None = None
+        self._cached_robot: tuple[object, Robot] | None = None
 
     def load_robot(self, state: State) -> Robot:
-        """Returns a state's robot, with its payload.
+        """Return the robot of a state, with its payload. The last robot is cached.
 
         Raises:
-            PupperAnalysisError: If there is none.
+            PupperAnalysisError: If the payload is not valid.
         """
         if not state.payload:
             return self._robot
         key = state.payload, state.payload_point()
-        last = self._loaded
-        if last is None or last[0] != key:
-            self._loaded = last = key, with_payload(self._robot, *key)
-        return last[1]
+        cached = self._cached_robot
+        if cached is None or cached[0] != key:
+            self._cached_robot = cached = key, with_payload(self._robot, *key)
+        return cached[1]
 
     def solve_state(self, state: State) -> Answer:
-        """Solves a state; what is wrong with it is in the answer."""
+        """Solve a state; errors are part of the result."""
         robot = task = stand = None
         try:
             robot = self.load_robot(state)
@@ -104,9 +103,9 @@ class StanceSolver:
 
 
 def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
-    """Returns why a stance is out of reach, and how far it can go (a second, or some).
+    """Explain why a stance is out of reach, with the nearest stance. Takes about a second.
 
-    None if it is in reach after all.
+    Returns None if the stance is reachable.
     """
     assert answer.robot is not None
     try:
@@ -117,7 +116,7 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
 
 
 def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
-    """Predicts where the stand settles without feed-forward; or says why nothing is predicted."""
+    """Predict the equilibrium without feed-forward, or return the reason why there is none."""
     assert answer.robot is not None
     assert answer.stand is not None
     try:
@@ -129,31 +128,31 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 
 
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
-    """Returns the verdict of a stance that is not simulated; None of one without balance.
+    """Predict the verdict of a stance without simulation; None if it is not in balance.
 
     Args:
-        answer: How it stands.
-        closely: Also look whether it is stable, which takes some milliseconds.
+        answer: Solved state.
+        closely: True to compute the stability as well, which takes some milliseconds.
     """
     if answer.robot is None or answer.statics is None:
         return None
     state, robot, stand = answer.state, answer.robot, answer.stand
     stability = None
     if closely and stand is not None:
-        # Without servos there is nothing to look at: simulations say so.
+        # Without servos there is no stability to compute.
         with contextlib.suppress(PupperAnalysisError):
             stability = stand_stability(robot, stand, kp=state.kp, kd=state.kd)
     return predict_verdict(answer.statics, find_servos_used(robot, state.kp, state.kd), stability)
 
 
 def simulate_stance(answer: Answer) -> Stance:
-    """Simulates the stance, as ``pupper-analysis stand`` does, and judges it.
+    """Simulate and judge a stance, as the command ``stand``.
 
     Args:
-        answer: How it stands.
+        answer: Solved state.
 
     Raises:
-        PupperAnalysisError: If it cannot be.
+        PupperAnalysisError: If the simulation is not possible.
     """
     assert answer.robot is not None
     assert answer.task is not None
@@ -161,15 +160,15 @@ def simulate_stance(answer: Answer) -> Stance:
 
 
 def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
-    """Pushes the stand, on position commands alone.
+    """Simulate a push of the stand with position commands only.
 
     Args:
-        answer: How it stands.
-        impulse: N s.
-        direction: From the base's forward (rad).
+        answer: Solved state.
+        impulse: Impulse [N s].
+        direction: Direction from the forward axis of the base [rad].
 
     Raises:
-        PupperAnalysisError: If it cannot be.
+        PupperAnalysisError: If the simulation is not possible.
     """
     assert answer.robot is not None
     assert answer.stand is not None

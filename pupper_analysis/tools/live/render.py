@@ -1,4 +1,4 @@
-"""Documents as panels of a page: small, in one language, and no name becomes part of the HTML."""
+"""Rendering of documents as HTML panels in one language, and the viser server of a page."""
 
 from __future__ import annotations
 
@@ -39,14 +39,15 @@ from pupper_analysis.tools.live.access import (
 from pupper_analysis.tools.live.scene import choose_utilisation_colour, to_css
 
 CLOSE_TIMEOUT = 0.3
-"""s that browsers have to answer when the server ends; one that sleeps or is gone never does."""
+"""Time [s] for browsers to confirm the end of a connection. A suspended browser never confirms.
+Chosen, not tuned."""
 
 
 def import_viser() -> Any:
-    """Returns the package.
+    """Import and return viser.
 
     Raises:
-        MissingPackageError: If it is not installed.
+        MissingPackageError: If viser is not installed.
     """
     try:
         return import_module("viser")
@@ -55,44 +56,46 @@ def import_viser() -> Any:
 
 
 def find_free_port(host: str, port: int | None) -> int:
-    """Returns the port to serve on: the one asked for if it is free, or any.
+    """Return the requested port if it is free, or any free port if none is requested.
 
-    viser takes the next one where a port is taken, and waits for ever where there is no such host.
+    viser would use the next port if the port is taken, and would wait indefinitely for an unknown
+    host.
 
     Raises:
-        ConfigurationError: If the port is taken, or the host is none of this machine.
+        ConfigurationError: If the port is taken or not valid, or the host is not an address of this
+            machine.
     """
     try:
         family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
-        with socket.socket(family, socket.SOCK_STREAM) as tried:
-            # As servers do: a connection of one that has just ended is no reason to refuse.
-            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            tried.bind((host, port or 0))
-            return int(tried.getsockname()[1])
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            # As servers do: a closed connection in TIME_WAIT does not block the port.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port or 0))
+            return int(probe.getsockname()[1])
     except OverflowError:
         raise ConfigurationError("--port", diagnose("no-port", port=port)) from None
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        where = f"{host}:{port}" if port else host
-        message = diagnose("cannot-serve", address=where, reason=reason)
+        address = f"{host}:{port}" if port else host
+        message = diagnose("cannot-serve", address=address, reason=reason)
         raise ConfigurationError("--host, --port", message) from error
 
 
 def start_server(host: str, port: int, label: str, access: Access | None = None) -> Any:
-    """Returns a server of viser's, that nobody can open to the internet from the page.
+    """Start a viser server that cannot be shared on the internet from the page.
 
     Args:
-        host: Where it can be reached.
-        port: A free one.
-        label: What the page is called.
-        access: Who may come in; by default who may be at this host.
+        host: Address of the server.
+        port: Free port.
+        label: Title of the page.
+        access: Access control; by default that of the host.
     """
-    # What knocks at the port and says nothing, or nonsense, is no error of this program.
+    # Connections without or with malformed requests are not reported as errors.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    # Nor is a browser that leaves while its page is made.
+    # A browser that disconnects while its page is created is no error either.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    with contextlib.redirect_stdout(io.StringIO()), _behind(access or Access(host)):
+    with contextlib.redirect_stdout(io.StringIO()), _guard_requests(access or Access(host)):
         server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 112, 155))
@@ -100,45 +103,45 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
 
 
 def make_address(server: Any, host: str, access: Access) -> str:
-    """Returns what a browser opens.
+    """Return the address that a browser opens.
 
     Args:
-        server: viser's.
-        host: Where it can be reached.
-        access: Who may come in.
+        server: viser's server.
+        host: Address of the server.
+        access: Access control, whose token is part of the address.
     """
     shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    asked = f"?token={access.token}" if access.token else ""
-    return f"http://{shown}:{server.get_port()}/{asked}"
+    query = f"?token={access.token}" if access.token else ""
+    return f"http://{shown}:{server.get_port()}/{query}"
 
 
 @contextlib.contextmanager
-def _behind(access: Access) -> Iterator[None]:
-    """Lets a server that viser starts meanwhile answer only whom a door lets in."""
+def _guard_requests(access: Access) -> Iterator[None]:
+    """Apply the access control to servers that viser starts within the context."""
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
 
-    def guarded(handler: Any, *where: Any, **options: Any) -> Any:
-        answer = options["process_request"]
+    def serve_guarded(handler: Any, *where: Any, **options: Any) -> Any:
+        process_request = options["process_request"]
 
-        def answered(connection: Any, request: Any) -> Any:
+        def check_request(connection: Any, request: Any) -> Any:
             headers = {name: ", ".join(request.headers.get_all(name)) for name in CHECKED_HEADERS}
             if refusal := access.find_refusal(request.path, headers):
                 message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
                 return connection.respond(HTTPStatus.FORBIDDEN, message)
-            response = answer(connection, request)
+            response = process_request(connection, request)
             if response is not None and access.token and urlsplit(request.path).path == "/":
                 response.headers["Set-Cookie"] = access.cookie_header
             return response
 
-        own = {
-            "process_request": answered,
+        overrides = {
+            "process_request": check_request,
             "max_size": MAX_MESSAGE_BYTES,
             "close_timeout": CLOSE_TIMEOUT,
         }
-        return serve(handler, *where, **(options | own))
+        return serve(handler, *where, **(options | overrides))
 
-    websockets.serve = guarded
+    websockets.serve = serve_guarded
     try:
         yield
     finally:
@@ -146,46 +149,51 @@ def _behind(access: Access) -> Iterator[None]:
 
 
 def stop_server(server: Any) -> None:
-    """Stops a server."""
+    """Stop a server without output."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 class NumberPanel:
-    """A panel of numbers at the left of the controls; on a phone, folded above them."""
+    """Panel of numbers left of the controls; on a phone, a folded section above the controls."""
 
     def __init__(self, gui: Any, say: Language, waiting: str, width: int = 380) -> None:
         left, self._title = gui.add_panel(), say("what-it-takes")
         with left.add_tab(self._title):
-            self._wide = gui.add_html("")
+            self._panel_html = gui.add_html("")
         left.dock_left()
         left.set_width(width)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(360)
-        self._narrow = gui.add_html("")
+        self._phone_html = gui.add_html("")
         self.content = render_waiting(text(waiting), say)
 
     @property
     def content(self) -> str:
         """What it shows."""
-        return str(self._wide.content)
+        return str(self._panel_html.content)
 
     @content.setter
     def content(self, html: str) -> None:
-        self._wide.content = html
+        """HTML of the panel."""
+        self._panel_html.content = html
         summary = f"<summary>{escape(self._title)}</summary>"
-        self._narrow.content = f'{_PHONE}<details class="pa-phone">{summary}{html}</details>'
+        self._phone_html.content = (
+            f'{_PHONE_STYLE}<details class="pa-phone">{summary}{html}</details>'
+        )
 
 
-_PHONE = "<style>.pa-phone{display:none}@media (max-width:36em){.pa-phone{display:block}}</style>"
+_PHONE_STYLE = (
+    "<style>.pa-phone{display:none}@media (max-width:36em){.pa-phone{display:block}}</style>"
+)
 
 
-# The language of a page: its texts are those of the report's catalogue, and so is its Chinese.
+# Language of a page. The texts are those of the catalogues, as in reports.
 
 
 @dataclass(frozen=True)
 class Language:
-    """Says texts in one language.
+    """Translates texts into one language.
 
     Attributes:
         code: ``"en"`` or ``"zh"``.
@@ -198,26 +206,28 @@ class Language:
             raise ConfigurationError("language", diagnose("language-unknown", language=self.code))
 
     def __call__(self, key: str, **values: object) -> str:
-        """Returns a text of the page.
+        """Return a text of the catalogue.
 
         Args:
-            key: The catalogue's.
-            **values: What stands in its braces.
+            key: Key of the text.
+            **values: Values of the placeholders.
 
         Raises:
-            KeyError: If the catalogue lacks it.
+            KeyError: If the catalogue does not contain the key.
         """
-        return self._of(text(key, **values))
+        return self._select_language(text(key, **values))
 
     def format_diagnostic(self, message: Diagnostic) -> str:
-        """Returns what a diagnostic says."""
+        """Return the text of a diagnostic, without folders."""
         return message.with_names(strip_folders).text(self.code)
 
     def translate(self, words: Words) -> str:
-        """Returns words of a document."""
-        return strip_folders(self._of(words) if isinstance(words, Text) else words.text)
+        """Return the text of a document element, without folders."""
+        return strip_folders(
+            self._select_language(words) if isinstance(words, Text) else words.text
+        )
 
-    def _of(self, words: Text) -> str:
+    def _select_language(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en
 
 
@@ -235,97 +245,105 @@ PANEL_STYLE = """<style>
 .pa .good{border-color:#1e8c46}.pa .bad{border-color:#c81e28}.pa .wait{border-color:#e0a020}
 .pa .bar{display:inline-block;height:.62em;border-radius:2px;vertical-align:baseline}
 </style>"""
+"""Style sheet of the panels."""
 
-_BOXES = {"good": "good", "bad": "bad", "warn": "wait"}
-"""{emphasis: the class of a box}."""
+_BOX_CLASSES = {"good": "good", "bad": "bad", "warn": "wait"}
+"""CSS class of a box for each emphasis."""
 
 
 def render_panel(document: Document, say: Language) -> str:
-    """Returns a document: whose it is, its verdict and the reasons, and its blocks."""
-    parts = [_headed(document.title, say), render_verdict(document, say)]
-    parts += [_block(block, say) for block in document.blocks]
+    """Render a document: title, verdict with reasons, and blocks."""
+    parts = [_render_heading(document.title, say), render_verdict(document, say)]
+    parts += [_render_block(block, say) for block in document.blocks]
     return join_parts(*parts)
 
 
 def render_verdict(document: Document, say: Language) -> str:
-    """Returns a document's verdict with its reasons, in one remark; nothing where it has none."""
+    """Render the verdict with its reasons as one box; empty without verdict."""
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
     messages = (*verdict, *document.failures, *document.findings, *document.details)
-    return _box(document.mark, "; ".join(say.translate(one) for one in messages))
+    return _render_box(document.mark, "; ".join(say.translate(words) for words in messages))
 
 
 def join_parts(*parts: str) -> str:
-    """Returns parts as one piece of a page."""
+    """Join rendered parts, with the style sheet."""
     return f'{PANEL_STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
 def render_waiting(words: Words, say: Language) -> str:
-    """Returns that something is under way."""
-    return join_parts(_box("warn", say.translate(words)))
+    """Render a message about work in progress."""
+    return join_parts(_render_box("warn", say.translate(words)))
 
 
 def render_hint(words: Words, say: Language) -> str:
-    """Returns a hint where there is no result."""
-    return join_parts(f"<div>{_said(say.translate(words))}</div>")
+    """Render a hint, if there is no result."""
+    return join_parts(f"<div>{_escape_text(say.translate(words))}</div>")
 
 
-def _headed(words: Words, say: Language) -> str:
+def _render_heading(words: Words, say: Language) -> str:
+    """Render a heading; empty for an empty text."""
     message = say.translate(words)
-    return f"<h4>{_said(message)}</h4>" if message else ""
+    return f"<h4>{_escape_text(message)}</h4>" if message else ""
 
 
-def _said(text: str) -> str:
-    """Returns a text as it is shown: nothing in it acts."""
+def _escape_text(text: str) -> str:
+    """Escape a text for HTML, including control characters."""
     return escape(escape_control(text))
 
 
-def _box(mark: str, text: str) -> str:
-    return f'<div class="{_BOXES[mark]}">{_said(text)}</div>'
+def _render_box(mark: str, text: str) -> str:
+    """Render a box with emphasis."""
+    return f'<div class="{_BOX_CLASSES[mark]}">{_escape_text(text)}</div>'
 
 
 @singledispatch
-def _block(_: object, __: Language) -> str:
-    """Returns a block; plots and views are left out, as they are drawn beside the panels."""
+def _render_block(_: object, __: Language) -> str:
+    """Render a block; plots and views are left out, since the scene shows them."""
     return ""
 
 
-@_block.register
-def _lines(block: Lines, say: Language) -> str:
-    title = "" if block.title is None else _headed(block.title, say)
-    messages = [say.translate(one) for one in block.lines]
+@_render_block.register
+def _render_lines(block: Lines, say: Language) -> str:
+    """Render lines, or boxes if the block has an emphasis."""
+    title = "" if block.title is None else _render_heading(block.title, say)
+    messages = [say.translate(words) for words in block.lines]
     if block.mark:
-        return title + "".join(_box(block.mark, one) for one in messages)
-    return title + "".join(f"<div>{_said(one)}</div>" for one in messages)
+        return title + "".join(_render_box(block.mark, message) for message in messages)
+    return title + "".join(f"<div>{_escape_text(message)}</div>" for message in messages)
 
 
-@_block.register
-def _table(block: Table, say: Language) -> str:
-    """Returns a table; its header is shown where it tells units."""
+@_render_block.register
+def _render_table(block: Table, say: Language) -> str:
+    """Render a table; the header is shown if a column has a unit."""
     rows = []
     if any(column.unit for column in block.columns):
-        heads = [say.translate(one.name) + _unit(one) for one in block.columns]
-        kinds = ["" if one.left else ' class="n"' for one in block.columns]
-        cells = (f"<th{kind}>{_said(head)}</th>" for kind, head in zip(kinds, heads, strict=True))
+        heads = [say.translate(column.name) + _format_unit(column) for column in block.columns]
+        classes = ["" if column.left else ' class="n"' for column in block.columns]
+        cells = (
+            f"<th{table_class}>{_escape_text(head)}</th>"
+            for table_class, head in zip(classes, heads, strict=True)
+        )
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    rows += [f"<tr>{''.join(_cell(one, say) for one in row)}</tr>" for row in block.rows]
-    barred = any(isinstance(cell, Number) and cell.bar_fraction is not None
+    rows += [f"<tr>{''.join(_render_cell(cell, say) for cell in row)}</tr>" for row in block.rows]
+    has_bars = any(isinstance(cell, Number) and cell.bar_fraction is not None
                  for row in block.rows for cell in row)  # fmt: skip
-    kind = ' class="barred"' if barred else ""
-    return f"{_headed(block.title, say)}<table{kind}>{''.join(rows)}</table>"
+    table_class = ' class="barred"' if has_bars else ""
+    return f"{_render_heading(block.title, say)}<table{table_class}>{''.join(rows)}</table>"
 
 
-def _unit(column: Column) -> str:
-    """Returns a column's unit in parentheses, in one piece; nothing where it has none."""
+def _format_unit(column: Column) -> str:
+    """Return the unit of a column in parentheses; empty without unit."""
     unit = column.unit.replace(" ", "\N{NO-BREAK SPACE}")
     return f" ({unit})" if unit not in ("", "1") else ""
 
 
-def _cell(cell: Cell, say: Language) -> str:
+def _render_cell(cell: Cell, say: Language) -> str:
+    """Render a cell; a number with a share gets a bar."""
     if not isinstance(cell, Number):
-        return f"<td>{_said(say.translate(cell))}</td>"
-    number = f'<td class="n">{_said(cell.text)}</td>'
+        return f"<td>{_escape_text(say.translate(cell))}</td>"
+    number = f'<td class="n">{_escape_text(cell.text)}</td>'
     if cell.bar_fraction is None:
         return number
     width, colour = (

@@ -1,4 +1,4 @@
-"""What a page shows in three dimensions: the robot, what acts on it, a ghost, a simulated twin."""
+"""3-D scene of a page: robot, forces, torques, ghost of the nearest stance, simulated twin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pupper_analysis.tools.live.model import Answer
 
 Array = NDArray[np.float64]
 
-# What colour says how hard a motor works: blue, yellow, red, which all eyes tell apart.
+# Colours of motor utilisation: blue, yellow, red, which colour-blind users can distinguish.
 
 UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
     (0.0, (52, 108, 176)),
@@ -39,78 +39,83 @@ UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
     (0.75, (240, 138, 52)),
     (1.0, (208, 28, 40)),
 )
-"""Parts of a motor's limit, and their colours."""
+"""Colour of motor utilisation (torque / limit); linear between the entries."""
 
 OVERLOAD_COLOUR: Colour = (138, 0, 110)
-"""Above the limit."""
+"""Colour of a utilisation above 1."""
 
 NO_LIMIT_COLOUR: Colour = (150, 150, 150)
-"""Of a motor without a limit."""
+"""Colour of a motor without torque limit."""
 
 
 def choose_utilisation_colour(utilisation: float | None) -> Colour:
-    """Returns the colour of a motor's utilisation, in parts of its limit; None without a limit."""
+    """Return the colour of a motor utilisation; None is a motor without limit."""
     if utilisation is None or not math.isfinite(utilisation):
         return NO_LIMIT_COLOUR
-    for (low, one), (high, other) in pairwise(UTILISATION_COLOURS):
+    for (low, low_colour), (high, high_colour) in pairwise(UTILISATION_COLOURS):
         if utilisation <= high:
-            share = (utilisation - low) / (high - low)
-            red, green, blue = (round(a + share * (b - a)) for a, b in zip(one, other, strict=True))
+            weight = (utilisation - low) / (high - low)
+            red, green, blue = (
+                round(a + weight * (b - a)) for a, b in zip(low_colour, high_colour, strict=True)
+            )
             return red, green, blue
     return OVERLOAD_COLOUR
 
 
 def to_css(colour: Colour) -> str:
-    """Returns a colour as pages write it."""
+    """Return a colour in CSS."""
     return f"rgb({colour[0]},{colour[1]},{colour[2]})"
 
 
-# A robot's shapes as triangles, each on its body.
+# Shapes of a robot as triangles in body frames.
 
 Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
 
 MAX_FACES = 40_000
-"""Of all meshes of a robot together: half a megabyte, which is sent when a page opens."""
+"""Maximum number of faces of all meshes of a robot: about 0.5 MB, sent when a page opens. Chosen,
+not tuned."""
 
 
 BodyMeshes = dict[tuple[int, Colour], Mesh]
-"""{number of a body in MuJoCo's model, colour: its shapes of that colour, in its frame}."""
+"""Shapes in the frame of their body: {(body id of the MuJoCo model, colour): mesh}."""
 
 
 def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
-    """Returns a robot's shapes, those of one body and colour together."""
+    """Return the shapes of a robot, joined by body and colour."""
     shapes, meshes = collect_visible_shapes(model, MAX_FACES)
-    found: dict[tuple[int, Colour], list[Mesh]] = {}
+    meshes_by_key: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:
         mesh = triangulate_shape(shape.form) if shape.mesh is None else meshes[shape.mesh]
         red, green, blue = (round(255 * float(value)) for value in shape.colour[:3])
         placed = Mesh(shape.form.pose.point(mesh.vertices), mesh.faces)
-        found.setdefault((shape.body, (red, green, blue)), []).append(placed)
-    return {key: _joined(meshes) for key, meshes in found.items()}
+        meshes_by_key.setdefault((shape.body, (red, green, blue)), []).append(placed)
+    return {key: _join_meshes(meshes) for key, meshes in meshes_by_key.items()}
 
 
-def _joined(meshes: list[Mesh]) -> Mesh:
+def _join_meshes(meshes: list[Mesh]) -> Mesh:
+    """Join meshes."""
     firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def triangulate_shape(shape: Shape) -> Mesh:
-    """Returns a shape that is no mesh as triangles, along z about its centre."""
+    """Return the triangles of a primitive shape, centred, with its axis along z."""
     from trimesh import creation  # comes with viser
 
-    size, made = shape.size, None
+    size, solid = shape.size, None
     match shape.kind:
         case "box":
-            made = creation.box(extents=2 * np.array(size))
+            solid = creation.box(extents=2 * np.array(size))
         case "cylinder":
-            made = creation.cylinder(radius=size[0], height=2 * size[1], sections=24)
+            solid = creation.cylinder(radius=size[0], height=2 * size[1], sections=24)
         case "capsule":
-            made = creation.capsule(radius=size[0], height=2 * size[1], count=(16, 16))
+            solid = creation.capsule(radius=size[0], height=2 * size[1], count=(16, 16))
         case _:
-            made = creation.icosphere(subdivisions=2)
-            made.apply_scale(np.broadcast_to(size, 3))
-    return Mesh(np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64))
+            solid = creation.icosphere(subdivisions=2)
+            solid.apply_scale(np.broadcast_to(size, 3))
+    return Mesh(np.asarray(solid.vertices, dtype=float), np.asarray(solid.faces, dtype=np.int64))
 
 
 GHOST_COLOUR: Colour = (110, 130, 150)
@@ -122,27 +127,29 @@ LOAD_COLOUR: Colour = (90, 60, 140)
 STEP_COLOUR: Colour = (190, 194, 200)
 PIT_COLOUR: Colour = (120, 126, 134)
 
-_CORNERS = 24
-"""Corners of a support polygon as it is drawn, the last one repeated: so that its size stays."""
+_NUM_POLYGON_CORNERS = 24
+"""Number of corners of the drawn support polygon. The last corner is repeated, so that the size of
+the array is constant."""
 
-_ARROW = 3.0
-"""Length of the whole weight as an arrow, in parts of the stand's height."""
+_WEIGHT_ARROW_LENGTH = 3.0
+"""Length of an arrow of the robot's total weight, relative to the height of the stand."""
 
 
-_DISC, _DISC_AT = 0.025, 0.13
-"""Radius of a joint's disc (m), for a robot of that height: around v3's motors of 23 mm."""
+_DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
+"""Radius of a joint's disc [m], for a robot of the reference height [m]: larger than v3's motors
+(23 mm)."""
 
 
 class RobotFigure:
-    """A robot as it is drawn.
+    """Drawn robot.
 
     Args:
-        scene: viser's scene of one page.
-        name: Of the node that all parts hang on.
-        robot: The robot.
-        parts: Its shapes.
-        colour: Of all shapes; their own if None.
-        opacity: Below 1: one sees through it.
+        scene: viser's scene of the page.
+        name: Name of the root node.
+        robot: Robot.
+        parts: Shapes of the robot.
+        colour: Colour of all shapes; None for the colours of the model.
+        opacity: Opacity, below 1 for a transparent figure; None for opaque.
     """
 
     def __init__(
@@ -158,7 +165,7 @@ class RobotFigure:
         self._data = mujoco.MjData(robot.mj_model)
         self._root = scene.add_frame(name, show_axes=False)
         self._bodies: dict[int, Any] = {}
-        for number, ((body, own), mesh) in enumerate(parts.items()):
+        for number, ((body, model_colour), mesh) in enumerate(parts.items()):
             at = f"{name}/{body}"
             if body not in self._bodies:
                 self._bodies[body] = scene.add_frame(at, show_axes=False)
@@ -166,7 +173,7 @@ class RobotFigure:
                 f"{at}/{number}",
                 mesh.vertices,
                 mesh.faces,
-                color=colour or own,
+                color=colour or model_colour,
                 opacity=opacity,
                 flat_shading=len(mesh.faces) < 2000,
                 cast_shadow=opacity is None,
@@ -174,7 +181,7 @@ class RobotFigure:
             )
 
     def pose(self, qpos: Array) -> None:
-        """Moves it to a configuration (nq,)."""
+        """Move the figure to a configuration, shape (nq,)."""
         self.robot.mj_convention.set_state(self._data, qpos)
         mujoco.mj_kinematics(self.robot.mj_model, self._data)
         for body, frame in self._bodies.items():
@@ -182,23 +189,23 @@ class RobotFigure:
             frame.wxyz = self._data.xquat[body]
 
     def shift(self, place: Array) -> None:
-        """Moves it aside by (3,) (m)."""
+        """Translate the figure, shape (3,) [m]."""
         self._root.position = place
 
     def show(self, shown: bool) -> None:
-        """Shows it, or hides it."""
+        """Show or hide the figure."""
         self._root.visible = shown
 
     def remove(self) -> None:
-        """Takes it out of the scene, with all that hangs on it."""
+        """Remove the figure from the scene."""
         self._root.remove()
 
 
 class Scene:
-    """One page's scene.
+    """3-D scene of one page.
 
     Args:
-        scene: viser's scene of one page.
+        scene: viser's scene of the page.
     """
 
     def __init__(self, scene: Any) -> None:
@@ -211,7 +218,7 @@ class Scene:
         self._size = 1.0
 
     def show(self, answer: Answer) -> None:
-        """Shows a stance, and what holds it; without one, nothing but the ground."""
+        """Draw a stance with torques and forces; without a stance, the ground only."""
         robot, stand = answer.robot, answer.stand
         self.hide("twin")
         self._draw_only(())
@@ -219,61 +226,60 @@ class Scene:
             self.hide("stand")
             self.hide("ghost")
             return
-        self._prepare(robot)
+        self._prepare_robot(robot)
         if answer.task is not None:
-            self._ground(answer.task.ground)
+            self._draw_ground(answer.task.ground)
         if stand is None:
             self.hide("stand")
             return
         self.hide("ghost")
-        self._figure("stand").pose(stand.qpos)
-        self._figure("stand").show(True)
-        seen = describe_scene(robot, stand, answer.statics)
-        self._steps(seen)
-        self._support(seen, held=answer.statics is not None and seen.com_inside)
-        self._com(seen)
-        self._load(answer, stand)
-        self._torques(seen.joints)
-        self._forces(seen)
+        self._get_figure("stand").pose(stand.qpos)
+        self._get_figure("stand").show(True)
+        described = describe_scene(robot, stand, answer.statics)
+        self._draw_steps(described)
+        self._draw_support(described, held=answer.statics is not None and described.com_inside)
+        self._draw_com(described)
+        self._draw_load(answer, stand)
+        self._draw_torques(described.joints)
+        self._draw_forces(described)
 
     def ghost(self, robot: Robot, stand: Stand | None) -> None:
-        """Shows a stance as a ghost: one that is not what was asked for."""
+        """Draw a stance as a transparent ghost, or hide the ghost."""
         if stand is None:
             self.hide("ghost")
             return
-        self._prepare(robot)
-        self._figure("ghost").pose(stand.qpos)
-        self._figure("ghost").show(True)
+        self._prepare_robot(robot)
+        self._get_figure("ghost").pose(stand.qpos)
+        self._get_figure("ghost").show(True)
 
     def twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
-        """Shows a simulated configuration, beside the stand."""
-        figure = self._figure("twin")
+        """Draw a simulated configuration beside the stand."""
+        figure = self._get_figure("twin")
         along = np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
         figure.shift(2.6 * robot.stand_height * along)
         figure.pose(qpos)
         figure.show(True)
 
     def hide(self, name: str) -> None:
-        """Hides a figure, if there is one."""
+        """Hide a figure, if it exists."""
         if name in self._figures:
             self._figures[name].show(False)
 
-    def _figure(self, name: str) -> RobotFigure:
-        """Returns a figure of the robot; it is made when it is first shown."""
+    def _get_figure(self, name: str) -> RobotFigure:
+        """Return a figure of the robot; created on first use."""
         assert self._robot is not None
         if name not in self._figures:
-            evaluations: dict[str, dict[str, Any]] = {
+            options: dict[str, dict[str, Any]] = {
                 "stand": {},
                 "ghost": {"colour": GHOST_COLOUR, "opacity": 0.35},
                 "twin": {"colour": TWIN_COLOUR},
             }
-            made = RobotFigure(
-                self._scene, f"/{name}", self._robot, self._parts, **evaluations[name]
-            )
-            self._figures[name] = made
+            figure = RobotFigure(self._scene, f"/{name}", self._robot, self._parts, **options[name])
+            self._figures[name] = figure
         return self._figures[name]
 
-    def _prepare(self, robot: Robot) -> None:
+    def _prepare_robot(self, robot: Robot) -> None:
+        """Replace all figures if the robot has changed."""
         if robot is self._robot:
             return
         for figure in self._figures.values():
@@ -283,14 +289,16 @@ class Scene:
         self._figures, self._joints = {}, {}
         self._robot, self._parts = robot, make_body_meshes(robot.mj_model)
         self._size = size = robot.stand_height
-        disc = _DISC * (size / _DISC_AT) ** 0.6  # motors grow more slowly than their robots
+        disc = (
+            _DISC_RADIUS * (size / _DISC_REFERENCE_HEIGHT) ** 0.6
+        )  # motors grow more slowly than their robots
         for number, name in enumerate(robot.joint_names):
             self._joints[name] = self._scene.add_cylinder(
                 f"/joints/{number}", disc, 1.9 * disc, cast_shadow=False
             )
 
-    def _node(self, name: str, make: str, *arguments: Any, **options: Any) -> Any:
-        """Returns a node; it is made when it is first asked for."""
+    def _get_node(self, name: str, make: str, *arguments: Any, **options: Any) -> Any:
+        """Return a node, made visible; created on first use."""
         if name not in self._nodes:
             self._nodes[name] = getattr(self._scene, make)(f"/{name}", *arguments, **options)
         node = self._nodes[name]
@@ -298,14 +306,16 @@ class Scene:
         return node
 
     def _draw_only(self, names: tuple[str, ...]) -> None:
+        """Hide all nodes except the given ones and the ground."""
         for name, node in self._nodes.items():
             node.visible = name in (*names, "ground")
         for node in self._joints.values():
             node.visible = False
 
-    def _ground(self, ground: Ground) -> None:
+    def _draw_ground(self, ground: Ground) -> None:
+        """Draw the ground plane."""
         size = 0.5 if self._size < 0.25 else 2.0
-        grid = self._node(
+        grid = self._get_node(
             "ground",
             "add_grid",
             8 * size,
@@ -320,30 +330,33 @@ class Scene:
         )
         turn = ground.rotation()
         grid.wxyz = quaternion_from_rotation(turn)
-        grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
+        grid.position = -1e-3 * turn[:, 2]  # slightly below drawings on the ground
 
-    def _steps(self, seen: StandingScene) -> None:
-        """Draws the steps under the feet that stand on some: as high as each, or as deep."""
-        out, thin = seen.ground_normal, 2e-3 * self._size
-        for number, step in enumerate(seen.steps.values()):
-            # A pit is a dark square on the ground, which nobody can look through.
+    def _draw_steps(self, described: StandingScene) -> None:
+        """Draw the steps and pits under feet."""
+        normal, thin = described.ground_normal, 2e-3 * self._size
+        for number, step in enumerate(described.steps.values()):
+            # A pit is drawn as a dark square on the opaque ground.
             pit = step.height < 0
             half = np.array([*step.half[:2], thin]) if pit else step.half
-            rise = float(out @ step.centre) if pit else 0.0
+            rise = float(normal @ step.centre) if pit else 0.0
             if step.round:
-                box = self._node(f"steps/bar{number}", "add_cylinder")
+                box = self._get_node(f"steps/bar{number}", "add_cylinder")
                 box.radius, box.height = half[0], 2 * half[2]
             else:
-                box = self._node(f"steps/{number}", "add_box")
+                box = self._get_node(f"steps/{number}", "add_box")
                 box.dimensions = tuple(2 * half)
             box.color = PIT_COLOUR if pit else STEP_COLOUR
-            box.wxyz, box.position = step.turn, step.centre - rise * out
+            box.wxyz, box.position = step.turn, step.centre - rise * normal
 
-    def _support(self, seen: StandingScene, *, held: bool) -> None:
-        points = seen.polygon + np.array([0.0, 0.0, 0.005 * self._size])
-        padded = np.concatenate([points, np.tile(points[-1], (_CORNERS, 1))])[:_CORNERS]
-        fan = [(0, n, n + 1) for n in range(1, _CORNERS - 1)]
-        area = self._node(
+    def _draw_support(self, described: StandingScene, *, held: bool) -> None:
+        """Draw the support polygon."""
+        points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
+        padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
+            :_NUM_POLYGON_CORNERS
+        ]
+        fan = [(0, n, n + 1) for n in range(1, _NUM_POLYGON_CORNERS - 1)]
+        area = self._get_node(
             "support",
             "add_mesh_simple",
             padded,
@@ -357,48 +370,58 @@ class Scene:
         area.vertices = padded
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
-    def _com(self, seen: StandingScene) -> None:
-        colour = INSIDE_COLOUR if seen.com_inside else OUTSIDE_COLOUR
-        for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.com_projection, 0.05)):
-            ball = self._node(name, "add_icosphere", size * self._size, colour, cast_shadow=False)
+    def _draw_com(self, described: StandingScene) -> None:
+        """Draw the centre of mass and its projection."""
+        colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
+        for name, place, size in (
+            ("com", described.com, 0.075),
+            ("beneath", described.com_projection, 0.05),
+        ):
+            ball = self._get_node(
+                name, "add_icosphere", size * self._size, colour, cast_shadow=False
+            )
             ball.position = place
             ball.color = colour
-        ends = np.array([[seen.com, seen.com_projection]])
-        line = self._node(
+        ends = np.array([[described.com, described.com_projection]])
+        line = self._get_node(
             "plumb", "add_line_segments", ends, colour, thickness=2.0, thickness_units="screen"
         )
         line.points = ends
         line.colors = np.array(colour, dtype=np.uint8)
 
-    def _load(self, answer: Answer, stand: Stand) -> None:
+    def _draw_load(self, answer: Answer, stand: Stand) -> None:
+        """Draw the payload."""
         if not answer.state.payload:
             return
-        ball = self._node("load", "add_icosphere", 0.13 * self._size, LOAD_COLOUR)
+        ball = self._get_node("load", "add_icosphere", 0.13 * self._size, LOAD_COLOUR)
         assert answer.robot is not None
         place = find_place(answer.robot, answer.state.payload_point())
         ball.position = place.position(Configuration(answer.robot, stand.qpos))
 
-    def _torques(self, joints: Sequence[JointAxis]) -> None:
-        """Colours the joints; names the one whose motor works hardest."""
-        known = [one for one in joints if one.torque is not None]
-        for one in known:
-            disc = self._joints[one.name]
-            disc.visible, disc.color = True, choose_utilisation_colour(one.utilisation)
-            disc.position, disc.wxyz = one.world_anchor, quaternion_along(one.world_axis)
-        if known:
-            hardest = max(known, key=lambda one: (one.utilisation or 0.0, abs(one.torque or 0.0)))
-            label = self._node("hardest", "add_label", "", anchor="bottom-center")
+    def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
+        """Colour the joints by utilisation; label the joint with the largest utilisation."""
+        held_joints = [joint for joint in joints if joint.torque is not None]
+        for joint in held_joints:
+            disc = self._joints[joint.name]
+            disc.visible, disc.color = True, choose_utilisation_colour(joint.utilisation)
+            disc.position, disc.wxyz = joint.world_anchor, quaternion_along(joint.world_axis)
+        if held_joints:
+            hardest = max(
+                held_joints, key=lambda joint: (joint.utilisation or 0.0, abs(joint.torque or 0.0))
+            )
+            label = self._get_node("hardest", "add_label", "", anchor="bottom-center")
             label.text = format_joint_label(
                 hardest.name, hardest.torque or 0.0, hardest.utilisation
             )
             label.position = hardest.world_anchor + np.array([0.0, 0.0, 0.2 * self._size])
 
-    def _forces(self, seen: StandingScene) -> None:
-        if not seen.contacts:
+    def _draw_forces(self, described: StandingScene) -> None:
+        """Draw the contact forces."""
+        if not described.contacts:
             return
         assert self._robot is not None
-        arrows = make_force_arrows(self._robot, seen.contacts)
-        node = self._node(
+        arrows = make_force_arrows(self._robot, described.contacts)
+        node = self._get_node(
             "forces",
             "add_arrows",
             arrows,
@@ -411,20 +434,22 @@ class Scene:
 
 
 def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
-    """Returns contact forces as arrows (n, 2, 3): from the ground up (m)."""
+    """Return contact forces as arrows from the contact points, shape (n, 2, 3) [m]."""
     weight = robot.weight
-    scale = _ARROW * robot.stand_height / weight
-    return np.array([[one.point, one.point + scale * one.force] for one in contacts])
+    scale = _WEIGHT_ARROW_LENGTH * robot.stand_height / weight
+    return np.array(
+        [[contact.point, contact.point + scale * contact.force] for contact in contacts]
+    )
 
 
 def format_joint_label(name: str, torque: float, share: float | None) -> str:
-    """Returns what stands at a joint: its name, torque (N m) and utilisation."""
-    used = "" if share is None else f", {100 * share:.0f} %"
-    return f"{escape_control(name)}: {torque:+.3f} N m{used}"
+    """Format the label of a joint: name, torque [N m], utilisation in percent."""
+    suffix = "" if share is None else f", {100 * share:.0f} %"
+    return f"{escape_control(name)}: {torque:+.3f} N m{suffix}"
 
 
 def quaternion_along(axis: Array) -> Array:
-    """Returns the quaternion (w, x, y, z) that turns z into an axis (3,)."""
+    """Return the quaternion (w, x, y, z) that rotates the z axis to the given unit vector (3,)."""
     x, y, z = (float(value) for value in axis)
     if z < -1.0 + 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0])

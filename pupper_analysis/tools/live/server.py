@@ -1,4 +1,4 @@
-"""Serves the page: each browser that opens it has a session of its own."""
+"""Server of a page; each browser that opens the page has its own session."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from pupper_analysis.tools.live.state import State, check_page_robot
 
 DEFAULT_HOST = "127.0.0.1"
 
-_FROM = (2.6, -2.3, 1.7)
-"""Where it is looked from, in parts of the stand's height: from the front, on the right."""
+_CAMERA_POSITION = (2.6, -2.3, 1.7)
+"""Initial position of the camera, in heights of the stand: front right."""
 
-_LEAVE = 1.0  # s that all sessions together have to end what they are at
+_JOIN_TIMEOUT = 1.0  # s, for all threads together to finish
 
 
 class ServeOptions(TypedDict, total=False):
-    """Where and how a page is served; see ``Served``."""
+    """Options of the server; see `ServedPage`."""
 
     language: str
     host: str
@@ -36,22 +36,23 @@ class ServeOptions(TypedDict, total=False):
 
 
 class ServedPage:
-    """A page that is served until it is closed: each browser that opens it has a session.
+    """Page that is served until it is closed; each browser has its own session.
 
     Args:
-        robot: The robot's name, which the page is called by.
-        size: How large it is (m): where it is looked at from.
-        session: Makes a browser's session of viser's handle of it, and the language.
+        robot: Name of the robot, in the title of the page.
+        size: Size of the robot [m], for the position of the camera.
+        session: Function that creates the session of a browser from viser's client and the
+            language.
         language: ``"en"`` or ``"zh"``.
-        host: Where it can be reached: by default from this machine alone.
-        port: Where; any free one by default.
+        host: Address of the server; by default reachable from this machine only.
+        port: Port; by default any free port.
 
     Attributes:
-        address: What a browser opens.
-        sessions: {browser: its session}.
+        address: Address that a browser opens.
+        sessions: {client id: session}.
 
     Raises:
-        ConfigurationError: If it cannot be served there, or the language is neither.
+        ConfigurationError: If the server cannot use this address, or the language is unknown.
         MissingPackageError: If viser is not installed.
     """
 
@@ -65,36 +66,38 @@ class ServedPage:
         host: str = DEFAULT_HOST,
         port: int | None = None,
     ) -> None:
-        self._language, self._session = Language(language), session
+        self._language, self._make_session = Language(language), session
         self.sessions: dict[int, Any] = {}
         self._lock, self._closed = threading.Lock(), False
-        access, free = Access(host), render.find_free_port(host, port)
-        self._server = render.start_server(host, free, f"{robot}, live", access)
+        access, free_port = Access(host), render.find_free_port(host, port)
+        self._server = render.start_server(host, free_port, f"{robot}, live", access)
         self.address = render.make_address(self._server, host, access)
         camera = self._server.initial_camera
-        camera.position = tuple(size * number for number in _FROM)
+        camera.position = tuple(size * number for number in _CAMERA_POSITION)
         camera.look_at = (0.0, 0.0, 0.4 * size)
         camera.near = 0.05 * size
-        self._server.on_client_connect(self._opened)
-        self._server.on_client_disconnect(self._left)
+        self._server.on_client_connect(self._on_connect)
+        self._server.on_client_disconnect(self._on_disconnect)
 
-    def _opened(self, client: Any) -> None:
-        if self._closed:  # it has waited in viser's queue until now, and would keep the process
+    def _on_connect(self, client: Any) -> None:
+        """Create the session of a browser."""
+        if self._closed:  # a late connection from viser's queue would keep the process alive
             return
-        session = self._session(client, self._language)
+        session = self._make_session(client, self._language)
         with self._lock:
             self.sessions[client.client_id] = session
-        if self._closed or client.client_id not in self._server.get_clients():  # or it left
-            self._left(client)
+        if self._closed or client.client_id not in self._server.get_clients():  # or disconnected
+            self._on_disconnect(client)
 
-    def _left(self, client: Any) -> None:
+    def _on_disconnect(self, client: Any) -> None:
+        """Close the session of a browser."""
         with self._lock:
             session = self.sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
     def close(self) -> None:
-        """Ends all sessions, and serves no more."""
+        """Close all sessions and stop the server."""
         with self._lock:
             self._closed = True
             sessions = [*self.sessions.values()]
@@ -102,45 +105,45 @@ class ServedPage:
         for session in sessions:
             session.close()
         render.stop_server(self._server)
-        end = time.monotonic() + _LEAVE
+        end = time.monotonic() + _JOIN_TIMEOUT
         for thread in itertools.chain.from_iterable(session.threads for session in sessions):
             thread.join(max(0.0, end - time.monotonic()))
 
 
 class Page(ServedPage):
-    """A page of stances.
+    """Page of stances.
 
     Args:
-        robot: The robot.
-        state: What it begins with.
-        **where: See ``Served``.
+        robot: Robot.
+        state: Initial state.
+        **where: See `ServedPage`.
 
     Raises:
-        ConfigurationError: If it cannot be served there, the robot has no such state, or the
-            language is neither.
+        ConfigurationError: If the server cannot use this address, the robot or the state is not
+            suitable, or the language is unknown.
         MissingPackageError: If viser is not installed.
     """
 
     def __init__(
         self, robot: Robot, state: State | None = None, **where: Unpack[ServeOptions]
     ) -> None:
-        render.import_viser()  # before the work
+        render.import_viser()  # before time-consuming work
         check_page_robot(robot)
-        model, begin = StanceSolver(robot), state or State()
-        check_state(model, begin)
+        model, initial_state = StanceSolver(robot), state or State()
+        check_state(model, initial_state)
         super().__init__(
             robot.name,
             robot.stand_height,
-            lambda client, say: Session(client, model, begin, say),
+            lambda client, say: Session(client, model, initial_state, say),
             **where,
         )
 
 
 def check_state(model: StanceSolver, state: State) -> None:
-    """Checks that a state is one of a robot.
+    """Check that a state is valid for a robot.
 
     Raises:
-        PupperAnalysisError: If not: it has no such foot, or no such link for a payload.
+        PupperAnalysisError: If the robot lacks a foot, a joint, or the link of a payload.
     """
     robot = touching(model.load_robot(state), state.task().contacts)
     for field, value in state.requested_values():
@@ -151,12 +154,12 @@ def check_state(model: StanceSolver, state: State) -> None:
 
 
 def serve(page: ServedPage, *, browser: bool, wait: Callable[[], object]) -> None:
-    """Opens a browser, and serves until ``wait`` is over.
+    """Open a browser, and serve a page until ``wait`` returns or raises.
 
     Args:
-        page: The page.
-        browser: Whether to open a browser.
-        wait: Returns, or raises, when it is time to end.
+        page: Page.
+        browser: True to open a browser.
+        wait: Function that blocks until the end.
     """
     try:
         if browser:

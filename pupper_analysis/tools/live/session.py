@@ -1,9 +1,8 @@
-"""One browser's page: its panels, its scene, and the two threads that answer it.
+"""Session of one browser: panels, scene, and two threads.
 
-The left panel takes the robot and the stance, the right one shows what it costs. One thread solves
-each state at once, and passes over those that are out of date. The other one does what takes
-longer, when nothing has changed for a moment: where servos settle, why a stance is out of reach,
-simulations. What it finds is shown only with the stance that it is about.
+One thread solves each new state at once and skips outdated states. The other thread computes sag,
+explanations and simulations after a pause without changes. Its results are shown only if the state
+has not changed.
 """
 
 from __future__ import annotations
@@ -40,21 +39,21 @@ from pupper_analysis.tools.live.state import State, write_stance_file
 
 
 class Panels:
-    """All that a page has beside its scene.
+    """Panels of a page beside the scene.
 
     Args:
-        client: viser's handle of a browser.
-        model: Answers for the robot.
-        acts: What buttons do.
-        say: The language.
+        client: viser's client.
+        model: Solver of the robot's states.
+        session: Session of the browser, called by buttons.
+        say: Language of the page.
     """
 
-    def __init__(self, client: Any, model: StanceSolver, acts: Session, say: Language) -> None:
-        self._client, self._acts, self.say = client, acts, say
+    def __init__(self, client: Any, model: StanceSolver, session: Session, say: Language) -> None:
+        self._client, self._session, self.say = client, session, say
         gui = client.gui
         robot = model.load_robot(State())
         self._numbers = render.NumberPanel(gui, say, "solving", 330)
-        self.controls = Controls(gui, robot, say, acts.changed)
+        self.controls = Controls(gui, robot, say, session.changed)
         tabs = gui.add_tab_group()
         with tabs.add_tab(say("stance")):
             self.controls.add_stance_controls()
@@ -66,75 +65,84 @@ class Panels:
         with tabs.add_tab(say("body-title")):
             self.controls.add_body_controls()
         with tabs.add_tab("MuJoCo"):
-            self._simulation(gui, robot.total_mass)
-        self._nearest.on_click(lambda _: acts.go_to_nearest())
-        save.on_click(lambda _: self._save())
-        reset.on_click(lambda _: acts.reset())
+            self._add_simulation_controls(gui, robot.total_mass)
+        self._nearest.on_click(lambda _: session.go_to_nearest())
+        save.on_click(lambda _: self._download_stance())
+        reset.on_click(lambda _: session.reset())
 
-    def _simulation(self, gui: Any, mass: float) -> None:
-        acts, say = self._acts, self.say
+    def _add_simulation_controls(self, gui: Any, mass: float) -> None:
+        """Add the controls of simulations and pushes."""
+        session, say = self._session, self.say
         simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
-        most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
+        max_impulse = max(
+            1.0, round(2.0 * mass, 1)
+        )  # N s: 2 m/s topple a robot of about the height of v3
         with gui.add_folder(say("push")):
-            self._impulse = gui.add_slider(say("impulse-n"), 0.0, most, most / 100, most / 10)
+            self._impulse = gui.add_slider(
+                say("impulse-n"), 0.0, max_impulse, max_impulse / 100, max_impulse / 10
+            )
             self._direction = gui.add_slider(
                 say("towards-deg"), -180.0, 180.0, 5.0, 90.0, hint=say("hint-towards")
             )
             push = gui.add_button(say("push-it"))
         self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
-        simulate.on_click(lambda _: acts.simulate())
-        push.on_click(lambda _: acts.push())
+        simulate.on_click(lambda _: session.simulate())
+        push.on_click(lambda _: session.push())
 
-    def _save(self) -> None:
-        """Sends a file to the browser, of the stance that is asked for."""
+    def _download_stance(self) -> None:
+        """Download the stance as a file."""
         content = write_stance_file(self.controls.state).encode()
         self._client.send_file_download("stance.toml", content, save_immediately=True)
 
     @property
-    def push_asked(self) -> tuple[float, float]:
-        """How hard (N s), and where to (rad)."""
+    def requested_push(self) -> tuple[float, float]:
+        """Impulse [N s] and direction [rad] of the sliders."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
     def status(self, document: Document) -> None:
-        """Shows what it takes."""
+        """Show the loads of the stance."""
         self._numbers.content = render.render_panel(document, self.say)
 
     def result(self, document: Document) -> None:
-        """Shows the results of a simulation."""
+        """Show the results of a simulation."""
         self._result.content = render.render_panel(document, self.say)
 
     def wait(self, key: str) -> None:
-        """Shows that a simulation is under way."""
+        """Show that a simulation is running."""
         self._result.content = render.render_waiting(text(key), self.say)
 
     def hint(self, key: str) -> None:
-        """Shows why there is no result of a simulation."""
+        """Show the reason why there is no result of a simulation."""
         self._result.content = render.render_hint(text(key), self.say)
 
     def answered(self) -> None:
-        """Shows that a state has changed."""
+        """Reset the result and the button of the nearest stance after a change of the state."""
         self.nearest(False)
         self.hint("not-simulated-yet")
 
-    def nearest(self, there: bool) -> None:
-        """Shows the way to the nearest stance, if there is one."""
-        self._nearest.visible = there
+    def nearest(self, visible: bool) -> None:
+        """Show or hide the button of the nearest stance."""
+        self._nearest.visible = visible
 
 
 QUIET_SECONDS = 0.15
-"""s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""
+"""Time without changes [s] after which the closer analysis starts: longer than pauses while a
+slider is moved."""
 
-_FRAME = 1 / 30  # s between the pictures of a motion
+_FRAME_PERIOD = 1 / 30  # s between the pictures of a motion
 
 
 class Session:
-    """What a browser sees and does.
+    """Session of one browser.
 
     Args:
-        client: viser's handle of the browser.
-        model: Answers for the robot.
-        state: What it begins with.
-        say: The page's language.
+        client: viser's client.
+        model: Solver of the robot's states.
+        state: Initial state.
+        say: Language of the page.
+
+    Attributes:
+        threads: Threads of the session.
     """
 
     def __init__(
@@ -145,40 +153,40 @@ class Session:
         say: Language,
     ) -> None:
         self._client, self._model = client, model
-        self._asked, self._think = threading.Event(), threading.Event()
+        self._state_changed, self._work_pending = threading.Event(), threading.Event()
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._sag: SteadyState | Diagnostic | None
         self._refusal: Any
-        self._job: Callable[[Answer], None] | None
-        self._begin(None, None)
+        self._pending_job: Callable[[Answer], None] | None
+        self._reset_results(None, None)
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, self, say)
         self._panels.controls.set_state(state, notify=False)
         self.threads = [
             threading.Thread(target=work, name=f"live-{name}", daemon=True)
-            for name, work in (("solve", self._solving), ("look", self._looking))
+            for name, work in (("solve", self._run_solver), ("look", self._run_worker))
         ]
-        self._asked.set()
+        self._state_changed.set()
         for thread in self.threads:
             thread.start()
 
     def close(self) -> None:
-        """Ends the threads, as soon as what they are at is done."""
+        """Request the end of the threads; each ends after its current work."""
         self._closed.set()
-        self._asked.set()
-        self._think.set()
+        self._state_changed.set()
+        self._work_pending.set()
 
     def changed(self) -> None:
-        """Is called when the controls say something else."""
-        self._asked.set()
+        """Report that the state of the controls has changed."""
+        self._state_changed.set()
 
     def reset(self) -> None:
-        """Goes back to where a page begins."""
+        """Return to the default state."""
         self._panels.controls.set_state(State(), notify=True)
 
     def go_to_nearest(self) -> None:
-        """Goes to the ghost."""
+        """Set the controls to the nearest stance, if there is one."""
         with self._lock:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
@@ -187,49 +195,50 @@ class Session:
             )
 
     def simulate(self) -> None:
-        """Simulates the stance."""
-        self._do("simulating", self._simulate)
+        """Request a simulation of the stance."""
+        self._request_job("simulating", self._simulate_stance)
 
     def push(self) -> None:
-        """Pushes the stance."""
-        self._do("pushing", self._push)
+        """Request a simulation of a push."""
+        self._request_job("pushing", self._simulate_push)
 
-    def _do(self, words: str, job: Callable[[Answer], None]) -> None:
+    def _request_job(self, words: str, job: Callable[[Answer], None]) -> None:
+        """Queue a simulation of the current stance."""
         with self._lock:
             if self._answer is None or self._answer.statics is None:
                 self._panels.hint("nothing-to-simulate")
                 return
             self._panels.wait(words)
-            self._job = job
-        self._think.set()
+            self._pending_job = job
+        self._work_pending.set()
 
     def export(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
-        """Returns what is shown, whole."""
+        """Return the current result and the predicted sag."""
         with self._lock:
             return self._answer, self._sag
 
-    def _solving(self) -> None:
-        """Answers states, one after the other."""
+    def _run_solver(self) -> None:
+        """Loop of the first thread: solve the newest state."""
         while not self._closed.is_set():
-            self._asked.wait()
-            self._asked.clear()
+            self._state_changed.wait()
+            self._state_changed.clear()
             if self._closed.is_set():
                 return
-            self._safely(self._solve)
-            self._think.set()
+            self._run_safely(self._solve_current)
+            self._work_pending.set()
 
-    def _solve(self) -> None:
-        """Answers the state that the controls say."""
-        self._show(self._model.solve_state(self._panels.controls.state))
+    def _solve_current(self) -> None:
+        """Solve and show the state of the controls."""
+        self._show_answer(self._model.solve_state(self._panels.controls.state))
 
-    def _begin(self, answer: Answer | None, verdict: Verdict | None) -> None:
-        """Forgets what was found of the answer before."""
+    def _reset_results(self, answer: Answer | None, verdict: Verdict | None) -> None:
+        """Store an answer and clear the results of the previous one."""
         self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
-        self._verdict, self._since = verdict, monotonic()
-        self._job = None
+        self._verdict, self._answer_time = verdict, monotonic()
+        self._pending_job = None
 
-    def _safely(self, work: Callable[[], None]) -> None:
-        """Does some work; an error that nobody foresaw is shown, and the page lives on."""
+    def _run_safely(self, work: Callable[[], None]) -> None:
+        """Run a function; show an unexpected error on the page."""
         try:
             work()
         except Exception as error:
@@ -237,15 +246,16 @@ class Session:
                 with self._lock:
                     self._panels.status(unexpected_document(error))
 
-    def _show(self, answer: Answer) -> None:
-        """Shows an answer, and that what follows from it is not known yet."""
+    def _show_answer(self, answer: Answer) -> None:
+        """Show an answer without the results that take longer."""
         with self._lock, self._client.atomic():
-            self._begin(answer, answers.predict_stance_verdict(answer, closely=False))
+            self._reset_results(answer, answers.predict_stance_verdict(answer, closely=False))
             self._scene.show(answer)
-            self._tell()
+            self._show_status()
             self._panels.answered()
 
-    def _tell(self) -> None:
+    def _show_status(self) -> None:
+        """Show the status panel of the current answer."""
         answer = self._answer
         assert answer is not None
         if answer.unreachable:
@@ -254,36 +264,36 @@ class Session:
             message = stance_document(answer, self._sag, self._verdict)
         self._panels.status(message)
 
-    def _looking(self) -> None:
-        """Looks closer at what stays, and simulates."""
-        done: Answer | None = None
+    def _run_worker(self) -> None:
+        """Loop of the second thread: closer analysis and simulations."""
+        analysed: Answer | None = None
         while not self._closed.is_set():
-            self._think.wait()
-            self._think.clear()
+            self._work_pending.wait()
+            self._work_pending.clear()
             with self._lock:
-                answer, job, since = self._answer, self._job, self._since
-                self._job = None
+                answer, job, answer_time = self._answer, self._pending_job, self._answer_time
+                self._pending_job = None
             if answer is None or self._closed.is_set():
                 continue
-            if answer is not done:
-                left = QUIET_SECONDS - (monotonic() - since)
-                if job is None and left > 0 and not self._closed.wait(left):
-                    self._think.set()
+            if answer is not analysed:
+                remaining = QUIET_SECONDS - (monotonic() - answer_time)
+                if job is None and remaining > 0 and not self._closed.wait(remaining):
+                    self._work_pending.set()
                     continue
-                self._safely(partial(self._look, answer))
-                done = answer
+                self._run_safely(partial(self._analyse_closely, answer))
+                analysed = answer
             if job is not None:
-                self._safely(partial(self._run, job, answer))
+                self._run_safely(partial(self._run_job, job, answer))
 
-    def _run(self, job: Callable[[Answer], None], answer: Answer) -> None:
-        """Runs a simulation; what is wrong with it is its result."""
+    def _run_job(self, job: Callable[[Answer], None], answer: Answer) -> None:
+        """Run a simulation; its error is shown as the result."""
         try:
             job(answer)
         except PupperAnalysisError as error:
             self._if_shown(answer, partial(self._panels.result, failure_document(error)))
 
     def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
-        """Shows something of an answer, if that is still the one that is shown."""
+        """Call a function if the answer is still current; return True if called."""
         with self._lock:
             if self._answer is not answer or self._closed.is_set():
                 return False
@@ -291,8 +301,8 @@ class Session:
                 show()
             return True
 
-    def _look(self, answer: Answer) -> None:
-        """Finds out what takes longer."""
+    def _analyse_closely(self, answer: Answer) -> None:
+        """Compute and show the explanation of a refusal, or sag and verdict."""
         if answer.unreachable:
             error = answers.explain_unreachable(answer)
             assert answer.robot is not None
@@ -300,7 +310,7 @@ class Session:
 
             def show_refusal() -> None:
                 self._refusal, self._pending = error, False
-                self._tell()
+                self._show_status()
                 nearest = None if error is None else error.nearest
                 self._panels.nearest(nearest is not None)
                 self._scene.ghost(robot, nearest)
@@ -314,17 +324,19 @@ class Session:
 
             def show_sag() -> None:
                 self._sag, self._verdict = sag, verdict
-                self._tell()
+                self._show_status()
 
             self._if_shown(answer, show_sag)
 
-    def _simulate(self, answer: Answer) -> None:
+    def _simulate_stance(self, answer: Answer) -> None:
+        """Simulate the stance and show the motion."""
         stance = answers.simulate_stance(answer)
         run, message = stance.sagging, simulation_document(stance)
         self._show_motion(answer, message, run.motion_time, run.motion, stance.verdict)
 
-    def _push(self, answer: Answer) -> None:
-        impulse, direction = self._panels.push_asked
+    def _simulate_push(self, answer: Answer) -> None:
+        """Simulate a push and show the motion."""
+        impulse, direction = self._panels.requested_push
         trial = answers.push_stand(answer, impulse, direction)
         message = push_document(trial)
         self._show_motion(answer, message, trial.motion_time, trial.motion)
@@ -337,41 +349,47 @@ class Session:
         motion: Any,
         verdict: Verdict | None = None,
     ) -> None:
-        """Shows the results of a simulation, and plays it."""
+        """Show the result of a simulation and play its motion."""
 
         def show() -> None:
             self._verdict = verdict or self._verdict
-            self._tell()
+            self._show_status()
             self._panels.result(document)
 
         if self._if_shown(answer, show):
-            self._play(answer, time, motion)
+            self._play_motion(answer, time, motion)
 
-    def _play(self, answer: Answer, time: Any, motion: Any) -> None:
-        """Plays a motion once; it stays at its end. Ends when there is something else to do."""
+    def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
+        """Play a motion once in real time; stop if there is other work."""
         robot, task = answer.robot, answer.task
         assert robot is not None
         assert task is not None
-        times, begin, at = time - time[0], monotonic(), 0.0
-        while at < times[-1] and not self._think.is_set():
-            at = min(monotonic() - begin, float(times[-1]))
+        times, start, elapsed = time - time[0], monotonic(), 0.0
+        while elapsed < times[-1] and not self._work_pending.is_set():
+            elapsed = min(monotonic() - start, float(times[-1]))
 
-            def show(at: float = at) -> None:
-                qpos = interpolate_motion(times, motion, at)
+            def show(instant: float = elapsed) -> None:
+                qpos = interpolate_motion(times, motion, instant)
                 self._scene.twin(robot, qpos, task.ground)
 
-            if not self._if_shown(answer, show) or self._closed.wait(_FRAME):
+            if not self._if_shown(answer, show) or self._closed.wait(_FRAME_PERIOD):
                 return
 
 
-def interpolate_motion(times: Any, motion: Any, at: float) -> Any:
-    """Returns a configuration (nq,) of a motion (n, nq) at a time, between its samples."""
-    after = int(np.clip(np.searchsorted(times, at), 1, len(times) - 1))
+def interpolate_motion(times: Any, motion: Any, instant: float) -> Any:
+    """Return the configuration (nq,) of a motion at an instant, by linear interpolation.
+
+    Args:
+        times: Times of the samples, shape (n,) [s].
+        motion: Configurations, shape (n, nq).
+        instant: Time [s], clipped to the first and last sample.
+    """
+    after = int(np.clip(np.searchsorted(times, instant), 1, len(times) - 1))
     before = after - 1
-    share = (at - times[before]) / (times[after] - times[before])
-    one, other = motion[before].copy(), motion[after].copy()
-    if one[3:7] @ other[3:7] < 0:  # the same rotation, on the nearer side
-        other[3:7] *= -1
-    qpos = one + np.clip(share, 0.0, 1.0) * (other - one)
+    weight = (instant - times[before]) / (times[after] - times[before])
+    start, end = motion[before].copy(), motion[after].copy()
+    if start[3:7] @ end[3:7] < 0:  # q and -q are the same rotation: take the nearer one
+        end[3:7] *= -1
+    qpos = start + np.clip(weight, 0.0, 1.0) * (end - start)
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
     return qpos

@@ -1,4 +1,4 @@
-"""What a page asks for, in the units of its sliders, and as a file."""
+"""State of a page in the units of its sliders, and its conversion to tasks and files."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from pupper_analysis.stance.task import StandTask
 
 
 def check_page_robot(robot: Robot) -> None:
-    """Checks that a page can be of a robot.
+    """Check that a page supports a robot.
 
     Raises:
-        ConfigurationError: If its base is fixed, or it has no feet.
+        ConfigurationError: If the base is fixed or the robot has no feet.
     """
     if not robot.floating:
         raise ConfigurationError("robot", diagnose("page-of-fixed-base", robot=robot.name))
@@ -32,40 +32,40 @@ def check_page_robot(robot: Robot) -> None:
 
 
 PLACE_MODES = ("centre", "inside", "offset")
-"""What decides where the base is: com over the centre, com anywhere inside, or an offset."""
+"""Modes of the horizontal base position: CoM over the centre, CoM inside the polygon, or given
+offset."""
 
 ROBOT_SLIDER_FIELDS = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
-"""Fields that make another robot, which takes longer than a stance, or no other stance."""
+"""Fields of the robot with a slider: payload, its position, and servo gains."""
 
 SLIDER_FIELDS = {
     name: field for name, field in FIELDS.items() if field.slider
 } | ROBOT_SLIDER_FIELDS
-"""{name: field} of all that a page asks for by sliders."""
+"""All fields with a slider: {name: field}."""
 
 PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNIT_BY_KIND.items()} | {
     **dict.fromkeys(("length", "point", "point3"), ("mm", 1e3)),
     "angle": ("°", math.degrees(1.0)),
-    "position": ("", 1.0),  # a joint's is in rad, or in m
-    "contact": ("mm, °", 1.0),  # which says its own
+    "position": ("", 1.0),  # rad, or m for a prismatic joint
+    "contact": ("mm, °", 1.0),  # typed with its unit
 }
-"""{kind of a field: unit of a page, and how many are an SI unit}."""
+"""Unit of each kind of field on the page, and page units per SI unit."""
 
-_WORDS = str, Contact, Weld
-"""What is no number, and is written as it is typed."""
+_TEXT_TYPES = str, Contact, Weld
+"""Types of values that are not numbers and are written as typed."""
 
 
 @dataclass(frozen=True, init=False)
 class State:
-    """What a page asks for, as sliders have it: lengths in mm, angles in degrees.
+    """Requested state of a page, in page units.
 
-    Positions of joints are in rad, or in m of one that slides.
-
-    Each field of ``SHOWN`` is an attribute, with its usual value where nothing is asked: None where
-    that is the robot's own.
+    Lengths are in mm, angles in degrees, joint positions in rad or m. Each field of `SLIDER_FIELDS`
+    is an attribute; without a request it has its default, which is None for values of the robot
+    itself.
 
     Attributes:
-        place: What decides where the base is: ``centre``, ``inside`` or ``offset``.
-        values: {name of a field: its value}, where it is not the usual one.
+        place: Mode of the base position: ``centre``, ``inside`` or ``offset``.
+        values: {field name: value}, for values that differ from the default.
     """
 
     place: str
@@ -74,16 +74,16 @@ class State:
     def __init__(self, place: str = "centre", **values: Any) -> None:
         if place not in PLACE_MODES:
             raise ConfigurationError("place", diagnose("none-of", value=place, known=PLACE_MODES))
-        asked = {}
+        changed = {}
         for name, field in SLIDER_FIELDS.items():
-            usual = find_default_value(field)
-            value = _finite(field, values.pop(name, usual))
-            if value != usual:
-                asked[name] = value
+            default = find_default_value(field)
+            value = _check_value(field, values.pop(name, default))
+            if value != default:
+                changed[name] = value
         if values:
             raise TypeError(f"a State has no {', '.join(values)}")
         object.__setattr__(self, "place", place)
-        object.__setattr__(self, "values", FrozenDict(asked))
+        object.__setattr__(self, "values", FrozenDict(changed))
 
     def __getattr__(self, name: str) -> Any:
         if name not in SLIDER_FIELDS:
@@ -91,11 +91,11 @@ class State:
         return self.values[name] if name in self.values else find_default_value(SLIDER_FIELDS[name])
 
     def having(self, **values: Any) -> State:
-        """Returns the state with other values."""
+        """Return the state with changed values."""
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yields what is asked of the stand: fields of ``FIELDS``, and their values."""
+        """Yield the fields of `FIELDS` that are requested, with their values in page units."""
         for name, field in FIELDS.items():
             if name == "offset":
                 if self.place == "offset":
@@ -107,47 +107,46 @@ class State:
                 yield field, self.values[name]
 
     def task(self) -> StandTask:
-        """Returns the stand task.
+        """Return the stand task.
 
         Raises:
-            ConfigurationError: If it is none; in the units in which it was asked.
+            ConfigurationError: If a value is out of bounds; the message uses page units.
         """
         for field, value in self.requested_values():
             if not isinstance(value, str):
-                for of, number in _numbers(value):
-                    name = f"{field.address} {of}" if of else field.name
+                for element, number in _iterate_numbers(value):
+                    name = f"{field.address} {element}" if element else field.name
                     field.check_range(name, number, *PAGE_UNITS[field.kind])
         return StandTask().with_values(
             {field.name: convert_to_si(field, value) for field, value in self.requested_values()}
         )
 
     def payload_point(self) -> tuple[str | float, ...]:
-        """Returns where the payload is (m); see ``robot.tool.find_place``."""
+        """Return the position of the payload [m]; see `robot.tool.find_place`."""
         place: tuple[str | float, ...] = convert_to_si(SLIDER_FIELDS["payload_at"], self.payload_at)
         return place
 
     def with_task(self, task: StandTask) -> State:
-        """Returns the state that has another task's numbers, as near as a slider has them.
+        """Return the state with the numbers of another task, rounded to page units.
 
         Args:
-            task: As ``task`` makes them: with the same feet, and the same thing deciding where the
-                base is.
+            task: Task with the same feet and the same mode of the base position.
         """
-        found = {
+        values = {
             name: convert_to_page_units(SLIDER_FIELDS[name], value)
             for name, value in task.values().items()
             if name in SLIDER_FIELDS and value is not None and getattr(self, name) is not None
         }
-        return self.having(**found)
+        return self.having(**values)
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Returns how many of a page's mm or degrees are an SI unit of a contact's number."""
+    """Return page units per SI unit of a contact's number."""
     return PAGE_UNITS["angle" if contact.turns else "length"][1]
 
 
 def find_default_value(field: Field) -> Any:
-    """Returns a field's value on a page just opened; None if it is the robot's own."""
+    """Return the default of a field; None if it is the robot's own value."""
     if field.per:
         return FrozenDict()
     if field.nominal != "zero":
@@ -155,77 +154,84 @@ def find_default_value(field: Field) -> Any:
     return (0.0,) * len(field.axes) if field.axes else 0.0
 
 
-def _finite(field: Field, value: Any) -> Any:
-    """Returns a value of finite numbers; of feet or joints, those that it makes a difference to."""
+def _check_value(field: Field, value: Any) -> Any:
+    """Check that all numbers are finite.
+
+    Leave out entries of feet or joints that have no effect.
+    """
     if value is None:
         return None
     if field.per:
-        # A foot that is where it is anyway is not moved, and stands on no step.
+        # Zero displacements of a foot, and steps of zero height, are left out.
         return FrozenDict(
             {
-                of: _each(one, partial(check_finite, f"{field.address} {of}"))
-                for of, one in value.items()
-                if _zero_counts(field) or any(number for _, number in _numbers(one))
+                element: _map_numbers(item, partial(check_finite, f"{field.address} {element}"))
+                for element, item in value.items()
+                if _is_zero_significant(field)
+                or any(number for _, number in _iterate_numbers(item))
             }
         )
-    return _each(value, partial(check_finite, field.name))
+    return _map_numbers(value, partial(check_finite, field.name))
 
 
-def _zero_counts(field: Field) -> bool:
-    """Whether 0, of a foot or joint, is another thing than nothing."""
+def _is_zero_significant(field: Field) -> bool:
+    """Return True if the value 0 of a foot or joint differs from no value."""
     return field.open or field.nominal != "zero" or field.kind == "contact"
 
 
-def _numbers(value: Any) -> Iterator[tuple[str, float]]:
-    """Yields the numbers of a value, each with its foot or joint, or an empty name."""
-    for of, one in value.items() if isinstance(value, dict) else [("", value)]:
-        for number in one if isinstance(one, tuple) else (one,):
-            if not isinstance(number, _WORDS):  # a point's frame
-                yield of, number
+def _iterate_numbers(value: Any) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a value, each with its foot or joint, or an empty name."""
+    for element, item in value.items() if isinstance(value, dict) else [("", value)]:
+        for number in item if isinstance(item, tuple) else (item,):
+            if not isinstance(number, _TEXT_TYPES):  # not the frame of a point
+                yield element, number
 
 
 def convert_to_si(field: Field, value: Any) -> Any:
-    """Returns a field's value in SI units."""
+    """Convert a value from page units to SI units."""
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
         return value
-    return _each(value, parse_length if unit == "mm" else parse_angle)
+    return _map_numbers(value, parse_length if unit == "mm" else parse_angle)
 
 
 def convert_to_page_units(field: Field, value: Any) -> Any:
-    """Returns a field's value, in SI units, as a slider has it: without the noise of the change."""
+    """Convert a value from SI to page units, rounded to 9 decimals."""
     _, factor = PAGE_UNITS[field.kind]
-    return _each(value, lambda number: round(factor * number, 9))
+    return _map_numbers(value, lambda number: round(factor * number, 9))
 
 
-def _each(value: Any, change: Callable[[float], float]) -> Any:
-    """Returns a value, of feet, joints or not, with each of its numbers changed."""
+def _map_numbers(value: Any, change: Callable[[float], float]) -> Any:
+    """Apply a function to all numbers of a value."""
     if isinstance(value, dict):
-        return {of: _each(one, change) for of, one in value.items()}
+        return {element: _map_numbers(item, change) for element, item in value.items()}
     if isinstance(value, tuple):
-        return tuple(_each(number, change) for number in value)
-    return value if isinstance(value, _WORDS) else change(value)
+        return tuple(_map_numbers(number, change) for number in value)
+    return value if isinstance(value, _TEXT_TYPES) else change(value)
 
 
 def parse_length(millimetres: float) -> float:
-    """Returns a length in m: the number that is typed with as many digits, not its neighbour."""
+    """Convert mm to m by decimal text.
+
+    The result is the floating-point number nearest to the typed decimal number.
+    """
     return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
 
 
 def parse_angle(degrees: float) -> float:
-    """Returns an angle in rad, as the command line reads ``5deg``."""
+    """Convert degrees to rad with the formula of the command line."""
     return degrees * (math.pi / 180)
 
 
-def make_state(task: StandTask, **more: Any) -> State:
-    """Returns the state of a page that asks for a task.
+def make_state(task: StandTask, **robot_values: Any) -> State:
+    """Return the state of a page for a stand task.
 
     Args:
-        task: The task.
-        **more: What is asked of the robot, as a ``State`` has it.
+        task: Stand task.
+        **robot_values: Values of the robot's fields, in page units.
 
     Raises:
-        ConfigurationError: If it asks for what no slider has.
+        ConfigurationError: If a value has no slider.
     """
     values = {
         name: value for name, value in task.values().items() if value != FIELDS[name].default_value
@@ -238,40 +244,41 @@ def make_state(task: StandTask, **more: Any) -> State:
             raise ConfigurationError(
                 "stance", diagnose("entry-unknown", entry=name, known=[*SLIDER_FIELDS])
             )
-    asked = {
+    page_values = {
         name: convert_to_page_units(SLIDER_FIELDS[name], value) for name, value in values.items()
     }
-    return State(place, **asked, **more)
+    return State(place, **page_values, **robot_values)
 
 
-# A stance for elsewhere: as a file of options.
+# Stance as a file of options.
 
 
 def write_stance_file(state: State) -> str:
-    """Returns the options of the same stance as TOML, for ``--stance``; without the robot's."""
+    """Return the options of the state as TOML, for ``--stance``."""
     lines, tables = [], []
-    for option, of, value in _typed_options(state):
-        if of:
-            tables.append(f"{option}.{json.dumps(of)} = {json.dumps(value)}")
+    for option, element, value in _typed_options(state):
+        if element:
+            tables.append(f"{option}.{json.dumps(element)} = {json.dumps(value)}")
         else:
             lines.append(f"{option} = {json.dumps(value)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
 
 
 def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
-    """Yields options of stance, payload and servos, of which foot, and how one types the value."""
+    """Yield option, foot or joint, and value as typed: stance, payload and gains."""
     for field, value in state.requested_values():
-        for of, one in value.items() if field.per else [("", value)]:
-            yield field.option, of, _typed(field, one)
+        for element, item in value.items() if field.per else [("", value)]:
+            yield field.option, element, _format_value(field, item)
     for name in ("payload", "payload_at", "kp", "kd"):
         value = getattr(state, name)
         if value is not None and (state.payload or not name.startswith("payload")):
-            yield SLIDER_FIELDS[name].option, "", _typed(SLIDER_FIELDS[name], value)
+            yield SLIDER_FIELDS[name].option, "", _format_value(SLIDER_FIELDS[name], value)
 
 
-def _typed(field: Field, value: Any) -> str:
+def _format_value(field: Field, value: Any) -> str:
+    """Format a value as typed on the command line."""
     if field.kind == "angle":
         return f"{value!r}deg"
     if isinstance(value, tuple):
         return ",".join(p if isinstance(p, str) else repr(p) for p in convert_to_si(field, value))
-    return str(value) if isinstance(value, _WORDS) else repr(convert_to_si(field, value))
+    return str(value) if isinstance(value, _TEXT_TYPES) else repr(convert_to_si(field, value))

@@ -1,4 +1,4 @@
-"""The page of a robot that a policy walks: it is commanded by sliders, and pushed by buttons."""
+"""Page of a walking policy: sliders for the command, buttons for pushes."""
 
 from __future__ import annotations
 
@@ -25,135 +25,147 @@ from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, make_push_forc
 
 Array = NDArray[np.float64]
 
-_SPEED, _TURN, _PUSH = 1.0, 2.0, 3.0
-"""Ends of sliders (m/s, rad/s; m/s of the whole robot), or what is commanded at the beginning:
-public policies are trained up to these, and the search of `walk --vary` pushes as hard."""
+_MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
+"""Bounds of the sliders, extended to the initial command: speed [m/s], turning rate [rad/s], push
+[N s per kg of the robot]. Public policies are trained up to these commands; the range of pushes is
+that of `walk --vary`."""
 
-_WINDOW, _SHOWN, _DRAWN = 1.0, 0.25, 0.04
-"""s over which speeds and torques are meant, between two lists of them, and between two pictures:
-25 a second, as the page of a run has."""
+_AVERAGING_TIME, _TABLE_PERIOD, _FRAME_PERIOD = 1.0, 0.25, 0.04
+"""Averaging time of speeds and torques [s]; period of the tables [s]; period of the pictures [s].
+Chosen, not tuned."""
 
-_AXES = ("forward", "left", "turning")
+_COMMAND_AXES = ("forward", "left", "turning")
 
 PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
               "right": (0.0, -1.0)}  # fmt: skip
-"""In the world, as the robot's runs are pushed; it starts with its front along x."""
+"""Direction of each push (x, y) in the world frame. The robot starts facing along x."""
 
 
 class WalkSession:
-    """What a browser sees and does: its own robot, simulated in real time until it falls.
+    """Session of one browser: a robot that is simulated in real time until it falls.
 
     Args:
-        client: viser's handle of the browser.
-        stage: The policy on its robot.
-        command: (3,) what it is commanded at the beginning.
-        say: The page's language.
+        client: viser's client.
+        stage: Policy on its robot.
+        command: Initial command, shape (3,).
+        say: Language of the page.
     """
 
     def __init__(self, client: Any, stage: Stage, command: Array, say: Language) -> None:
         self._client, self._stage, self._say = client, stage, say
-        self._closed, self._again = threading.Event(), threading.Event()
+        self._closed, self._restart = threading.Event(), threading.Event()
         self._lock = threading.Lock()
-        self._push: tuple[float, float] | None = None
+        self._requested_push: tuple[float, float] | None = None
         self.fall: Diagnostic | None = None
         gui, scene = client.gui, client.scene
         self._numbers = render.NumberPanel(gui, say, "walking-begins")
         self.sliders = [
             gui.add_slider(
-                say.translate(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)
+                say.translate(text(f"walking-slider-{name}")),
+                -bound,
+                bound,
+                0.01 * bound,
+                float(value),
             )
-            for name, at, end in zip(
-                _AXES,
+            for name, value, bound in zip(
+                _COMMAND_AXES,
                 command,
-                np.maximum((_SPEED, _SPEED, _TURN), np.abs(command)).tolist(),
+                np.maximum((_MAX_SPEED, _MAX_SPEED, _MAX_TURNING_RATE), np.abs(command)).tolist(),
                 strict=True,
             )
         ]
-        self.impulse = gui.add_slider(say("walking-slider-push"), 0.0, _PUSH, 0.01 * _PUSH, 0.5)
+        self.impulse = gui.add_slider(
+            say("walking-slider-push"), 0.0, _MAX_PUSH, 0.01 * _MAX_PUSH, 0.5
+        )
         for name, (x, y) in PUSH_DIRECTIONS.items():
             button = gui.add_button(say.translate(text(f"walking-push-to-{name}")))
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
-        again = gui.add_button(say("walking-again"))
-        again.on_click(lambda _: self.begin_again())
+        restart = gui.add_button(say("walking-again"))
+        restart.on_click(lambda _: self.begin_again())
         robot = stage.robot
         self._figure = RobotFigure(scene, "/walking", robot, make_body_meshes(robot.mj_model))
-        self._cell = robot.stand_height
+        self._cell_size = robot.stand_height
         self._grid = scene.add_grid(
             "/ground",
-            12 * self._cell,
-            12 * self._cell,
-            cell_size=0.5 * self._cell,
-            section_size=self._cell,
+            12 * self._cell_size,
+            12 * self._cell_size,
+            cell_size=0.5 * self._cell_size,
+            section_size=self._cell_size,
         )
-        work = threading.Thread(target=self._answering, name="live-walking", daemon=True)
+        work = threading.Thread(target=self._run_simulations, name="live-walking", daemon=True)
         self.threads = [work]
         work.start()
 
     def close(self) -> None:
-        """Ends the thread, as soon as what it is at is done."""
+        """Request the end of the thread."""
         self._closed.set()
-        self._again.set()
+        self._restart.set()
 
     def push(self, x: float, y: float) -> None:
-        """Pushes it in a direction, as hard as the slider says, during the next action."""
+        """Push the robot in the direction (x, y) during the next action, as hard as the slider."""
         size = float(self.impulse.value) * self._stage.robot.total_mass
         with self._lock:
-            self._push = (x * size, y * size)
+            self._requested_push = (x * size, y * size)
 
     def begin_again(self) -> None:
-        """Puts it where it began."""
-        self._again.set()
+        """Restart from the initial state."""
+        self._restart.set()
 
-    def _answering(self) -> None:
+    def _run_simulations(self) -> None:
+        """Loop of the thread: simulate until a fall, then wait for a restart."""
         while not self._closed.is_set():
-            self._again.clear()
+            self._restart.clear()
             try:
-                self._walk()
-            except Exception as error:  # a bug: the page shows it, and goes on
+                self._simulate_walk()
+            except Exception as error:  # unexpected: shown on the page
                 if not self._closed.is_set():
                     self._numbers.content = render.render_panel(
                         unexpected_document(error), self._say
                     )
-            self._again.wait()  # what has fallen lies there until it is asked to begin again
+            self._restart.wait()  # a fallen robot remains until a restart is requested
 
-    def _walk(self) -> None:
-        """Simulates until it falls, begins again, or the page is closed."""
+    def _simulate_walk(self) -> None:
+        """Simulate until a fall, a restart, or the end of the session."""
         stage, self.fall = self._stage, None
         case = stage.case(np.array([slider.value for slider in self.sliders]))
         runs, action = Lockstep(stage, [case]), stage.substeps * stage.timestep
-        seen: deque[tuple[Array, Array]] = deque(maxlen=max(2, round(_WINDOW / action)))
-        draw, show = (max(1, round(period / action)) for period in (_DRAWN, _SHOWN))
+        recent: deque[tuple[Array, Array]] = deque(maxlen=max(2, round(_AVERAGING_TIME / action)))
+        draw_interval, table_interval = (
+            max(1, round(period / action)) for period in (_FRAME_PERIOD, _TABLE_PERIOD)
+        )
         due = time.monotonic()
-        while not self._again.is_set():
+        while not self._restart.is_set():
             runs.commands[0] = [slider.value for slider in self.sliders]
             with self._lock:
-                push, self._push = self._push, None
+                push, self._requested_push = self._requested_push, None
             forces = None if push is None else make_push_forces(stage, [push])
             states, control, broken = runs.advance(forces)
-            seen.append((states[0], control[0]))
+            recent.append((states[0], control[0]))
             fallen = bool(broken[0]) or stage.upright.has_fallen(runs.current[0])
             window = Run(
                 case=stage.case(runs.commands[0].copy()),
-                states=np.concatenate([one for one, _ in seen]),
-                targets=np.concatenate([one for _, one in seen]),
+                states=np.concatenate([array for array, _ in recent]),
+                targets=np.concatenate([array for _, array in recent]),
                 fallen=fallen,
                 lean=0.0,
                 lost=0.0,
             )
             if fallen:
                 self.fall = describe_fall(stage, window, runs.tick * action)
-            if runs.tick % draw == 0 or fallen:
-                self._pose(runs.current[0])
-            if runs.tick % show == 0 or fallen:
+            if runs.tick % draw_interval == 0 or fallen:
+                self._draw_robot(runs.current[0])
+            if runs.tick % table_interval == 0 or fallen:
                 page = walking_document(stage, window, runs.tick * action, self.fall)
                 self._numbers.content = render.render_panel(page, self._say)
             if fallen:
                 return
-            due = max(due + action, time.monotonic() - _WINDOW)  # a slow machine plays slowly
+            due = max(
+                due + action, time.monotonic() - _AVERAGING_TIME
+            )  # on a slow machine the motion is slower than real time
             self._closed.wait(max(0.0, due - time.monotonic()))
 
-    def _pose(self, state: Array) -> None:
-        """Draws it in the middle, on ground that moves beneath it."""
+    def _draw_robot(self, state: Array) -> None:
+        """Draw the robot at the origin, above moving ground."""
         qpos = state[1 + self._stage.robot.mj_convention.qpos_index].copy()
         if not np.isfinite(qpos).all():
             return
@@ -161,29 +173,29 @@ class WalkSession:
         qpos[:2] = 0.0
         with self._client.atomic():
             self._figure.pose(qpos)
-            self._grid.position = -np.fmod(place, self._cell)
+            self._grid.position = -np.fmod(place, self._cell_size)
 
 
 def walking_document(
     stage: Stage, window: Run, duration: float, fall: Diagnostic | None
 ) -> doc.Document:
-    """Returns how the last second went: speeds beside what is commanded, torques of the motors."""
-    followed, torques = (
+    """Create the document of the last second: actual and commanded speeds, motor torques."""
+    tracking, torques = (
         evaluate_tracking(stage, window, 0.0),
         np.nan_to_num(joint_torques(stage, window)),
     )
     rms, peak = np.sqrt((torques**2).mean(axis=0)), np.abs(torques).max(axis=0)
     limits = stage.robot.effort_limits
-    asked, reached = window.case.command, (*followed.velocity, followed.turning)
+    commanded, reached = window.case.command, (*tracking.velocity, tracking.turning)
     speeds = doc.Table(
         text("walking-speeds"),
         (doc.Column(doc.Name(""), left=True), doc.Column(doc.Name(""), left=True)),
         tuple(
             (
                 text(f"walking-slider-{name}"),
-                text("walking-of", reached=f"{is_:z.2f}", asked=f"{wanted:z.2f}"),
+                text("walking-of", reached=f"{actual:z.2f}", asked=f"{target:z.2f}"),
             )
-            for name, is_, wanted in zip(_AXES, reached, asked, strict=True)
+            for name, actual, target in zip(_COMMAND_AXES, reached, commanded, strict=True)
         ),
     )
     motors = doc.Table(
@@ -211,17 +223,18 @@ def walking_document(
 
 
 class WalkPage(ServedPage):
-    """A page of a robot that a policy walks.
+    """Page of a robot with a walking policy.
 
     Args:
-        robot: The robot.
-        policy: What walks it.
-        command: (3,) forward and to the left (m/s), and turning to the left (rad/s).
-        **where: See ``Served``.
+        robot: Robot.
+        policy: Policy.
+        command: Initial forward speed, speed to the left [m/s] and turning rate to the left
+            [rad/s], shape (3,).
+        **where: See `ServedPage`.
 
     Raises:
-        ConfigurationError: If it cannot be served there, the base is fixed, or the language is
-            neither.
+        ConfigurationError: If the server cannot use this address, the base is fixed, or the
+            language is unknown.
         MissingPackageError: If viser is not installed.
         ModelError: If the policy does not fit the robot.
     """
@@ -229,7 +242,7 @@ class WalkPage(ServedPage):
     def __init__(
         self, robot: Robot, policy: Policy, command: Array, **where: Unpack[ServeOptions]
     ) -> None:
-        render.import_viser()  # before the work
+        render.import_viser()  # before time-consuming work
         stage = prepare_stage(robot, policy)
         super().__init__(
             robot.name,

@@ -1,4 +1,4 @@
-"""A robot in MuJoCo's own viewer, or in words: what its sensors read, and how it drops."""
+"""A robot in MuJoCo's viewer, or as text: sensor readings, and the result of a drop."""
 
 from __future__ import annotations
 
@@ -28,22 +28,24 @@ from pupper_analysis.simulation.verify import STABLE_DEVIATION
 Array = NDArray[np.float64]
 
 DROP_SECONDS = 6.0
-"""How long a drop is simulated (s). It lands after 0.18 s; after 2.3 s it is steady to 0.005 mm."""
+"""Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""
 
 DROP_HEIGHT = 0.15
-"""How high the feet are above the ground (m) where the keyframe has them on it; v3's are, too."""
+"""Height of the feet above the ground [m], if the keyframe has the feet on the ground; as in v3's
+keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """A simulated drop with the servos at the home pose.
+    """Simulated drop with the servos at the home pose.
 
     Attributes:
-        time: (n,) s.
-        height: (n,) of the base (m).
-        height_deviation: Standard deviation of the height in the last second (m).
+        time: Times, shape (n,) [s].
+        height: Height of the base, shape (n,) [m].
+        height_deviation: Standard deviation of the height in the last second [m].
         end: Check of the final state against the home pose on the ground.
-        stable: Whether ``height_deviation`` is below ``STABLE_DEVIATION`` and the robot stands.
+        stable: True if ``height_deviation`` is below ``STABLE_DEVIATION``, the robot stands, and
+            the simulation has not diverged.
     """
 
     time: Array
@@ -54,10 +56,10 @@ class Drop:
 
 
 def simulate_drop(robot: Robot) -> Drop:
-    """Drops a robot, its servos at the joint positions of its keyframe ``home``.
+    """Simulate a drop with the servos at the joint positions of the keyframe ``home``.
 
-    It falls from the height of the keyframe (v3: 0.28 m); if that is on the ground, from
-    ``DROP_HEIGHT``. Torque limits of both files apply, limits of zero included.
+    The robot falls from the height of the keyframe (v3: 0.28 m). If the feet are within
+    `DROP_HEIGHT` / 2 of the ground, the robot is raised to `DROP_HEIGHT`.
     """
     data = make_home_data(robot)
     model = robot.mj_model
@@ -94,9 +96,9 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
 
 
 def make_home_data(robot: Robot) -> mujoco.MjData:
-    """Returns MuJoCo's data with a robot's joints, and its servos' commands, at home.
+    """Return MuJoCo's data with joints and servo commands at the home pose.
 
-    A free base is above the ground.
+    A free base is raised above the ground; see `simulate_drop`.
     """
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()
@@ -110,14 +112,14 @@ def make_home_data(robot: Robot) -> mujoco.MjData:
 
 
 def view_robot(robot: Robot, *, headless: bool) -> None:
-    """Shows a robot with its joints as in its keyframe ``home``, until the window is closed.
+    """Show a robot at the keyframe ``home`` until the window is closed.
 
-    The viewer's sliders under "Control" command the servos. A robot whose base is fixed is shown
-    without gravity: nothing moves by itself.
+    The sliders "Control" of the viewer command the servos. A robot with a fixed base is shown
+    without gravity.
 
     Args:
-        robot: The robot.
-        headless: Open no window; print what its sensors read.
+        robot: Robot.
+        headless: Print the sensor readings instead of opening a window.
 
     Raises:
         DisplayError: If no window can be opened.
@@ -191,10 +193,10 @@ class DisplayError(PupperAnalysisError):
 
 
 def check_display() -> None:
-    """Makes sure that a window can be opened; without one MuJoCo's viewer ends the interpreter.
+    """Check that a window can be opened; otherwise MuJoCo's viewer would end the interpreter.
 
     Raises:
-        DisplayError: If not.
+        DisplayError: If no window can be opened.
     """
     no_screen = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform.startswith("linux") and no_screen:
@@ -217,11 +219,11 @@ def check_display() -> None:
 
 
 def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Simulates in MuJoCo's viewer, in real time, until its window is closed.
+    """Simulate in MuJoCo's viewer in real time until its window is closed.
 
     Args:
-        model: The model.
-        data: Where it begins.
+        model: Model.
+        data: Initial state.
 
     Raises:
         DisplayError: If no window can be opened.

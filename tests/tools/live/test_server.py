@@ -51,9 +51,9 @@ def test_connection_after_closing_gets_no_session(
 ) -> None:
     """viser calls for browsers in a queue, which Python waits for at its end."""
     made: list[Any] = []
-    monkeypatch.setattr(page, "_session", lambda *asked: made.append(asked))
+    monkeypatch.setattr(page, "_make_session", lambda *asked: made.append(asked))
     page.close()
-    page._opened(object())
+    page._on_connect(object())
     assert made == []
     assert page.sessions == {}
 

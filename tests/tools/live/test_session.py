@@ -108,7 +108,7 @@ def test_last_of_many_quick_moves_is_shown(page: Open) -> None:
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
     for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
-    page.session._panels._save()
+    page.session._panels._download_stance()
     assert page.browser.saved["stance.toml"] == b'roll = "6.0deg"\n'
 
 
