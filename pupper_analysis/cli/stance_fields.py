@@ -148,7 +148,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         raise ConfigurationError(option, error.diagnostic) from None
 
 
-_OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "cone", "impratio")
+_OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "timestep", "cone", "impratio")
 """Options besides those of the stance: the load, and the servos that hold it."""
 
 

@@ -66,6 +66,11 @@ SERVO_OPTIONS = (
         help="MuJoCo integrator, in place of the model's; e.g. implicitfast.",
     ),
     click.option(
+        "--timestep",
+        type=shared.QuantityType("time"),
+        help="MuJoCo time step, in place of the model's; e.g. 0.5ms.",
+    ),
+    click.option(
         "--cone",
         type=click.Choice(["elliptic", "pyramidal"]),
         help="Form of MuJoCo's friction cones, in place of the model's.",
@@ -108,6 +113,7 @@ class RobotAndTask:
     kp: tuple[str, ...] = ()
     kd: tuple[str, ...] = ()
     integrator: str | None = None
+    timestep: float | None = None
     cone: str | None = None
     impratio: float | None = None
     fixed_base: bool = False
@@ -172,7 +178,9 @@ class RobotAndTask:
             where = ", ".join(f"{1e3 * float(value):.4g}" for value in place[-3:])
             name = f"{loaded.name} + {self.payload:.6g} kg at {frame}({where}) mm"
             loaded = replace(loaded, name=name)
-        loaded = with_options(loaded, self.integrator, self.cone, self.impratio)
+        loaded = with_options(
+            loaded, self.integrator, self.cone, self.impratio, timestep=self.timestep
+        )
         return touching(loaded, self.task().contacts) if self.stance else loaded
 
     @property

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import real_array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 
@@ -397,6 +398,7 @@ def with_options(
     integrator: str | None = None,
     cone: str | None = None,
     impratio: float | None = None,
+    timestep: float | None = None,
 ) -> Robot:
     """Return a robot with other MuJoCo options, with a note; the robot itself without options.
 
@@ -408,9 +410,11 @@ def with_options(
         cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
         impratio: Ratio between the stiffness of friction and of the normal force; larger values
             creep less.
+        timestep: Time step [s], between 1e-5 and 0.1.
 
     Raises:
-        ConfigurationError: If a name is unknown, or ``impratio`` is not a positive number.
+        ConfigurationError: If a name is unknown, ``impratio`` is not a positive number, or
+            ``timestep`` is out of range.
     """
     asked: dict[str, Any] = {}
     if integrator is not None:
@@ -421,6 +425,13 @@ def with_options(
         if not 0 < impratio < math.inf:
             raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))
         asked["impratio"] = float(impratio)
+    if timestep is not None:
+        least, most = TIMESTEP_RANGE
+        if not least <= timestep <= most:
+            low, high = Quantity(least, "s"), Quantity(most, "s")
+            problem = diagnose("not-between", given=f"{timestep:g} s", low=low, high=high)
+            raise ConfigurationError("timestep", problem)
+        asked["timestep"] = float(timestep)
     if not asked:
         return robot
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
@@ -430,10 +441,16 @@ def with_options(
     published = robot.published
     if published is not None:
         loaded = published.loaded
-        loaded = None if loaded is None else with_options(loaded, integrator, cone, impratio)
+        loaded = (
+            None if loaded is None else with_options(loaded, integrator, cone, impratio, timestep)
+        )
         options = {**dict(published.options), **asked}
         published = replace(published, options=tuple(options.items()), loaded=loaded)
     messages = robot.notes
+    if timestep is not None:
+        own = Quantity(float(robot.mj_model.opt.timestep), "s")
+        note = diagnose("timestep-as-requested", timestep=Quantity(timestep, "s"), own=own)
+        messages = (*messages, note)
     if cone is not None or impratio is not None:
         file = ("pyramidal", "elliptic")[int(robot.mj_model.opt.cone)]
         said = diagnose(

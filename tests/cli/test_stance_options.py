@@ -21,7 +21,14 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
     """Of the same name, kind, default and help: one list."""
     own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
     names = {*own, *OPTION_FIELDS} - {"stance", "which", "fixed_base"}
-    simulated = {"kp", "kd", "integrator", "cone", "impratio"}  # a workspace is of kinematics
+    simulated = {
+        "kp",
+        "kd",
+        "integrator",
+        "timestep",
+        "cone",
+        "impratio",
+    }  # a workspace is of kinematics
     shared = []
     for command in OURS:
         options = {option.name: option for option in cli.find_command(command).params}

@@ -169,9 +169,26 @@ def test_requested_contact_options_are_simulated_with_a_note() -> None:
     assert with_options(plain) is plain
 
 
+def test_a_requested_time_step_is_simulated_with_a_note() -> None:
+    """Reference: the time of MuJoCo's data after one step."""
+    plain = load_variant("v3")
+    robot = with_options(plain, timestep=5e-4)
+    data = mujoco.MjData(model_with_servos(robot).model)
+    mujoco.mj_step(model_with_servos(robot).model, data)
+    assert data.time == robot.description.mjcf.option.timestep == 5e-4
+    assert plain.mj_model.opt.timestep != 5e-4
+    [message] = [note for note in robot.notes if note.code == "timestep-as-requested"]
+    assert message.values["own"].value == plain.mj_model.opt.timestep
+
+
 @pytest.mark.parametrize(
     ("asked", "message"),
-    [({"cone": "round"}, "known: elliptic, pyramidal"), ({"impratio": -1.0}, "must be positive")],
+    [
+        ({"timestep": 0.0}, "timestep: 0 s is not between"),
+        ({"timestep": 1.0}, "timestep: 1 s is not between"),
+        ({"cone": "round"}, "known: elliptic, pyramidal"),
+        ({"impratio": -1.0}, "must be positive"),
+    ],
 )
 def test_contacts_that_mujoco_has_not_are_refused(asked: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
