@@ -1,6 +1,6 @@
-"""Reads a USD file (UsdPhysics): what may be opened, and where its prims are.
+"""USD file (UsdPhysics): checks before opening, and the prims of bodies and joints.
 
-Nothing is fetched, and no plugin is asked for.
+Nothing is downloaded, and no resolver plugin is used.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from pupper_analysis.models.places import (
 from pupper_analysis.models.xml import LFS_POINTER
 
 MAX_BYTES: Final = 500_000_000
-"""Largest layer that is opened: meshes are in it, as they are not in a URDF."""
+"""Upper bound of the size of a layer [bytes]; meshes are part of it. Chosen, not tuned."""
 
 MAX_DEPTH: Final = 500
-"""Deepest nesting of a text layer; USD's own parser of it runs out of stack."""
+"""Upper bound of the nesting depth of a text layer: USD's parser overflows its stack with deeper
+ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class UsdFile:
-    """A USD file that can be opened.
+    """Opened USD file.
 
     Attributes:
-        path: The file.
-        stage: Its `pxr.Usd.Stage`, all payloads loaded.
-        bodies: {name: path of the prim} of its rigid bodies. A name is the prim's, or the one it is
-            shown by where a converter had to change that; of several alike, the path.
-        joints: Likewise of its joints.
-        notes: What was left out on reading.
+        path: File.
+        stage: `pxr.Usd.Stage`, with all payloads loaded.
+        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name or name;
+            if several bodies share it, the path.
+        joints: {name: prim path} of the joints, named in the same way.
+        notes: Notes on parts that were not read.
     """
 
     path: Path
@@ -53,49 +54,51 @@ class UsdFile:
     notes: tuple[Diagnostic, ...] = ()
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds a prim.
+        """Find a prim.
 
         Args:
-            kind: ``"joint"``, ``"actuator"`` (its joint's), or else a body.
-            name: Its name.
-            child: Is not looked at: a body's mass is stated in the body.
+            kind: ``"joint"``, ``"actuator"`` or ``"equality"`` for a joint; otherwise a body.
+            name: Name of the joint or body.
+            child: Ignored, since the prim of a body states its mass.
 
         Returns:
-            The file and the prim; the file alone where there is none of that name.
+            File and prim; the file alone if there is no such name.
         """
         del child
         joints = kind in ("joint", "actuator", "equality")
-        first, second = (self.joints, self.bodies) if joints else (self.bodies, self.joints)
-        return Place(self.path, None, first.get(name, second.get(name)))
+        own_paths, other_paths = (
+            (self.joints, self.bodies) if joints else (self.bodies, self.joints)
+        )
+        return Place(self.path, None, own_paths.get(name, other_paths.get(name)))
 
 
 class PrimPlaces:
-    """The places of what stands for a USD in another format: its prims.
+    """Places of a model that was generated from a USD file: the prims of the file.
 
     Attributes:
-        usd: The file.
+        usd: USD file.
     """
 
     usd: UsdFile | None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds a prim; see `UsdFile.place`."""
+        """Find a prim; see `UsdFile.place`."""
         assert self.usd is not None
         return self.usd.place(kind, name, child)
 
 
 def read_usd(path: str | Path) -> UsdFile:
-    """Opens a USD file.
+    """Open a USD file.
 
     Raises:
-        ModelError: If it cannot be opened, or holds no rigid body.
+        ModelError: If the file cannot be opened, or contains no rigid body.
         MissingPackageError: If usd-core is not installed.
     """
     check_type("usd", path, str | Path)
     path = Path(path)
-    pxr = _library()
+    pxr = _import_pxr()
     _check_file(path)
-    with _quietly(pxr) as said:
+    with _capture_warnings(pxr) as get_warnings:
         try:
             stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
             stage.Reload()  # a layer that was open already may be older than its file
@@ -104,9 +107,9 @@ def read_usd(path: str | Path) -> UsdFile:
                     register_input(Path(layer.realPath))
         except pxr.Tf.ErrorException as error:
             raise make_file_error(
-                Place(path), diagnose("usd-not-valid", message=_words(error))
+                Place(path), diagnose("usd-not-valid", message=_format_error(error))
             ) from error
-        missing = sorted({name for text in said() for name in _MISSING.findall(text)})
+        missing = sorted({name for text in get_warnings() for name in _MISSING_ASSET.findall(text)})
     notes = (diagnose("usd-files-missing", files=missing),) if missing else ()
     bodies, joints, motors = [], [], 0
     for prim in pxr.Usd.PrimRange(stage.GetPseudoRoot(), pxr.Usd.TraverseInstanceProxies()):
@@ -120,14 +123,14 @@ def read_usd(path: str | Path) -> UsdFile:
         raise make_file_error(Place(path), diagnose("usd-without-bodies"))
     if motors:
         notes = (*notes, diagnose("usd-actuators-not-read", count=motors))
-    return UsdFile(path, stage, _named(bodies), _named(joints), notes)
+    return UsdFile(path, stage, _name_prims(bodies), _name_prims(joints), notes)
 
 
-def _library() -> Any:
-    """Returns the library; nothing of it is imported before a USD file is read.
+def _import_pxr() -> Any:
+    """Import the USD library, which is slow, when a file is read.
 
     Raises:
-        MissingPackageError: If it is not installed.
+        MissingPackageError: If usd-core is not installed.
     """
     try:
         import pxr
@@ -138,7 +141,7 @@ def _library() -> Any:
 
 
 def _check_file(path: Path) -> None:
-    """Refuses what is no file, too large, empty, or a pointer of Git LFS."""
+    """Refuse a path that is no file, too large, empty, too deeply nested or a Git LFS pointer."""
     try:
         data = read_input(path, MAX_BYTES)
     except InputError as error:
@@ -152,36 +155,40 @@ def _check_file(path: Path) -> None:
 
 
 def _check_depth(path: Path, text: bytes) -> None:
-    """Refuses a text layer whose brackets are nested too deep; those in strings do not count."""
+    """Refuse a text layer whose brackets (outside of strings) are nested too deeply."""
     depth = 0
-    for bracket in _BRACKETS.findall(text):
+    for bracket in _BRACKET_PATTERN.findall(text):
         depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
         if depth > MAX_DEPTH:
             raise make_file_error(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
 
 
-def _named(prims: list[Any]) -> dict[str, str]:
-    """Names prims: by what they are called; several alike by their paths."""
-    called = [(prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims]
-    counts = Counter(name for name, _ in called)
-    return {name if counts[name] == 1 else path.strip("/"): path for name, path in called}
+def _name_prims(prims: list[Any]) -> dict[str, str]:
+    """Return {name: path} of prims; the path is the name if several prims share a name."""
+    names_and_paths = [
+        (prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims
+    ]
+    counts = Counter(name for name, _ in names_and_paths)
+    return {name if counts[name] == 1 else path.strip("/"): path for name, path in names_and_paths}
 
 
 @contextmanager
-def _quietly(pxr: Any) -> Iterator[Any]:
-    """Keeps USD from writing its warnings to the terminal; yields what returns them."""
+def _capture_warnings(pxr: Any) -> Iterator[Any]:
+    """Capture USD's warnings; yield a function that returns them."""
     delegate = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
-        yield lambda: [one.commentary for one in delegate.TakeUncoalescedDiagnostics()]
+        yield lambda: [warning.commentary for warning in delegate.TakeUncoalescedDiagnostics()]
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
 
-def _words(error: Any) -> str:
-    """Returns what USD says of a file, without where in its own sources it says so."""
-    said = [one_line(getattr(one, "commentary", one)) for one in error.args]
-    return said[0] if said else one_line(error)
+def _format_error(error: Any) -> str:
+    """Return the first message of a USD error, without source locations."""
+    messages = [one_line(getattr(argument, "commentary", argument)) for argument in error.args]
+    return messages[0] if messages else one_line(error)
 
 
-_MISSING: Final = re.compile(r"Could not open asset @([^@]*)@")
-_BRACKETS: Final = re.compile(rb'"(?:[^"\\\n]|\\.)*"|[][{}()]')
+_MISSING_ASSET: Final = re.compile(r"Could not open asset @([^@]*)@")
+"""Pattern of USD's warning about a missing file."""
+_BRACKET_PATTERN: Final = re.compile(rb'"(?:[^"\\\n]|\\.)*"|[][{}()]')
+"""Pattern of strings and brackets in a text layer."""

@@ -1,11 +1,11 @@
-"""Reads the model of a USD file: bodies and joints of UsdPhysics, made a tree.
+"""Robot model of a USD file: bodies and joints of UsdPhysics as a tree.
 
-Where bodies are follows from the frames of the joints, as engines with reduced coordinates have it;
-the transforms of the prims are a pose of the robot, at whatever angles.
+Body poses follow from the joint frames, as in engines with reduced coordinates. The transforms of
+the prims are one pose of the robot, at unknown joint positions.
 
-A mass states less than it seems to: where the com or the inertia is not stated, too, engines take
-those of the shapes that touch; and they fill a body of which nothing is stated with water. What
-such a body weighs is not known here.
+Engines derive missing masses from the collision shapes: a body without CoM or inertia takes them
+from its shapes, and a body without any mass property has the density of water. The masses of such
+bodies are unknown here.
 """
 
 from __future__ import annotations
@@ -37,24 +37,26 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.tools.usd.file import UsdFile
 
-DEGREE: Final = math.pi / 180
+RADIANS_PER_DEGREE: Final = math.pi / 180
+"""Radians per degree."""
 
-_KINDS: Final = {
+_JOINT_KINDS: Final = {
     "PhysicsRevoluteJoint": HINGE,
     "PhysicsPrismaticJoint": SLIDE,
     "PhysicsSphericalJoint": BALL,
     "PhysicsFixedJoint": FIXED,
 }
+"""{USD type name: joint kind}; all other types are free joints."""
 
 
 @dataclass(frozen=True)
-class Statement:
-    """An attribute that states a number of a joint, in the schema of an engine.
+class NumberAttribute:
+    """Attribute that states a number of a joint, in the schema of an engine.
 
     Attributes:
-        name: Its name; ``{axis}`` is ``angular`` or ``linear``.
-        per_angle: Whether it is per degree, of a hinge.
-        angle: Whether it is in degrees (per second), of a hinge.
+        name: Attribute name; ``{axis}`` is replaced by ``angular`` or ``linear``.
+        per_angle: Whether the number of a hinge is per degree.
+        angle: Whether the number of a hinge is in degrees (per second).
     """
 
     name: str
@@ -62,58 +64,59 @@ class Statement:
     angle: bool = False
 
 
-STATEMENTS: Final[Mapping[str, tuple[Statement, ...]]] = {
+NUMBER_ATTRIBUTES: Final[Mapping[str, tuple[NumberAttribute, ...]]] = {
     "damping": (
-        Statement("newton:damping", per_angle=True),
-        Statement("mjc:damping"),
-        Statement("physxJointAxis:{axis}:viscousFrictionCoefficient", per_angle=True),
+        NumberAttribute("newton:damping", per_angle=True),
+        NumberAttribute("mjc:damping"),
+        NumberAttribute("physxJointAxis:{axis}:viscousFrictionCoefficient", per_angle=True),
     ),
     "friction": (
-        Statement("newton:friction"),
-        Statement("mjc:frictionloss"),
-        Statement("physxJointAxis:{axis}:staticFrictionEffort"),
+        NumberAttribute("newton:friction"),
+        NumberAttribute("mjc:frictionloss"),
+        NumberAttribute("physxJointAxis:{axis}:staticFrictionEffort"),
     ),
     "armature": (
-        Statement("newton:armature"),
-        Statement("mjc:armature"),
-        Statement("physxJointAxis:{axis}:armature"),
-        Statement("physxJoint:armature"),
+        NumberAttribute("newton:armature"),
+        NumberAttribute("mjc:armature"),
+        NumberAttribute("physxJointAxis:{axis}:armature"),
+        NumberAttribute("physxJoint:armature"),
     ),
     "effort": (
-        Statement("newton:effortLimit"),
-        Statement("drive:{axis}:physics:maxForce"),
-        Statement("mjc:actuatorfrcrange:max"),
+        NumberAttribute("newton:effortLimit"),
+        NumberAttribute("drive:{axis}:physics:maxForce"),
+        NumberAttribute("mjc:actuatorfrcrange:max"),
     ),
     "velocity": (
-        Statement("newton:velocityLimit", angle=True),
-        Statement("physxJointAxis:{axis}:maxJointVelocity", angle=True),
-        Statement("physxJoint:maxJointVelocity", angle=True),
+        NumberAttribute("newton:velocityLimit", angle=True),
+        NumberAttribute("physxJointAxis:{axis}:maxJointVelocity", angle=True),
+        NumberAttribute("physxJoint:maxJointVelocity", angle=True),
     ),
-    "spring": (Statement("mjc:stiffness"),),
+    "spring": (NumberAttribute("mjc:stiffness"),),
 }
-"""{kind, as in `models.attributes`: what states it}; the first that does is taken, and of efforts
-the least, as each of them limits."""
+"""{kind, as in `models.attributes`: attributes that state it}. The first stated one is used; for
+the effort the smallest one, since each is a limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A joint between two bodies of a USD.
+    """Joint between two bodies of a USD, or between a body and the world.
 
     Attributes:
-        name: Its name.
-        prim: Its `pxr.Usd.Prim`.
-        kind: As of `model.Joint`.
-        bodies: Names of both; "" for the world.
-        frames: Its frame in each of them, in m.
-        axis: 0 to 2, in its frame.
-        lower: rad or m; -inf if unlimited.
-        upper: rad or m.
-        numbers: {kind: what is stated}; what is not there is not known.
-        stated: {kind: {attribute: what it states}}, in the same units, of all that do.
-        gains: Stiffness and damping of the drive that holds it (N m/rad, N m s/rad; N/m, N s/m);
-            None where nothing holds it, or holds it by inertia.
-        outside: Whether it is to be left out of the tree.
-        mimic: The joint that it follows as q = multiplier q' + offset; None if it follows none.
+        name: Joint name.
+        prim: `pxr.Usd.Prim`.
+        kind: Kind, as in `model.Joint`.
+        bodies: Names of both bodies; "" for the world.
+        frames: Joint frame in the frame of each body [m].
+        axis: Axis of the joint frame, 0 to 2.
+        lower: Lower limit [rad or m]; -inf if unlimited.
+        upper: Upper limit [rad or m]; inf if unlimited.
+        numbers: {kind: number}; missing kinds are unknown.
+        stated: {kind: {attribute: number}} of all attributes that are stated, in the same units.
+        gains: Stiffness and damping of the position drive [N m/rad, N m s/rad; N/m, N s/m]; None
+            without a force drive of positive stiffness.
+        outside: Whether the joint is excluded from the articulation.
+        mimic: Leader, multiplier and offset of q = multiplier q' + offset; None if the joint is
+            independent.
     """
 
     name: str
@@ -131,7 +134,7 @@ class Edge:
     mimic: tuple[str, float, float] | None = None
 
 
-def edge_of(
+def read_edge(
     name: str,
     prim: Any,
     bodies: tuple[str, str],
@@ -139,25 +142,26 @@ def edge_of(
     units: StageUnits,
     paths: Mapping[str, str],
 ) -> Edge:
-    """Reads a joint, between bodies that have been found.
+    """Read a joint between known bodies.
 
     Args:
-        name: Its name.
-        prim: Its prim.
-        bodies: Names of both; "" for the world.
-        frames: Its frame in each.
-        units: Of the stage.
-        paths: {path of a joint's prim: its name}.
+        name: Joint name.
+        prim: Joint prim.
+        bodies: Names of both bodies; "" for the world.
+        frames: Joint frame in the frame of each body [m].
+        units: Units of the stage.
+        paths: {path of a joint's prim: joint name}.
     """
-    kind, axis, lower, upper = _freedom(prim)
-    turns, moves = kind == HINGE, kind in (HINGE, SLIDE)
-    unit = DEGREE if turns else units.length
-    word = "angular" if turns else "linear"
-    ends = {"lower limit": lower * unit, "upper limit": upper * unit}
+    kind, axis, lower, upper = _read_freedom(prim)
+    is_hinge, has_axis = kind == HINGE, kind in (HINGE, SLIDE)
+    unit = RADIANS_PER_DEGREE if is_hinge else units.length
+    axis_word = "angular" if is_hinge else "linear"
+    limits = {"lower limit": lower * unit, "upper limit": upper * unit}
     stated = {
-        what: found
-        for what, statements in STATEMENTS.items()
-        if moves and (found := _stated(prim, what, statements, word, turns, units))
+        number_kind: numbers
+        for number_kind, statements in NUMBER_ATTRIBUTES.items()
+        if has_axis
+        and (numbers := _read_numbers(prim, number_kind, statements, axis_word, is_hinge, units))
     }
     return Edge(
         name=name,
@@ -168,78 +172,86 @@ def edge_of(
         axis=axis,
         lower=lower * unit,
         upper=upper * unit,
-        numbers={what: value for what, value in ends.items() if math.isfinite(value)}
-        | {what: next(iter(found.values())) for what, found in stated.items()}
-        | {what: min(found.values()) for what, found in stated.items() if what == "effort"},
+        numbers={
+            number_kind: value for number_kind, value in limits.items() if math.isfinite(value)
+        }
+        | {number_kind: next(iter(numbers.values())) for number_kind, numbers in stated.items()}
+        | {
+            number_kind: min(numbers.values())
+            for number_kind, numbers in stated.items()
+            if number_kind == "effort"
+        },
         stated=stated,
-        gains=_gains(prim, word, turns, units) if moves else None,
-        outside=bool(value_of(prim, "physics:excludeFromArticulation", "number")),
-        mimic=_mimic(prim, turns, units, paths),
+        gains=_read_gains(prim, axis_word, is_hinge, units) if has_axis else None,
+        outside=bool(read_value(prim, "physics:excludeFromArticulation", "number")),
+        mimic=_read_mimic(prim, is_hinge, units, paths),
     )
 
 
-def _freedom(prim: Any) -> tuple[str, int, float, float]:
-    """Returns a joint's kind, its axis, and its limits as they are written.
+def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
+    """Return a joint's kind, its axis, and its limits in the units of the file.
 
-    A general joint counts as free: such are refused where joints are compared.
+    Joints of unknown types are free; they are refused when joints are compared.
     """
-    kind = _KINDS.get(str(prim.GetTypeName()), FREE)
+    kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE)
     if kind not in (HINGE, SLIDE):
         return kind, 0, -math.inf, math.inf
-    axis = AXES[axis_of(prim, "physics:axis", "X")]
-    lower = number_of(prim, "physics:lowerLimit", -math.inf)
-    return kind, axis, lower, number_of(prim, "physics:upperLimit", math.inf)
+    axis = AXIS_INDICES[read_axis(prim, "physics:axis", "X")]
+    lower = read_number(prim, "physics:lowerLimit", -math.inf)
+    return kind, axis, lower, read_number(prim, "physics:upperLimit", math.inf)
 
 
-def _stated(
+def _read_numbers(
     prim: Any,
-    what: str,
-    statements: tuple[Statement, ...],
-    word: str,
-    turns: bool,
+    number_kind: str,
+    statements: tuple[NumberAttribute, ...],
+    axis_word: str,
+    is_hinge: bool,
     units: StageUnits,
 ) -> dict[str, float]:
-    """Returns all that states a number, in SI units."""
-    found = {}
+    """Return {attribute: number in SI units} of all attributes that state a kind of number."""
+    numbers = {}
     for statement in statements:
-        name = statement.name.format(axis=word)
-        value = number_of(prim, name)
+        name = statement.name.format(axis=axis_word)
+        value = read_number(prim, name)
         if not math.isfinite(value) or not prim.GetAttribute(name).IsAuthored():
             continue
-        if what == "velocity":
+        if number_kind == "velocity":
             unit = units.length
-        elif what in ("effort", "friction"):
-            unit = units.inertia if turns else units.force
+        elif number_kind in ("effort", "friction"):
+            unit = units.inertia if is_hinge else units.force
         else:
-            unit = units.inertia if turns else units.mass
-        if turns:
+            unit = units.inertia if is_hinge else units.mass
+        if is_hinge:
             if statement.per_angle:
-                unit /= DEGREE
+                unit /= RADIANS_PER_DEGREE
             elif statement.angle:
-                unit = DEGREE
-        found[name] = value * unit
-    return found
+                unit = RADIANS_PER_DEGREE
+        numbers[name] = value * unit
+    return numbers
 
 
-def _gains(prim: Any, word: str, turns: bool, units: StageUnits) -> tuple[float, float] | None:
-    """Returns stiffness and damping of a joint's drive; see `Edge.gains`."""
-    start = f"drive:{word}:physics"
-    stiffness = number_of(prim, f"{start}:stiffness", 0.0)
+def _read_gains(
+    prim: Any, axis_word: str, is_hinge: bool, units: StageUnits
+) -> tuple[float, float] | None:
+    """Return stiffness and damping of a joint's drive; see `Edge.gains`."""
+    prefix = f"drive:{axis_word}:physics"
+    stiffness = read_number(prim, f"{prefix}:stiffness", 0.0)
     if (
-        f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas()
-        or value_of(prim, f"{start}:type", "text") == "acceleration"
+        f"PhysicsDriveAPI:{axis_word}" not in prim.GetAppliedSchemas()
+        or read_value(prim, f"{prefix}:type", "text") == "acceleration"
         or stiffness <= 0
     ):
         return None
-    unit = units.inertia / DEGREE if turns else units.mass
-    return stiffness * unit, number_of(prim, f"{start}:damping", 0.0) * unit
+    unit = units.inertia / RADIANS_PER_DEGREE if is_hinge else units.mass
+    return stiffness * unit, read_number(prim, f"{prefix}:damping", 0.0) * unit
 
 
-def _mimic(
-    prim: Any, turns: bool, units: StageUnits, paths: Mapping[str, str]
+def _read_mimic(
+    prim: Any, is_hinge: bool, units: StageUnits, paths: Mapping[str, str]
 ) -> tuple[str, float, float] | None:
-    """Returns the joint that one follows, as Newton's or PhysX's schema states it."""
-    unit = DEGREE if turns else units.length
+    """Return leader, multiplier and offset of a joint, from the schema of Newton or PhysX."""
+    unit = RADIANS_PER_DEGREE if is_hinge else units.length
     for name in prim.GetAuthoredPropertyNames():
         if not name.endswith(("newton:mimicJoint", ":referenceJoint")):
             continue
@@ -248,184 +260,195 @@ def _mimic(
         if leader is None:
             continue
         if name.startswith("newton:"):
-            offset = number_of(prim, "newton:mimicCoef0", 0.0) * unit
-            return leader, number_of(prim, "newton:mimicCoef1", 1.0), offset
-        start = name.removesuffix(":referenceJoint")
-        offset = -number_of(prim, f"{start}:offset", 0.0) * unit
-        return leader, -number_of(prim, f"{start}:gearing", 0.0), offset
+            offset = read_number(prim, "newton:mimicCoef0", 0.0) * unit
+            return leader, read_number(prim, "newton:mimicCoef1", 1.0), offset
+        prefix = name.removesuffix(":referenceJoint")
+        offset = -read_number(prim, f"{prefix}:offset", 0.0) * unit
+        return leader, -read_number(prim, f"{prefix}:gearing", 0.0), offset
     return None
 
 
-_SINGLE: Final = 2.0**-24
-"""Half a unit of the last digit of a number of 1 in single precision."""
+_SINGLE_PRECISION_RTOL: Final = 2.0**-24
+"""Relative rounding error of single precision: half a unit in the last place of 1."""
 
 
-class Origin(StrEnum):
-    """Where a body's mass comes from."""
+class MassOrigin(StrEnum):
+    """Origin of a body's mass."""
 
     STATED = "stated"
-    """The body says it, and where it is."""
+    """Mass, CoM and inertia are stated."""
     SHAPES = "shapes"
-    """Some of mass, com and inertia is not stated: engines take that from its shapes."""
+    """Mass, CoM or inertia is missing: engines derive it from the shapes."""
     WATER = "water"
-    """Of a shape at least nothing is said: it has the density of water."""
+    """No mass or density is stated for at least one shape: engines use the density of water."""
     UNKNOWN = "unknown"
-    """Neither it nor a shape that touches says anything."""
+    """The body has neither a mass nor collision shapes."""
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
-    """What a body weighs.
+class BodyMass:
+    """Mass properties of a body.
 
     Attributes:
-        inertial: None if that is not known.
-        origin: Of its mass.
-        lacks: What of ``"mass"``, ``"com"`` and ``"inertia"`` it does not state.
+        inertial: Inertial; None if unknown.
+        origin: Origin of the mass.
+        lacks: Missing properties among ``"mass"``, ``"com"`` and ``"inertia"``.
     """
 
     inertial: Inertial | None
-    origin: Origin
+    origin: MassOrigin
     lacks: tuple[str, ...] = ()
 
 
-def weigh_body(body: Any, place: Placed, shapes: Sequence[Any], units: StageUnits) -> Weighed:
-    """Returns what a body weighs.
+def read_body_mass(
+    body: Any, placement: PrimPlacement, shapes: Sequence[Any], units: StageUnits
+) -> BodyMass:
+    """Read the mass properties of a body.
+
+    A body with a negative mass counts as stated, so that the mass is reported.
 
     Args:
-        body: Its prim.
-        place: Where it is.
-        shapes: The prims of its shapes that touch.
-        units: Of the stage.
+        body: Body prim.
+        placement: Pose and scale of the prim.
+        shapes: Prims of the collision shapes.
+        units: Units of the stage.
     """
-    below = min(number_of(body, "physics:mass", 0.0), 0.0)
-    mass = (_positive(body, "physics:mass") or below) * units.mass
-    com = _vector(body, "physics:centerOfMass")
-    moments = _vector(body, "physics:diagonalInertia")
+    negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
+    mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
+    com = _read_vector(body, "physics:centerOfMass")
+    moments = _read_vector(body, "physics:diagonalInertia")
     tensor = None
     rounding = 0.0
     if moments is not None and moments.any():
-        turn = _axes(body)
-        tensor = turn @ np.diag(moments * units.inertia) @ turn.T
-        rounding = float(np.abs(moments).max() * units.inertia * _SINGLE)
+        axes = _read_principal_axes(body)
+        tensor = axes @ np.diag(moments * units.inertia) @ axes.T
+        rounding = float(np.abs(moments).max() * units.inertia * _SINGLE_PRECISION_RTOL)
     stated = {"mass": mass != 0, "com": com is not None, "inertia": tensor is not None}
-    lacks = tuple(what for what, is_there in stated.items() if not is_there)
+    lacks = tuple(property_name for property_name, is_stated in stated.items() if not is_stated)
     if mass < 0 or not lacks:
-        com = np.zeros(3) if com is None else com * place.scale
+        com = np.zeros(3) if com is None else com * placement.scale
         tensor = np.zeros((3, 3)) if tensor is None else tensor
-        return Weighed(Inertial(mass, com, tensor, True, rounding), Origin.STATED)
+        return BodyMass(Inertial(mass, com, tensor, True, rounding), MassOrigin.STATED)
     if not mass and not shapes:
-        return Weighed(None, Origin.UNKNOWN, lacks)
-    water = not mass and not all(_is_weighed(body, shape) for shape in shapes)
-    return Weighed(None, Origin.WATER if water else Origin.SHAPES, lacks)
+        return BodyMass(None, MassOrigin.UNKNOWN, lacks)
+    has_water = not mass and not all(_has_mass(body, shape) for shape in shapes)
+    return BodyMass(None, MassOrigin.WATER if has_water else MassOrigin.SHAPES, lacks)
 
 
-def _is_weighed(body: Any, shape: Any) -> bool:
-    """Says whether something states a shape's mass or density."""
+def _has_mass(body: Any, shape: Any) -> bool:
+    """Return True if a mass or density is stated for a shape."""
     from pxr import UsdShade
 
     material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial("physics")
     prims = (body, shape, *([material.GetPrim()] if material else ()))
-    return _positive(shape, "physics:mass") > 0 or any(
-        _positive(prim, "physics:density") > 0 for prim in prims
+    return _read_positive(shape, "physics:mass") > 0 or any(
+        _read_positive(prim, "physics:density") > 0 for prim in prims
     )
 
 
-def _positive(prim: Any, name: str) -> float:
-    """Returns a number that states something if it is above 0; else 0."""
-    value = number_of(prim, name, 0.0)
+def _read_positive(prim: Any, name: str) -> float:
+    """Return a number; 0 if it is missing, not finite or not positive."""
+    value = read_number(prim, name, 0.0)
     return max(value, 0.0) if np.isfinite(value) else 0.0
 
 
-def _vector(prim: Any, name: str) -> Array | None:
-    """Returns three numbers; None where they are not stated (-inf is the schema's default)."""
-    value = value_of(prim, name, "vector")
-    values = None if value is None else shortest_decimals(value)
+def _read_vector(prim: Any, name: str) -> Array | None:
+    """Return three finite numbers; None if they are missing (the schema's default is -inf)."""
+    value = read_value(prim, name, "vector")
+    values = None if value is None else recover_decimals(value)
     return None if values is None or not np.isfinite(values).all() else values
 
 
-def _axes(prim: Any) -> Array:
-    """Returns the rotation (3, 3) of the principal axes: the body's, where they are not stated."""
-    value = value_of(prim, "physics:principalAxes", "quaternion")
-    return np.eye(3) if value is None else rotation_of((value.GetReal(), *value.GetImaginary()))
+def _read_principal_axes(prim: Any) -> Array:
+    """Return the rotation of the principal axes, shape (3, 3); the identity if not stated."""
+    value = read_value(prim, "physics:principalAxes", "quaternion")
+    return np.eye(3) if value is None else make_rotation((value.GetReal(), *value.GetImaginary()))
 
 
 @dataclass(frozen=True, eq=False)
 class UsdModel(RobotModel):
-    """A model in a USD.
+    """Robot model of a USD file.
 
     Attributes:
-        file: The file.
-        edges: {joint: what the file states of it}, all that are switched on.
-        weights: {body: what it weighs, and where that comes from}.
-        loops: The joints that close loops, or are to be left out of the tree.
+        file: File.
+        edges: {joint: joint data} of all enabled joints.
+        body_masses: {body: mass properties and their origin}.
+        loops: Joints that close loops, or are excluded from the articulation.
         floating: Whether the base can move.
-        mount: Where the base is, in the world, z up (m).
-        gravity: (3,) m/s^2, z up; None where the file leaves it to the engine.
+        mount: Pose of the base in the world, z up [m].
+        gravity: Gravity, shape (3,) [m/s^2], z up; None if the file does not state it.
     """
 
     file: UsdFile
     edges: Mapping[str, Edge]
-    weights: Mapping[str, Weighed]
+    body_masses: Mapping[str, BodyMass]
     loops: tuple[Edge, ...]
     floating: bool
     mount: Pose
     gravity: Array | None
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Returns what a joint's number is: several schemas have several names for it."""
+        """Return the kind of a joint's number, since its names differ between schemas."""
         return attribute.kind, None
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the file states angles in degrees: UsdPhysics does."""
+        """Whether the file states angles in degrees: always true for UsdPhysics."""
         return True
 
     @property
     def gains(self) -> dict[str, tuple[float, float]]:
-        """{joint: stiffness and damping of its servo}, see `Edge.gains`."""
+        """{joint: stiffness and damping of its servo}; see `Edge.gains`."""
         stated = {name: edge.gains for name, edge in self.edges.items()}
         return {name: gains for name, gains in stated.items() if gains is not None}
 
 
 def read_usd_model(file: UsdFile) -> UsdModel:
-    """Returns the model of a USD.
+    """Read the robot model of a USD file.
 
     Raises:
-        ModelError: If the frame of a body or a joint is sheared or mirrored.
+        ModelError: If a frame is sheared or mirrored, a body is scaled unevenly, an attribute has
+            the wrong type, or a joint refers to a missing prim.
     """
     from pxr import UsdGeom
 
-    units, cache = units_of(file.stage), UsdGeom.XformCache()
+    units, cache = read_units(file.stage), UsdGeom.XformCache()
     prims = {name: file.stage.GetPrimAtPath(path) for name, path in file.bodies.items()}
-    places = {
-        name: split_transform(file, prim, world_matrix(file, prim, cache), units)
+    placements = {
+        name: split_transform(file, prim, compute_world_matrix(file, prim, cache), units)
         for name, prim in prims.items()
     }
-    for name, place in places.items():
-        if np.ptp(place.scale) > 1e-4 * place.scale.max():
-            message = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
+    for name, placement in placements.items():
+        if np.ptp(placement.scale) > 1e-4 * placement.scale.max():
+            message = diagnose(
+                "usd-body-scaled-unevenly", scale=Vector(tuple(placement.scale), "1")
+            )
             raise make_file_error(file.place("body", name), message)
-    edges = {edge.name: edge for edge in _edges(file, places, units, cache)}
-    trees = _Forest(list(prims), edges, _article_roots(file))
-    base = trees.base
-    poses, parents, loops = trees.poses(places)
+    edges = {edge.name: edge for edge in _read_edges(file, placements, units, cache)}
+    forest = _JointForest(list(prims), edges, _find_articulation_roots(file))
+    base = forest.base
+    poses, parents, loops = forest.compute_poses(placements)
     to_base = poses[base].inverse()
     weights = {
-        name: weigh_body(prim, places[name], list(_touching(file, prim)), units)
+        name: read_body_mass(
+            prim, placements[name], list(_list_collision_shapes(file, prim)), units
+        )
         for name, prim in prims.items()
     }
     links = {}
-    for name in trees.order:
-        above = parents.get(name)
-        parent = above[0] if above is not None else None
-        hold = trees.hold(name)
+    for name in forest.order:
+        parent_edge = parents.get(name)
+        parent = parent_edge[0] if parent_edge is not None else None
+        world_edge = forest.find_world_edge(name)
         joints: tuple[Joint, ...] = ()
-        if above is not None:
-            joints = (_joint(above[1], above[0], name, to_base * poses[above[0]]),)
-        elif hold is None:
-            joints = (_free(name, to_base * poses[name]),)
-        elif hold.kind != FIXED:
-            joints = (_joint(hold, "", name, to_base),)
+        if parent_edge is not None:
+            joints = (
+                _make_joint(parent_edge[1], parent_edge[0], name, to_base * poses[parent_edge[0]]),
+            )
+        elif world_edge is None:
+            joints = (_make_free_joint(name, to_base * poses[name]),)
+        elif world_edge.kind != FIXED:
+            joints = (_make_joint(world_edge, "", name, to_base),)
         links[name] = Link(
             name,
             parent,
@@ -444,59 +467,62 @@ def read_usd_model(file: UsdFile) -> UsdModel:
         edges,
         weights,
         tuple(loops),
-        trees.hold(base) is None,
+        forest.find_world_edge(base) is None,
         Pose(units.up @ poses[base].position, units.up @ poses[base].rotation),
-        _gravity(file, units),
+        _read_gravity(file, units),
     )
 
 
-def _edges(
-    file: UsdFile, places: Mapping[str, Placed], units: StageUnits, cache: Any
+def _read_edges(
+    file: UsdFile, placements: Mapping[str, PrimPlacement], units: StageUnits, cache: Any
 ) -> Iterator[Edge]:
-    """Yields the joints that are switched on, with what they join."""
-    names = {path: name for name, path in file.bodies.items()}
+    """Yield the enabled joints between different bodies."""
+    body_names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
     for name, path in file.joints.items():
         prim = file.stage.GetPrimAtPath(path)
-        if value_of(prim, "physics:jointEnabled", "number") is False:
+        if read_value(prim, "physics:jointEnabled", "number") is False:
             continue
         bodies, frames = [], []
-        for end in (0, 1):
-            targets = prim.GetRelationship(f"physics:body{end}").GetTargets()
+        for side in (0, 1):
+            targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
             target = file.stage.GetPrimAtPath(targets[0]) if targets else None
             if targets and not target:
-                message = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
+                message = diagnose("usd-joint-of-no-prim", end=f"body{side}", prim=str(targets[0]))
                 raise make_file_error(Place(file.path, None, path), message)
-            body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
+            body, placement = (
+                _find_body(target, body_names),
+                PrimPlacement(Pose(), np.full(3, units.length)),
+            )
             if target:
-                matrix = world_matrix(file, target, cache)
-                place = split_transform(file, target, matrix, units)
-            position = value_of(prim, f"physics:localPos{end}", "point")
-            rotation = value_of(prim, f"physics:localRot{end}", "quaternion")
-            frame = place.frame(position, rotation)
+                matrix = compute_world_matrix(file, target, cache)
+                placement = split_transform(file, target, matrix, units)
+            position = read_value(prim, f"physics:localPos{side}", "point")
+            rotation = read_value(prim, f"physics:localRot{side}", "quaternion")
+            frame = placement.make_frame(position, rotation)
             if not body:
-                frame = place.pose * frame
+                frame = placement.pose * frame
             elif str(targets[0]) != file.bodies[body]:  # else as it is written, with all its digits
-                frame = places[body].pose.inverse() * place.pose * frame
+                frame = placements[body].pose.inverse() * placement.pose * frame
             bodies.append(body)
             frames.append(frame)
         if bodies[0] != bodies[1]:
-            ends = (bodies[0], bodies[1]), (frames[0], frames[1])
-            yield edge_of(name, prim, *ends, units, paths)
+            bodies_and_frames = (bodies[0], bodies[1]), (frames[0], frames[1])
+            yield read_edge(name, prim, *bodies_and_frames, units, paths)
 
 
-def _carrier(target: Any, names: Mapping[str, str]) -> str:
-    """Returns the body that a prim is of: itself, or the nearest above it; "" of the world."""
-    while target:
-        name = names.get(str(target.GetPath()))
+def _find_body(prim: Any, body_names: Mapping[str, str]) -> str:
+    """Return the body of a prim: itself or the nearest ancestor; "" for the world."""
+    while prim:
+        name = body_names.get(str(prim.GetPath()))
         if name is not None:
             return name
-        target = target.GetParent()
+        prim = prim.GetParent()
     return ""
 
 
-def _article_roots(file: UsdFile) -> set[str]:
-    """Returns the bodies that are said to be roots of articulations."""
+def _find_articulation_roots(file: UsdFile) -> set[str]:
+    """Return the bodies that are marked as roots of articulations."""
     from pxr import UsdPhysics
 
     return {
@@ -506,86 +532,104 @@ def _article_roots(file: UsdFile) -> set[str]:
     }
 
 
-class _Forest:
-    """Bodies and joints as trees, each from its root: what a tree leaves over closes a loop."""
+class _JointForest:
+    """Trees of bodies and joints. Joints outside of the trees close loops.
+
+    Attributes:
+        order: Bodies, parents before children.
+        base: Root of the largest tree.
+    """
 
     def __init__(self, bodies: list[str], edges: Mapping[str, Edge], roots: set[str]) -> None:
-        self._edges, self._roots = edges, roots
-        self._at: dict[str, list[Edge]] = {name: [] for name in bodies}
-        self._held: dict[str, Edge] = {}
-        self._below: dict[str, int] = dict.fromkeys(bodies, 0)
+        self._all_edges, self._roots = edges, roots
+        self._adjacent_edges: dict[str, list[Edge]] = {name: [] for name in bodies}
+        self._world_edges: dict[str, Edge] = {}
+        self._num_parents: dict[str, int] = dict.fromkeys(bodies, 0)
         for edge in edges.values():
-            for end in edge.bodies:
-                if end and not edge.outside:
-                    self._at[end].append(edge)
+            for body_name in edge.bodies:
+                if body_name and not edge.outside:
+                    self._adjacent_edges[body_name].append(edge)
             if not all(edge.bodies) and not edge.outside:
                 body = edge.bodies[0] or edge.bodies[1]
-                if body not in self._held or edge.kind == FIXED:
-                    self._held[body] = edge
+                if body not in self._world_edges or edge.kind == FIXED:
+                    self._world_edges[body] = edge
             if all(edge.bodies):
-                self._below[edge.bodies[1]] += 1
+                self._num_parents[edge.bodies[1]] += 1
         self.order: list[str] = []
         self._parents: dict[str, tuple[str, Edge]] = {}
         self._sizes: dict[str, int] = {}
-        self._used: set[str] = {edge.name for edge in self._held.values()}
-        for root in sorted(bodies, key=self._rank):
+        self._used: set[str] = {edge.name for edge in self._world_edges.values()}
+        for root in sorted(bodies, key=self._rank_root):
             if root not in self.order:
-                self._grow(root)
+                self._grow_tree(root)
         self.base = max(self._sizes, key=lambda root: (self._sizes[root], root in roots))
 
-    def _rank(self, body: str) -> tuple[bool, bool, bool, int]:
-        """Orders roots: what is called one, is held, has none above it, carries most."""
-        edges = self._at[body]
-        carried = sum(edge.bodies[0] == body for edge in edges)
-        return body not in self._roots, body not in self._held, self._below[body] > 0, -carried
+    def _rank_root(self, body: str) -> tuple[bool, bool, bool, int]:
+        """Sort key of roots: marked root, fixed to the world, without parent, most children."""
+        edges = self._adjacent_edges[body]
+        num_children = sum(edge.bodies[0] == body for edge in edges)
+        return (
+            body not in self._roots,
+            body not in self._world_edges,
+            self._num_parents[body] > 0,
+            -num_children,
+        )
 
-    def _grow(self, root: str) -> None:
+    def _grow_tree(self, root: str) -> None:
+        """Add all bodies that are reachable from a root, breadth first."""
         tree = [root]
         for body in tree:
-            for edge in self._at[body]:
-                other = edge.bodies[1] if edge.bodies[0] == body else edge.bodies[0]
-                if other and other not in tree and other not in self.order:
-                    self._parents[other] = body, edge
+            for edge in self._adjacent_edges[body]:
+                neighbour = edge.bodies[1] if edge.bodies[0] == body else edge.bodies[0]
+                if neighbour and neighbour not in tree and neighbour not in self.order:
+                    self._parents[neighbour] = body, edge
                     self._used.add(edge.name)
-                    tree.append(other)
+                    tree.append(neighbour)
         self._sizes[root] = len(tree)
         self.order += tree
 
-    def hold(self, body: str) -> Edge | None:
-        """Returns the joint between a root and the world; None if it is free."""
-        return self._held.get(body)
+    def find_world_edge(self, body: str) -> Edge | None:
+        """Return the joint between a root and the world; None if the root is free."""
+        return self._world_edges.get(body)
 
-    def poses(
-        self, places: Mapping[str, Placed]
+    def compute_poses(
+        self, placements: Mapping[str, PrimPlacement]
     ) -> tuple[dict[str, Pose], dict[str, tuple[str, Edge]], list[Edge]]:
-        """Returns bodies' poses in the stage at zero angles, {body: parent, joint}, and loops."""
+        """Return body poses at zero joint positions, {body: (parent, joint)}, and loops.
+
+        The poses are in the axes of the stage [m].
+        """
         poses: dict[str, Pose] = {}
         for body in self.order:
-            above = self._parents.get(body)
-            if above is not None:
-                parent, edge = above
-                one, two = edge.frames if edge.bodies[0] == parent else edge.frames[::-1]
-                poses[body] = poses[parent] * one * two.inverse()
-            elif body in self._held:
-                edge = self._held[body]
-                one, two = edge.frames if edge.bodies[1] == body else edge.frames[::-1]
-                poses[body] = one * two.inverse()
+            parent_edge = self._parents.get(body)
+            if parent_edge is not None:
+                parent, edge = parent_edge
+                parent_frame, body_frame = (
+                    edge.frames if edge.bodies[0] == parent else edge.frames[::-1]
+                )
+                poses[body] = poses[parent] * parent_frame * body_frame.inverse()
+            elif body in self._world_edges:
+                edge = self._world_edges[body]
+                parent_frame, body_frame = (
+                    edge.frames if edge.bodies[1] == body else edge.frames[::-1]
+                )
+                poses[body] = parent_frame * body_frame.inverse()
             else:
-                poses[body] = places[body].pose
-        loops = [edge for edge in self._edges.values() if edge.name not in self._used]
+                poses[body] = placements[body].pose
+        loops = [edge for edge in self._all_edges.values() if edge.name not in self._used]
         return poses, self._parents, loops
 
 
-def _joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
-    """Returns a joint in the base's frame, of the pose of the parent there.
+def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
+    """Create a joint in the base frame, from the pose of its parent in the base frame.
 
-    One that is written from the child to the parent turns the other way about its axis.
+    A joint that is defined from child to parent rotates in the opposite direction.
     """
-    forward = edge.bodies[0] == parent
-    frame = pose * (edge.frames[0] if forward else edge.frames[1])
-    raw = np.eye(3)[edge.axis]
-    moves = edge.kind in (HINGE, SLIDE)
-    axis = frame.rotation @ raw * (1.0 if forward else -1.0) if moves else np.zeros(3)
+    is_forward = edge.bodies[0] == parent
+    frame = pose * (edge.frames[0] if is_forward else edge.frames[1])
+    unit_axis = np.eye(3)[edge.axis]
+    has_axis = edge.kind in (HINGE, SLIDE)
+    axis = frame.rotation @ unit_axis * (1.0 if is_forward else -1.0) if has_axis else np.zeros(3)
     return Joint(
         name=edge.name,
         kind=edge.kind,
@@ -593,7 +637,7 @@ def _joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
         child=child,
         position=frame.position,
         axis=axis,
-        raw_axis=raw,
+        raw_axis=unit_axis,
         stated=edge.numbers,
         lower=edge.lower,
         upper=edge.upper,
@@ -601,42 +645,42 @@ def _joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
     )
 
 
-def _free(body: str, pose: Pose) -> Joint:
-    """Returns the joint of a body that nothing holds."""
-    none, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
-    return Joint(f"({body})", FREE, "world", body, pose.position, none, none, {}, *infinite)
+def _make_free_joint(body: str, pose: Pose) -> Joint:
+    """Create the free joint of a body."""
+    zeros, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
+    return Joint(f"({body})", FREE, "world", body, pose.position, zeros, zeros, {}, *infinite)
 
 
-def _gravity(file: UsdFile, units: StageUnits) -> Array | None:
-    """Returns the gravity of the first scene that states one, z up; None where none does."""
+def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
+    """Return the gravity of the first scene that states it, shape (3,) [m/s^2], z up; or None."""
     from pxr import Usd, UsdPhysics
 
     for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
         if not prim.IsA(UsdPhysics.Scene):
             continue
-        size = number_of(prim, "physics:gravityMagnitude")
-        way = np.array(value_of(prim, "physics:gravityDirection", "point"), dtype=float)
-        if not np.isfinite(size) or size < 0:
+        magnitude = read_number(prim, "physics:gravityMagnitude")
+        direction = np.array(read_value(prim, "physics:gravityDirection", "point"), dtype=float)
+        if not np.isfinite(magnitude) or magnitude < 0:
             continue
-        if not way.any():
-            way = units.up.T @ np.array([0.0, 0.0, -1.0])
-        found: Array = units.up @ way / np.linalg.norm(way) * size * units.length
-        return found
+        if not direction.any():
+            direction = units.up.T @ np.array([0.0, 0.0, -1.0])
+        gravity: Array = units.up @ direction / np.linalg.norm(direction) * magnitude * units.length
+        return gravity
     return None
 
 
-SCALE_ROUNDING: Final = 1e-6
-"""A scale so near to 1 is 1: orientations are written in single precision."""
+SCALE_ATOL: Final = 1e-6
+"""Deviation from 1 below which a scale is set to 1, since orientations are in single precision."""
 
 
 @dataclass(frozen=True)
 class StageUnits:
-    """What a stage's numbers are in.
+    """Units of a stage.
 
     Attributes:
-        length: m.
-        mass: kg.
-        up: The rotation (3, 3) that turns its vertical axis to z.
+        length: Length unit [m].
+        mass: Mass unit [kg].
+        up: Rotation, shape (3, 3), that maps the stage's vertical axis to z.
     """
 
     length: float
@@ -645,131 +689,135 @@ class StageUnits:
 
     @property
     def force(self) -> float:
-        """N; seconds are seconds."""
+        """Force unit [N]; the time unit is the second."""
         return self.mass * self.length
 
     @property
     def inertia(self) -> float:
-        """Kg m^2; so are torques in N m."""
+        """Unit of inertia [kg m^2] and of torque [N m]."""
         return self.mass * self.length**2
 
 
-def units_of(stage: Any) -> StageUnits:
-    """Returns a stage's units; a robot's stage says that they are metres, or it is in cm."""
+def read_units(stage: Any) -> StageUnits:
+    """Return the units of a stage; the default length unit of USD is the centimetre."""
     from pxr import UsdGeom, UsdPhysics
 
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    y_up_rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     return StageUnits(
         float(UsdGeom.GetStageMetersPerUnit(stage)),
         float(UsdPhysics.GetStageKilogramsPerUnit(stage)),
-        turn if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3),
+        y_up_rotation if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """Where a prim is in the world of its stage.
+class PrimPlacement:
+    """Pose and scale of a prim.
 
     Attributes:
-        pose: In m, in the stage's axes.
-        scale: (3,) What its own lengths are multiplied by, in m.
+        pose: Pose in the stage's axes [m].
+        scale: Factors on the prim's own lengths, shape (3,) [m].
     """
 
     pose: Pose
     scale: Array
 
-    def frame(self, position: Any, rotation: Any) -> Pose:
-        """Returns a frame in the prim's, of a position in its lengths and a quaternion."""
-        place = np.zeros(3) if position is None else shortest_decimals(position) * self.scale
+    def make_frame(self, position: Any, rotation: Any) -> Pose:
+        """Return a frame in the frame of the prim, from a position and a quaternion of the file."""
+        offset = np.zeros(3) if position is None else recover_decimals(position) * self.scale
         if rotation is None:
-            return Pose(place)
-        return Pose(place, rotation_of((rotation.GetReal(), *rotation.GetImaginary())))
+            return Pose(offset)
+        return Pose(offset, make_rotation((rotation.GetReal(), *rotation.GetImaginary())))
 
 
-def value_of(prim: Any, name: str, kind: str) -> Any:
-    """Returns what an attribute states; None where nothing does.
+def read_value(prim: Any, name: str, kind: str) -> Any:
+    """Return the value of an attribute; None if there is none.
 
     Args:
-        prim: Its prim.
-        name: Its name.
-        kind: ``"number"``, ``"vector"`` of three, ``"point"``, which is a finite one,
-            ``"quaternion"``, likewise, ``"text"`` or ``"list"``.
+        prim: Prim.
+        name: Attribute name.
+        kind: ``"number"``, ``"vector"`` of three numbers, ``"point"`` (finite vector),
+            ``"quaternion"`` (finite), ``"text"`` or ``"list"``.
 
     Raises:
-        ModelError: If it is of another type: a file may declare any.
+        ModelError: If the value is of another kind, since a file may declare any type.
     """
     value = prim.GetAttribute(name).Get()
-    fits = (
+    has_kind = (
         value is None
         or {
             "number": isinstance(value, bool | int | float),
             "vector": hasattr(value, "GetNormalized") and np.size(value) == 3,
-            "point": hasattr(value, "GetNormalized") and np.size(value) == 3 and _finite(*value),
+            "point": hasattr(value, "GetNormalized")
+            and np.size(value) == 3
+            and _all_finite(*value),
             "quaternion": hasattr(value, "GetImaginary")
-            and _finite(value.GetReal(), *value.GetImaginary()),
+            and _all_finite(value.GetReal(), *value.GetImaginary()),
             "text": isinstance(value, str),
             "list": type(value).__name__.endswith(("Array", "list")),
         }[kind]
     )
-    if not fits:
+    if not has_kind:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         message = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
         raise make_file_error(Place(file, None, str(prim.GetPath())), message)
     return value
 
 
-def number_of(prim: Any, name: str, usual: float = math.nan) -> float:
-    """Returns a number that an attribute states, as it is written; the usual one where none is."""
-    value = value_of(prim, name, "number")
-    return usual if value is None else float(shortest_decimals(value))
+def read_number(prim: Any, name: str, default: float = math.nan) -> float:
+    """Return the number of an attribute, as written; the default if there is none."""
+    value = read_value(prim, name, "number")
+    return default if value is None else float(recover_decimals(value))
 
 
-def _finite(*values: float) -> bool:
+def _all_finite(*values: float) -> bool:
+    """Return True if all values are finite."""
     return bool(np.isfinite(values).all())
 
 
-AXES: Final = {"X": 0, "Y": 1, "Z": 2}
+AXIS_INDICES: Final = {"X": 0, "Y": 1, "Z": 2}
+"""{name of an axis: index}."""
 
 
-def axis_of(prim: Any, name: str, usual: str) -> str:
-    """Returns one of X, Y and Z.
+def read_axis(prim: Any, name: str, default: str) -> str:
+    """Return the axis of an attribute: X, Y or Z.
 
     Raises:
-        ModelError: If it is none of them.
+        ModelError: If the value is none of these.
     """
-    axis = str(value_of(prim, name, "text") or usual)
-    if axis not in AXES:
+    axis = str(read_value(prim, name, "text") or default)
+    if axis not in AXIS_INDICES:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         message = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
         raise make_file_error(Place(file, None, str(prim.GetPath())), message)
     return axis
 
 
-def shortest_decimals(value: Any) -> Array:
-    """Returns numbers as they are written: of one in single precision its shortest decimal.
+def recover_decimals(value: Any) -> Array:
+    """Return numbers as they were written: for single-precision numbers the shortest decimal.
 
-    A file's 0.18 is read as 0.18000000715. Nothing else has that as its nearest number in single
-    precision and as few digits.
+    A written 0.18 is stored as 0.18000000715. No other decimal with as few digits has the same
+    nearest single-precision number.
     """
     values = np.array(value, dtype=float)
     with np.errstate(over="ignore"):
         single = values.astype(np.float32)
-    exact = np.array([float(str(one)) for one in single.ravel()]).reshape(values.shape)
-    return np.where(single == values, exact, values)
+    decimals = np.array([float(str(number)) for number in single.ravel()]).reshape(values.shape)
+    return np.where(single == values, decimals, values)
 
 
-def rotation_of(quaternion: Any) -> Array:
-    """Returns the rotation (3, 3) of a quaternion (w, x, y, z) in single precision; 0 is none."""
+def make_rotation(quaternion: Any) -> Array:
+    """Return the rotation, shape (3, 3), of a quaternion (w, x, y, z); the identity for zeros."""
     values = np.array(quaternion, dtype=float)
     length = float(np.linalg.norm(values))
     return np.eye(3) if length == 0 else rotation_from_quaternion(values / length)
 
 
-def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
-    """Returns the transform of a prim to the world of its stage, as USD has it.
+def compute_world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
+    """Return the transform of a prim to the world of its stage, in the convention of USD.
 
     Raises:
-        ModelError: If one of its operations has no value.
+        ModelError: If an operation of the transform has no value.
     """
     from pxr import Tf
 
@@ -780,42 +828,42 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
         raise make_file_error(Place(file.path, None, str(prim.GetPath())), message) from error
 
 
-def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> Placed:
-    """Splits the transform of a prim into a pose and a scale.
+def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> PrimPlacement:
+    """Split the transform of a prim into a pose and a scale.
 
     Raises:
-        ModelError: If it shears or mirrors: no joint's or body's frame can.
+        ModelError: If the transform is sheared or mirrored.
     """
-    whole = np.array(matrix).T
-    scale = np.linalg.norm(whole[:3, :3], axis=0)
-    turn = whole[:3, :3] / np.where(scale > 0, scale, 1.0)
-    if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
+    transform = np.array(matrix).T
+    scale = np.linalg.norm(transform[:3, :3], axis=0)
+    rotation = transform[:3, :3] / np.where(scale > 0, scale, 1.0)
+    if not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
         message = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
         raise make_file_error(Place(file.path, None, str(prim.GetPath())), message)
-    scale = np.where(np.abs(scale - 1.0) < SCALE_ROUNDING, 1.0, scale)
-    left, _, right = np.linalg.svd(turn)
-    return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)
+    scale = np.where(np.abs(scale - 1.0) < SCALE_ATOL, 1.0, scale)
+    left, _, right = np.linalg.svd(rotation)
+    return PrimPlacement(Pose(transform[:3, 3] * units.length, left @ right), scale * units.length)
 
 
-def _touching(file: UsdFile, body: Any) -> Iterator[Any]:
-    """Yields the prims of a body's shapes that touch."""
+def _list_collision_shapes(file: UsdFile, body: Any) -> Iterator[Any]:
+    """Yield the prims of a body's enabled collision shapes."""
     from pxr import UsdGeom, UsdPhysics
 
-    for prim in own_prims(file, body):
-        stated = prim.IsA(UsdGeom.Gprim) and prim.HasAPI(UsdPhysics.CollisionAPI)
+    for prim in list_body_prims(file, body):
+        is_shape = prim.IsA(UsdGeom.Gprim) and prim.HasAPI(UsdPhysics.CollisionAPI)
         enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
-        if stated and enabled.Get() is not False:
+        if is_shape and enabled.Get() is not False:
             yield prim
 
 
-def own_prims(file: UsdFile, body: Any) -> Iterator[Any]:
-    """Yields the prims of a body: itself and what is below it, but for other bodies."""
+def list_body_prims(file: UsdFile, body: Any) -> Iterator[Any]:
+    """Yield the prims of a body: the body and its descendants, without other bodies."""
     from pxr import Usd
 
-    others = set(file.bodies.values()) - {str(body.GetPath())}
+    other_bodies = set(file.bodies.values()) - {str(body.GetPath())}
     prims = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
     for prim in prims:
-        if str(prim.GetPath()) in others:
+        if str(prim.GetPath()) in other_bodies:
             prims.PruneChildren()
         else:
             yield prim

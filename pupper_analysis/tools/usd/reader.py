@@ -1,6 +1,6 @@
-"""A robot model as a URDF, or as an MJCF, in memory: what compares files compares these.
+"""USD model as a URDF or an MJCF in memory, for the tools that compare files.
 
-They name the places in the file that they are from.
+The results refer to the prims of the USD file.
 """
 
 from __future__ import annotations
@@ -46,70 +46,83 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.tools.usd.file import PrimPlaces, UsdFile
 from pupper_analysis.tools.usd.file import read_usd as read_file
-from pupper_analysis.tools.usd.model import Edge, Origin, UsdModel
+from pupper_analysis.tools.usd.model import Edge, MassOrigin, UsdModel
 from pupper_analysis.tools.usd.model import read_usd_model as read_model
 
 __all__ = ["CHECKS", "read_as_mjcf", "read_as_urdf", "read_file", "read_model"]
 
-STANDS_FOR: Final = "the USD"
+REPLACED_FORMAT: Final = "the USD"
+"""Name of the file in messages about the generated model."""
 
 
 @dataclass(frozen=True, eq=False)
 class UsdAsUrdf(PrimPlaces, UrdfFile):
-    """A USD that can be asked what a URDF is asked.
+    """URDF generated from a USD file.
 
     Attributes:
-        usd: The file, to whose prims the places lead.
+        usd: USD file, whose prims the places refer to.
     """
 
     usd: UsdFile | None = None
 
 
 def read_as_urdf(path: Path) -> UsdAsUrdf:
-    """Reads a USD as a URDF of the same numbers.
+    """Read a USD file as a URDF with the same numbers.
 
     Raises:
-        ModelError: If it cannot be read, or says what no URDF can.
+        ModelError: If the file cannot be read, or contains a joint that no URDF can state.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
     model = read_model(file)
-    root = urdf_of(model).root
-    made = urdf_from(path, to_text(root), root, {})
+    root = make_urdf_tree(model).root
+    generated = urdf_from(path, to_text(root), root, {})
     notes: list[Diagnostic] = [diagnose("usd-compared-as-urdf", file=path.name), *model.notes]
-    notes += notes_of(model)
+    notes += list_notes(model)
     if model.loops:
         notes.append(diagnose("usd-loops-left-out", joints=[edge.name for edge in model.loops]))
-    unknown = {"effort": joints_without(model, "effort")}
+    unknown = {"effort": list_joints_without(model, "effort")}
     if unknown["effort"]:
         notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
     messages = (
         *notes,
-        *(note for note in made.notes if note.code != "effort-or-velocity-unstated"),
+        *(note for note in generated.notes if note.code != "effort-or-velocity-unstated"),
     )
     return UsdAsUrdf(
-        path, made.text, made.root, {}, messages, unknown, STANDS_FOR, model.gains, usd=file
+        path,
+        generated.text,
+        generated.root,
+        {},
+        messages,
+        unknown,
+        REPLACED_FORMAT,
+        model.gains,
+        usd=file,
     )
 
 
-def urdf_of(model: UsdModel) -> UrdfTree:
-    """Writes a model as a URDF: links, joints and inertials of the base's tree; no shapes.
+def make_urdf_tree(model: UsdModel) -> UrdfTree:
+    """Write a model as a URDF tree: links, joints and inertials of the base's tree, without shapes.
 
     Raises:
-        ModelError: If a joint moves in a way that no URDF's joint does.
+        ModelError: If a joint is a ball or free joint within the tree.
     """
     tree = UrdfTree(etree.Element("robot", name=model.file.path.stem))
     names = [model.base, *(link.name for link in model.descendants(model.base))]
     poses: dict[str, Pose] = {}
-    if any(joint.moves for joint in model.links[model.base].joints):  # the world holds it so
+    if any(
+        joint.moves for joint in model.links[model.base].joints
+    ):  # the base moves relative to the world
         tree.new_link("world")
         poses["world"] = model.mount.inverse()
-    # A URDF's joint is at the origin of the link that it moves: the frames are put there.
-    poses |= {name: _frame(model.links[name]) for name in names}
+    # In a URDF, a joint is at the origin of the link that it moves.
+    poses |= {name: _get_joint_frame(model.links[name]) for name in names}
     for name in names:
-        link, added = model.links[name], tree.new_link(name)
+        link, added_link = model.links[name], tree.new_link(name)
         if link.inertial is not None:
-            added.set_inertia((poses[name].inverse() * link.pose).placed.act(link.inertial.rigid))
+            added_link.set_inertia(
+                (poses[name].inverse() * link.pose).placed.act(link.inertial.rigid)
+            )
         for joint in link.joints:
             if joint.parent not in poses:
                 continue  # a free base has no joint
@@ -120,42 +133,50 @@ def urdf_of(model: UsdModel) -> UrdfTree:
     return tree
 
 
-def _frame(link: Link) -> Pose:
+def _get_joint_frame(link: Link) -> Pose:
+    """Return the frame of a link in a URDF: at the origin of the joint that moves the link."""
     joints = [joint for joint in link.joints if joint.moves]
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
 
 def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]) -> None:
-    """Adds a joint, of where the links' frames are in the base's."""
+    """Add a joint; ``poses`` are the link frames in the base frame."""
     frame = poses[joint.child]
-    endless = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
-    kinds = {HINGE: "continuous" if endless else "revolute", SLIDE: "prismatic", FIXED: "fixed"}
-    placed = (poses[joint.parent].inverse() * frame).placed
-    added = tree.new_joint(joint.name, kinds[joint.kind], joint.parent, joint.child, placed)
+    is_unlimited = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
+    urdf_types = {
+        HINGE: "continuous" if is_unlimited else "revolute",
+        SLIDE: "prismatic",
+        FIXED: "fixed",
+    }
+    placement = (poses[joint.parent].inverse() * frame).placed
+    element = tree.new_joint(
+        joint.name, urdf_types[joint.kind], joint.parent, joint.child, placement
+    )
     if not joint.moves:
         return
-    added.set_axis(frame.rotation.T @ joint.axis)
+    element.set_axis(frame.rotation.T @ joint.axis)
     stated: Mapping[str, float] = joint.stated
-    if not (endless and joint.kind == HINGE):
-        ends = np.clip((joint.lower, joint.upper), -MAX_SLIDE_POSITION, MAX_SLIDE_POSITION)
-        stated = {**stated, "lower limit": float(ends[0]), "upper limit": float(ends[1])}
-    for one in JOINT_ATTRIBUTES:
-        if one.urdf is not None and one.kind in stated:
-            added.state(one, stated[one.kind])
+    if not (is_unlimited and joint.kind == HINGE):
+        limits = np.clip((joint.lower, joint.upper), -MAX_SLIDE_POSITION, MAX_SLIDE_POSITION)
+        stated = {**stated, "lower limit": float(limits[0]), "upper limit": float(limits[1])}
+    for attribute in JOINT_ATTRIBUTES:
+        if attribute.urdf is not None and attribute.kind in stated:
+            element.state(attribute, stated[attribute.kind])
     mimic = model.edges[joint.name].mimic
     if mimic is not None:
-        added.follow(*mimic)
+        element.follow(*mimic)
 
 
-_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KINDS.items()}
+_JOINT_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KINDS.items()}
+"""{joint kind: type in MuJoCo}."""
 
 
 @dataclass(frozen=True, eq=False)
 class UsdAsMjcf(PrimPlaces, MjcfFile):
-    """A USD that can be asked what an MJCF is asked.
+    """MJCF generated from a USD file.
 
     Attributes:
-        usd: The file, to whose prims the places lead.
+        usd: USD file, whose prims the places refer to.
     """
 
     usd: UsdFile | None = None
@@ -182,17 +203,17 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
 
 def read_as_mjcf(path: Path) -> UsdAsMjcf:
-    """Reads a USD as an MJCF of the same numbers.
+    """Read a USD file as an MJCF with the same numbers.
 
     Raises:
-        ModelError: If it cannot be read, or MuJoCo refuses its numbers.
+        ModelError: If the file cannot be read, or MuJoCo refuses its numbers.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
     model = read_model(file)
-    spec = mjspec_of(model)
-    notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *notes_of(model))
-    unknown = {kind: joints_without(model, kind) for kind in ("effort", "damping", "friction")}
+    spec = make_mjspec(model)
+    notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *list_notes(model))
+    unknown = {kind: list_joints_without(model, kind) for kind in ("effort", "damping", "friction")}
     return UsdAsMjcf(
         path=path,
         spec=spec,
@@ -200,41 +221,43 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
         notes=notes,
         unknown={kind: names for kind, names in unknown.items() if names},
         _model=compile_spec(spec.copy(), path),
-        stands_for=STANDS_FOR,
+        stands_for=REPLACED_FORMAT,
         gains=model.gains,
         usd=file,
     )
 
 
-def joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
-    """Returns the joints of which a number is not known."""
-    return tuple(n for n, joint in model.joints.items() if joint.moves and kind not in joint.stated)
+def list_joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
+    """Return the moving joints without a kind of number."""
+    return tuple(
+        name for name, joint in model.joints.items() if joint.moves and kind not in joint.stated
+    )
 
 
-def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
-    """Writes a model as a spec: bodies, joints, inertials, couplings and gravity; no shapes.
+def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
+    """Write a model as a MuJoCo spec: bodies, joints, inertials, couplings, gravity; no shapes.
 
     Raises:
-        ModelError: If a joint moves in a way that MuJoCo has no joint for.
+        ModelError: If MuJoCo has no joint of a kind, or refuses an inertia.
     """
     spec = mujoco.MjSpec()
     spec.modelname = model.file.path.stem
     spec.compiler.degree = False
     if model.gravity is not None:
         spec.option.gravity = model.gravity
-    inertials = _acceptable(model)
+    inertials = _merge_fixed_inertials(model)
     bodies: dict[str, mujoco.MjsBody] = {}
     for name, link in model.links.items():
-        above = bodies.get(link.parent or "", spec.worldbody)
-        outer = model.links[link.parent].pose if link.parent else model.mount.inverse()
-        pose = outer.inverse() * link.pose
-        body = above.add_body(
+        parent_body = bodies.get(link.parent or "", spec.worldbody)
+        parent_pose = model.links[link.parent].pose if link.parent else model.mount.inverse()
+        pose = parent_pose.inverse() * link.pose
+        body = parent_body.add_body(
             name=name, pos=pose.position, quat=quaternion_from_rotation(pose.rotation)
         )
         bodies[name] = body
         inertial = inertials.get(name)
         if inertial is not None:
-            if not _is_taken(inertial):
+            if not _is_accepted(inertial):
                 message = diagnose(
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
@@ -242,7 +265,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
             set_inertia(body, inertial.rigid)
         _add_joints(model, link, body)
     for edge in model.loops:
-        _close(model, spec, edge)
+        _add_loop_constraint(model, spec, edge)
     for edge in model.edges.values():
         if edge.mimic is not None and edge.mimic[0] in model.joints:
             SpecTree(spec).add_coupling(edge.name, *edge.mimic).name = f"{edge.name}_mimic"
@@ -250,6 +273,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
 
 
 def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
+    """Add the joints of a link to a body of the spec."""
     inverse = link.pose.inverse()
     for joint in link.joints:
         if joint.kind == FIXED:
@@ -257,31 +281,32 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
         if joint.kind == FREE and link.parent is not None:
             place = model.file.place("joint", joint.name)
             raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
-        added = body.add_joint(name=joint.name, type=_TYPES[joint.kind])
+        mj_joint = body.add_joint(name=joint.name, type=_JOINT_TYPES[joint.kind])
         if not joint.moves:
             continue
-        added.pos = inverse.point(joint.position)
-        added.axis = inverse.rotation @ joint.axis
+        mj_joint.pos = inverse.point(joint.position)
+        mj_joint.axis = inverse.rotation @ joint.axis
         if math.isfinite(joint.lower) or math.isfinite(joint.upper):
-            added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            lower, upper = np.clip((joint.lower, joint.upper), -_NO_LIMIT, _NO_LIMIT)
-            added.range = lower, upper + (MIN_RANGE if lower == upper else 0.0)
+            mj_joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            lower, upper = np.clip((joint.lower, joint.upper), -_MAX_RANGE, _MAX_RANGE)
+            mj_joint.range = lower, upper + (MIN_RANGE if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
-                state_number(added, BY_KIND[kind], joint.stated[kind])
+                state_number(mj_joint, BY_KIND[kind], joint.stated[kind])
 
 
-_NO_LIMIT = 1e6
-"""rad, m: where MuJoCo wants two limits, and a joint has one."""
+_MAX_RANGE = 1e6
+"""Range limit [rad, m] in place of an infinite one, since MuJoCo requires two limits. Chosen, not
+tuned."""
 
 
-def _acceptable(model: UsdModel) -> dict[str, Inertial]:
-    """Returns the inertials of bodies, such that MuJoCo takes them.
+def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
+    """Return the inertials of moving bodies, each merged with the bodies that are fixed to it.
 
-    MuJoCo refuses the inertia of a rod without width even on a body that is fixed to the trunk:
-    what is fixed together has one inertia, on the body that moves it.
+    MuJoCo refuses degenerate inertias, for example that of a thin rod, even on a body that is fixed
+    to another one.
     """
-    found: dict[str, Inertial] = {}
+    inertials: dict[str, Inertial] = {}
     for name, link in model.links.items():
         if link.parent is not None and not link.moving:
             continue
@@ -291,122 +316,134 @@ def _acceptable(model: UsdModel) -> dict[str, Inertial]:
             if part.inertial is not None and part.inertial.mass != 0
         ]
         if len(parts) == 1 and parts[0][0] is link:
-            found[name] = _rounded(parts[0][1])
+            inertials[name] = _restore_triangle_inequality(parts[0][1])
         elif parts:
             inverse = link.pose.inverse()
-            rigid = [(inverse * part.pose).placed.act(one.rigid) for part, one in parts]
-            whole = sum(rigid, pin.Inertia.Zero())
-            found[name] = _rounded(Inertial.of(whole, stated=True))
-    return found
+            rigid = [(inverse * part.pose).placed.act(inertial.rigid) for part, inertial in parts]
+            total = sum(rigid, pin.Inertia.Zero())
+            inertials[name] = _restore_triangle_inequality(Inertial.of(total, stated=True))
+    return inertials
 
 
-def _rounded(inertial: Inertial) -> Inertial:
-    """Returns an inertial whose moments keep the triangle inequality, if but for rounding.
+def _restore_triangle_inequality(inertial: Inertial) -> Inertial:
+    """Return an inertial whose moments satisfy the triangle inequality in spite of rounding.
 
-    A thin plate has I1 + I2 = I3, and in single precision one that is greater by a last digit.
+    A thin plate has I1 + I2 = I3, and in single precision I3 may be larger by the last digit.
     """
     moments, axes = np.linalg.eigh(inertial.inertia)
     excess = moments[2] - moments[0] - moments[1]
-    if not 0 < excess <= _PLATE * moments[2]:
+    if not 0 < excess <= _TRIANGLE_INEQUALITY_RTOL * moments[2]:
         return inertial
     moments[:2] += excess
     return replace(inertial, inertia=axes @ np.diag(moments) @ axes.T)
 
 
-_PLATE = 1e-6
-"""Relative: some last digits in single precision, and less than files are compared by."""
+_TRIANGLE_INEQUALITY_RTOL = 1e-6
+"""Largest excess of I3 over I1 + I2, relative to I3, that counts as rounding: some digits in single
+precision, and below the tolerance of file comparisons."""
 
 
-def _is_taken(inertial: Inertial) -> bool:
-    """Says whether MuJoCo takes an inertia: positive, and of a body that there can be."""
-    least, middle, greatest = inertial.moments
-    tiny = 1e-15  # mjMINVAL
-    return bool(inertial.mass > tiny and least > tiny and least + middle >= greatest)
+def _is_accepted(inertial: Inertial) -> bool:
+    """Return True if MuJoCo accepts an inertia: positive, and with the triangle inequality."""
+    smallest, middle, largest = inertial.moments
+    min_value = 1e-15  # mjMINVAL
+    return bool(inertial.mass > min_value and smallest > min_value and smallest + middle >= largest)
 
 
-def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
-    """Adds what a joint holds together that closes a loop: a frame, or, if it moves, a point.
+def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
+    """Add the equality constraint of a joint that closes a loop: a weld, or a point if it moves.
 
-    No URDF has it, so that it is a difference in any case.
+    Raises:
+        ModelError: If the joint is not between two bodies, or is a slide or free joint.
     """
-    one, two = edge.bodies
-    if not (one and two) or edge.kind in (SLIDE, FREE):
+    first_body, second_body = edge.bodies
+    if not (first_body and second_body) or edge.kind in (SLIDE, FREE):
         raise make_file_error(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
     weld = edge.kind == FIXED
-    equality = spec.add_equality(name=edge.name, name1=one, name2=two)
+    equality = spec.add_equality(name=edge.name, name1=first_body, name2=second_body)
     equality.objtype = mujoco.mjtObj.mjOBJ_BODY
     equality.type = mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT
     if weld:
-        between = edge.frames[0] * edge.frames[1].inverse()
-        equality.data[3:6] = between.position
-        equality.data[6:10] = quaternion_from_rotation(between.rotation)
+        relative_pose = edge.frames[0] * edge.frames[1].inverse()
+        equality.data[3:6] = relative_pose.position
+        equality.data[6:10] = quaternion_from_rotation(relative_pose.rotation)
     else:
         equality.data[:3] = edge.frames[0].position
 
 
-def notes_of(model: UsdModel) -> Iterator[Diagnostic]:
-    """Yields what a comparison rests on that the file does not state.
+def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
+    """Yield notes on numbers that the file does not state.
 
     Raises:
-        ModelError: If what a body weighs would follow from its shapes.
+        ModelError: If a mass would follow from shapes.
     """
-    by_shapes = [n for n, w in model.weights.items() if w.origin in (Origin.WATER, Origin.SHAPES)]
+    by_shapes = [
+        name
+        for name, body_mass in model.body_masses.items()
+        if body_mass.origin in (MassOrigin.WATER, MassOrigin.SHAPES)
+    ]
     if by_shapes:
         place = model.file.place("body", by_shapes[0])
         raise make_file_error(place, diagnose("usd-weighed-by-shapes", names=by_shapes))
-    unknown = [name for name, one in model.weights.items() if one.inertial is None]
+    unknown = [name for name, body_mass in model.body_masses.items() if body_mass.inertial is None]
     if unknown:
         yield diagnose("usd-masses-unknown", names=unknown)
 
 
-CONTRADICTION = 1e-3
-"""Relative: one schema has single precision, 1e-7, and some writers five digits."""
+CONTRADICTION_RTOL = 1e-3
+"""Relative difference above which two schemas contradict each other: one has single precision
+(1e-7), and some writers five digits."""
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Finds bodies whose mass, or some of it, is of shapes without any stated density."""
-    for name, weighed in robot.weights.items():
-        if weighed.origin is Origin.WATER:
+    """Find bodies whose mass comes from shapes without a stated density."""
+    for name, body_mass in robot.body_masses.items():
+        if body_mass.origin is MassOrigin.WATER:
             yield CheckFinding(robot.link_tag, name, diagnose("mass-of-water"))
 
 
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Finds bodies of whose mass nothing is known; NOTE of those that are fixed to another."""
-    for name, weighed in robot.weights.items():
-        if weighed.origin is Origin.UNKNOWN:
-            alone = robot.links[name].moving or robot.links[name].parent is None
+    """Find bodies without any statement of mass; a NOTE if the body is fixed to another one."""
+    for name, body_mass in robot.body_masses.items():
+        if body_mass.origin is MassOrigin.UNKNOWN:
+            is_separate = robot.links[name].moving or robot.links[name].parent is None
             message = diagnose("mass-unstated")
             yield CheckFinding(
-                robot.link_tag, name, message, severity=None if alone else Severity.NOTE
+                robot.link_tag, name, message, severity=None if is_separate else Severity.NOTE
             )
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Finds bodies that leave mass, com or inertia to their shapes; WARNING of a com alone."""
-    for name, weighed in robot.weights.items():
-        if weighed.origin is Origin.SHAPES:
-            message = diagnose("inertia-unstated", lacks=[Term(what) for what in weighed.lacks])
-            severity = Severity.WARNING if weighed.lacks == ("com",) else None
+    """Find bodies whose mass, CoM or inertia follows from shapes; WARNING if only the CoM does."""
+    for name, body_mass in robot.body_masses.items():
+        if body_mass.origin is MassOrigin.SHAPES:
+            message = diagnose(
+                "inertia-unstated", lacks=[Term(property_name) for property_name in body_mass.lacks]
+            )
+            severity = Severity.WARNING if body_mass.lacks == ("com",) else None
             yield CheckFinding(robot.link_tag, name, message, severity=severity)
 
 
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Compares the numbers of a joint that several schemas state."""
+    """Find joints for which several schemas state different numbers."""
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
             values = np.array(list(stated.values()))
             if kind == "effort":
-                continue  # each is a limit: of a motor, of the joint
-            if np.ptp(values) <= CONTRADICTION * np.abs(values).max():
+                continue  # separate limits of motor and joint
+            if np.ptp(values) <= CONTRADICTION_RTOL * np.abs(values).max():
                 continue
-            first, last = min(stated, key=stated.__getitem__), max(stated, key=stated.__getitem__)
+            smallest, largest = (
+                min(stated, key=stated.__getitem__),
+                max(stated, key=stated.__getitem__),
+            )
             unit = BY_KIND[kind].unit(edge.kind == SLIDE)
             message = diagnose(
                 "joint-numbers-contradict",
-                one=first,
-                first=Quantity(stated[first], unit),
-                two=last,
-                last=Quantity(stated[last], unit),
+                one=smallest,
+                first=Quantity(stated[smallest], unit),
+                two=largest,
+                last=Quantity(stated[largest], unit),
             )
             yield CheckFinding("joint", name, message)
 
@@ -420,4 +457,4 @@ CHECKS: Final[Mapping[str, Check]] = {
         joint_numbers_contradict,
     )
 }
-"""{rule: what looks for it}."""
+"""{rule: check}."""

@@ -14,7 +14,7 @@ from pxr import Gf, Usd, UsdPhysics
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.usd.file import read_usd
-from pupper_analysis.tools.usd.model import Origin, UsdModel, read_usd_model
+from pupper_analysis.tools.usd.model import MassOrigin, UsdModel, read_usd_model
 from tests.tools.usd import written as usd
 
 
@@ -84,26 +84,26 @@ NEXT = 'def Xform "shank"'
 @pytest.mark.parametrize(
     ("gone", "shape", "origin"),
     [
-        ((), None, Origin.STATED),
-        ((MASS,), None, Origin.UNKNOWN),
-        ((MASS,), "", Origin.WATER),
-        ((MASS,), "float physics:density = 0\n", Origin.WATER),
-        ((MASS,), "float physics:density = 2\n", Origin.SHAPES),
-        ((MASS,), "float physics:mass = 2\n", Origin.SHAPES),
-        ((MASS,), "bool physics:collisionEnabled = 0\n", Origin.UNKNOWN),
-        ((COM,), "", Origin.SHAPES),
-        ((INERTIA,), None, Origin.SHAPES),
+        ((), None, MassOrigin.STATED),
+        ((MASS,), None, MassOrigin.UNKNOWN),
+        ((MASS,), "", MassOrigin.WATER),
+        ((MASS,), "float physics:density = 0\n", MassOrigin.WATER),
+        ((MASS,), "float physics:density = 2\n", MassOrigin.SHAPES),
+        ((MASS,), "float physics:mass = 2\n", MassOrigin.SHAPES),
+        ((MASS,), "bool physics:collisionEnabled = 0\n", MassOrigin.UNKNOWN),
+        ((COM,), "", MassOrigin.SHAPES),
+        ((INERTIA,), None, MassOrigin.SHAPES),
     ],
 )
 def test_usd_mass_is_stated_or_unknown(
-    gone: tuple[str, ...], shape: str | None, origin: Origin, tmp_path: Path
+    gone: tuple[str, ...], shape: str | None, origin: MassOrigin, tmp_path: Path
 ) -> None:
     changes = [(text, "\n") for text in gone]
     if shape is not None:
         changes.append((NEXT, SHAPE.format(shape) + NEXT))
-    found = model(usd.write(tmp_path, *changes, after='def Xform "thigh"')).weights["thigh"]
+    found = model(usd.write(tmp_path, *changes, after='def Xform "thigh"')).body_masses["thigh"]
     assert found.origin is origin
-    assert (found.inertial is None) is (origin is not Origin.STATED)
+    assert (found.inertial is None) is (origin is not MassOrigin.STATED)
     names = {MASS: "mass", COM: "com", INERTIA: "inertia"}
     assert found.lacks == tuple(names[text] for text in gone)
 

@@ -17,7 +17,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from pupper_analysis.tools.usd.file import read_usd
 from pupper_analysis.tools.usd.model import read_usd_model
-from pupper_analysis.tools.usd.reader import mjspec_of
+from pupper_analysis.tools.usd.reader import make_mjspec
 from tests.support.repository import ROOT
 from tests.tools.usd import written as usd
 
@@ -236,7 +236,7 @@ def test_usd_base_on_a_prismatic_joint_keeps_the_joint(tmp_path: Path) -> None:
 
 def mjcf_of(path: Path, kp: float, kd: float) -> Path:
     """Writes the MJCF of a USD, with a servo at its hip."""
-    spec = mjspec_of(read_usd_model(read_usd(path)))
+    spec = make_mjspec(read_usd_model(read_usd(path)))
     SpecTree(spec).add_position_servo("hip", kp, kd)
     spec.compile()
     file = path.with_suffix(".xml")
