@@ -16,7 +16,7 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
-from pupper_analysis.tools.best.search import Objective, StanceSearch
+from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
@@ -110,11 +110,34 @@ def best_stance(
         StaticsInfeasibleError: If the task itself cannot be held.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
+    search = _search(robot, objective, task, point, kp)
+    return _describe(search, search.best, point, kp, kd)
+
+
+def _search(
+    robot: Robot,
+    objective: Objective | str,
+    task: StandTask | None,
+    point: Place,
+    kp: ArrayLike | None,
+) -> StanceSearch:
+    """Run the search of ``best_stance``."""
     robot = touching(robot, task.contacts) if task is not None else robot
     robot.check_tree("the best stance")
     search = StanceSearch(robot, _objective(objective), task, point, kp)
     search.run()
-    space, best, payload = search.space, search.best, None
+    return search
+
+
+def _describe(
+    search: StanceSearch,
+    best: EvaluatedStance,
+    point: Place,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> BestStance:
+    """Return the result for one of the stances of a search."""
+    robot, space, payload = search.robot, search.space, None
     # As whoever types it has it: where joints are to spare, a search has them from what was near.
     best = replace(best, stand=solve_stand(robot, best.stand.task))
     if search.objective is Objective.PAYLOAD:
@@ -178,7 +201,10 @@ def study_best(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> BestStudy:
-    """Searches for the best stance, and finds out what it costs and whether it holds.
+    """Search for the best stance that holds in simulation.
+
+    If the best stance does not hold, next best stances are simulated, the given task last. If none
+    holds, the best one is returned. A payload is limited by its own simulation.
 
     Args:
         robot: The robot.
@@ -195,5 +221,14 @@ def study_best(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
-    best = best_stance(robot, objective, task=task, point=point, kp=kp, kd=kd)
-    return BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
+    search = _search(robot, objective, task, point, kp)
+    best = _describe(search, search.best, point, kp, kd)
+    study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
+    if study.passed or search.objective is Objective.PAYLOAD:  # a payload is simulated itself
+        return study
+    for stance in search.next_best():
+        best = _describe(search, stance, point, kp, kd)
+        following = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
+        if following.passed:
+            return following
+    return study

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -82,6 +83,11 @@ class EvaluatedStance:
     allowed: bool
 
 
+_NEXT_LEVEL = 0.2
+"""Smallest difference between two stances that are simulated one after the other until one holds,
+in parts of the improvement that the search found: at most five are simulated. Chosen."""
+
+
 class StanceSearch:
     """The search; ``best`` is the best stance so far."""
 
@@ -147,6 +153,21 @@ class StanceSearch:
         if found is not None and found.allowed and found.level < self.best.level:
             self.best = found
         return found
+
+    def next_best(self) -> Iterator[EvaluatedStance]:
+        """Yield allowed stances that are worse than the best, then the task as it was given.
+
+        Each is at least ``_NEXT_LEVEL`` worse than the previous one, in parts of the way from the
+        best level to that of the task.
+        """
+        allowed = [stance for stance in self.known.values() if stance and stance.allowed]
+        step = _NEXT_LEVEL * (self.nominal.level - self.best.level)
+        level = self.best.level
+        for stance in sorted(allowed, key=lambda stance: stance.level):
+            if level + step <= stance.level < self.nominal.level:
+                level = stance.level
+                yield stance
+        yield self.nominal
 
     def stance(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
         """Evaluates a stand."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.tools.best import search
+from pupper_analysis.tools.best import best, search
 from pupper_analysis.tools.best.best import best_stance
 from pupper_analysis.tools.best.first_order import SmallPayload, bearable
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
@@ -229,3 +230,24 @@ def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
     for objective in (Objective.UTILISATION, Objective.PAYLOAD):
         with pytest.raises(pa.ConfigurationError, match=words):
             best_stance(robot, objective)
+
+
+@pytest.mark.slow
+def test_next_best_stance_is_returned_if_the_best_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch, few_samples: None
+) -> None:
+    """Of three stances that are simulated, each uses the motors more; the third holds."""
+    tried: list[float] = []
+
+    def fail_twice(robot: pa.Robot, stand: pa.Stand, **_: object) -> SimpleNamespace:
+        statics = stand_statics(robot, stand)
+        tried.append(float(statics.motor_utilisation.max()))
+        return SimpleNamespace(passed=len(tried) == 3)
+
+    monkeypatch.setattr(best, "study_stance", fail_twice)
+    study = best.study_best(load("v3"), Objective.UTILISATION, pa.StandTask())
+    assert study.passed
+    assert len(tried) == 3
+    assert tried == sorted(tried)
+    assert study.best.value == pytest.approx(tried[2])
+    assert tried[0] < study.best.value <= study.best.nominal_value
