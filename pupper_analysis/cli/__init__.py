@@ -1,4 +1,4 @@
-"""The command line: the tools' commands, imported when they are used, and how each run ends."""
+"""Command line: commands of the tools, imported at first use, and the exit status of a run."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from pupper_analysis.cli.shared import (
 
 
 def list_tools() -> list[str]:
-    """Returns the names of all tools, ours and others'."""
+    """Return the names of all tools, including those of installed plug-ins."""
     return sorted([*own_tools(), *other_tools()])
 
 
 @cache
-def _command(name: str) -> click.Command | None:
-    """Returns a command, with the modes that other tools (their ``modes.py``) bring to it."""
+def _import_command(name: str) -> click.Command | None:
+    """Return a command, with the modes that other tools add in ``modes.py``; None if unknown."""
     tools = {**other_tools(), **own_tools()}
     if name not in tools:
         return None
     command: click.Command = import_module(f"{tools[name].package}.command").command
     for package in find_tool_modules("modes").values():
-        bring = import_module(f"{package}.modes").MODES.get(name)
-        command = command if bring is None else bring(command)
+        add_modes = import_module(f"{package}.modes").MODES.get(name)
+        command = command if add_modes is None else add_modes(command)
     return command
 
 
 class LazyGroup(click.Group):
-    """A group of the tools' commands, which imports one that is asked for."""
+    """Group of the tools' commands that imports a command at its first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Returns the names of all commands, as click asks for them."""
+        """Return the names of all commands."""
         return list_tools()
 
     def get_command(
@@ -64,8 +64,8 @@ class LazyGroup(click.Group):
         ctx: click.Context | None,  # noqa: ARG002
         cmd_name: str,
     ) -> click.Command | None:
-        """Returns a command; None if there is none of that name."""
-        return _command(cmd_name)
+        """Return a command; None if there is no command of that name."""
+        return _import_command(cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -83,7 +83,7 @@ class LazyGroup(click.Group):
         ctx: click.Context,  # noqa: ARG002
         formatter: click.HelpFormatter,
     ) -> None:
-        """Writes the list of all commands under their headings, and imports none."""
+        """Write the list of all commands under their headings, without importing any."""
         tools = {**own_tools(), **other_tools()}
         width = max(map(len, tools))  # of one column in all lists
         for heading in HELP_HEADINGS:
@@ -100,17 +100,21 @@ __all__ = ["EXIT_BAD_INPUT", "find_command", "group", "main", "run"]
 DEBUG_OPTION = "--debug"
 
 GC_THRESHOLDS = 200_000, 2, 2
-"""How many objects more, and how often that, until Python looks for circles of them that nobody
-holds. With its own 700 it does so 170 times while a command is loaded, a tenth of the time of
-``stand v3``, and finds none."""
+"""Thresholds of Python's garbage collector. With the defaults, loading a command runs 170
+collections, which take a tenth of the time of ``stand v3`` and find nothing."""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
-    """Runs a command and leaves the process with its exit status.
+    """Run a command, and end the process with its exit status.
 
-    An error of the package, or of the command line, becomes one line on standard error and exit
-    status 2; an error that nobody foresaw one line and exit status 3, with ``--debug`` all of it.
-    A signal that ends the process becomes one line and the shell's exit status, 130 for Ctrl-C.
+    An error of the package or of the command line is printed as one line on standard error, with
+    exit status 2; an unexpected error as one line, with exit status 3 (with ``--debug`` as
+    traceback). A signal that ends the process is printed as one line, with the exit status of
+    shells, 130 for Ctrl-C.
+
+    Args:
+        command: Command.
+        arguments: Arguments; None: those of the process.
     """
     os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
     gc.set_threshold(*GC_THRESHOLDS)
@@ -121,7 +125,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
     with tolerate_output_errors() as streams:
         with catch_ending_signals() as ending:
             try:
-                status = _status(command, given, debug=debug)
+                status = _run_command(command, given, debug=debug)
             except (ProcessEnded, KeyboardInterrupt):
                 ending.caught = True
                 ending.signal = ending.signal or 2
@@ -140,22 +144,22 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
     sys.exit(status)
 
 
-def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int:
-    """Runs a command; says what went wrong, and returns the exit status."""
+def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
+    """Run a command, print its error, and return the exit status."""
     try:
-        with ensure_run() as run:  # from here, as options read files, too
+        with ensure_run() as run:  # includes parsing, because options read files
             run.command = (GENERATOR_NAME, *arguments)
             return command.main(args=arguments, standalone_mode=False) or EXIT_VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else command.name
-        _say(f"{error.format_message()} (see: {where} --help)")
+        _print_error(f"{error.format_message()} (see: {where} --help)")
     except (PupperAnalysisError, click.ClickException) as error:
-        _say(str(error))
+        _print_error(str(error))
     except click.Abort as error:
         raise KeyboardInterrupt from error
-    except BrokenPipeError:  # the reader of a pipe that a result was written to
+    except BrokenPipeError:  # a pipe for results has no reader
         return EXIT_VERIFIED
     except SystemExit as error:
         return error.code if isinstance(error.code, int) else EXIT_VERIFIED
@@ -163,24 +167,27 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         raise_if_ended()
         if debug:
             traceback.print_exc()
-        if lack := _lack(error):
-            _say(lack)
+        if lack := _describe_lack(error):
+            _print_error(lack)
             return EXIT_BAD_INPUT
         what = f"{type(error).__name__}: {error}".rstrip(": ")
         hint = "" if debug else f"; {DEBUG_OPTION} shows where"
-        _say(f"unexpected: {what}. This is a bug: please report it to the maintainers{hint}")
+        _print_error(
+            f"unexpected: {what}. This is a bug: please report it to the maintainers{hint}"
+        )
         return EXIT_INTERNAL
     finally:
         discard_standard_input()
     return EXIT_BAD_INPUT
 
 
-_LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
+_RESOURCE_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
+"""Error numbers of missing system resources."""
 
 
-def _lack(error: Exception) -> str:
-    """Says what the system lacks; empty if that is not why."""
-    if isinstance(error, OSError) and error.errno in _LACKS:
+def _describe_lack(error: Exception) -> str:
+    """Return a description of a missing resource of the system; empty for other errors."""
+    if isinstance(error, OSError) and error.errno in _RESOURCE_ERRORS:
         return f"the system has no more to give: {error.strerror}"
     if isinstance(error, FileNotFoundError):
         try:
@@ -190,25 +197,27 @@ def _lack(error: Exception) -> str:
     return ""
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
+    """Print an error on standard error."""
     from pupper_analysis.present.formats import escape_control
 
     raise_if_ended()  # what went wrong may be what a library made of the signal
     click.echo(f"error: {escape_control(text)}", err=True)
 
 
-def _without_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:
+def _disable_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:
+    """Set the environment variable NO_COLOR if the option was typed."""
     if given:
         os.environ["NO_COLOR"] = "1"  # which rich heeds wherever it prints
 
 
 def main() -> None:
-    """Runs the console command."""
+    """Run the console command."""
     run(group)
 
 
 COMMAND_NAMES = tuple(own_tools())
-"""The names of our tools' commands."""
+"""Names of the commands of our tools."""
 
 
 @click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT_SETTINGS)
@@ -217,7 +226,7 @@ COMMAND_NAMES = tuple(own_tools())
     "--no-color",
     is_flag=True,
     expose_value=False,
-    callback=_without_color,
+    callback=_disable_color,
     help="Print no colors, as with the environment variable NO_COLOR.",
 )
 @click.option(
@@ -235,7 +244,7 @@ def group() -> None:
 
 
 def find_command(name: str) -> click.Command:
-    """Returns a command by its name."""
+    """Return a command of a known name."""
     command = group.get_command(None, name)
     assert command is not None
     return command

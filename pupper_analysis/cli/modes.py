@@ -1,4 +1,4 @@
-"""Modes of a command, such as ``fit --plan``: what is typed and does nothing in one is refused."""
+"""Modes of a command, such as ``fit --plan``: refuse options without effect in a mode."""
 
 from __future__ import annotations
 
@@ -12,61 +12,66 @@ from pupper_analysis.base.errors import ConfigurationError
 
 
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
-    """Refuses what was typed for the running command and is not used in its mode.
+    """Refuse typed options of the running command that its mode does not use.
 
-    A new option is refused in each mode until it is said that the mode uses it.
+    A new option is refused in each mode that does not list it.
 
     Args:
-        mode: The option that chooses it, as ``--plan``.
+        mode: Option that selects the mode, such as ``--plan``.
         uses: {mode: names of the parameters that it uses}.
 
     Raises:
-        ConfigurationError: If there is one.
+        ConfigurationError: If such an option was typed.
     """
-    for name, shown in _typed():
+    for name, option in _list_typed_parameters():
         if name not in uses[mode]:
             others = tuple(other for other, names in uses.items() if name in names)
-            raise ConfigurationError(shown, diagnose("option-unused", mode=mode, others=others))
+            raise ConfigurationError(option, diagnose("option-unused", mode=mode, others=others))
 
 
 def refuse_idle(mode: str, *idle: str) -> None:
-    """Refuses what was typed for the running command and does nothing in its mode.
+    """Refuse typed options of the running command that have no effect in its mode.
 
-    For modes that use all but a few options.
+    This function is for modes that use all options except a few.
 
     Args:
-        mode: What chooses it, as ``--dry-run``.
-        *idle: Names of the parameters that do nothing then.
+        mode: Option or robot that selects the mode, such as ``--dry-run``.
+        *idle: Names of the parameters without effect.
 
     Raises:
-        ConfigurationError: If one was typed.
+        ConfigurationError: If such an option was typed.
     """
-    for name, shown in _typed():
+    for name, option in _list_typed_parameters():
         if name in idle:
-            raise ConfigurationError(shown, diagnose("option-unused", mode=mode, others=()))
+            raise ConfigurationError(option, diagnose("option-unused", mode=mode, others=()))
 
 
 def refuse_alone(needed: Collection[str], *idle: str) -> None:
-    """Refuses what was typed for the running command and does nothing without another option.
+    """Refuse typed options of the running command that have no effect without another option.
+
+    The caller checks that the other options are absent.
 
     Args:
-        needed: The options of which it would need one, as ``--payload``.
-        *idle: Names of the parameters that do nothing without it.
+        needed: Options of which one is required, such as ``--payload``.
+        *idle: Names of the parameters without effect.
 
     Raises:
-        ConfigurationError: If one was typed.
+        ConfigurationError: If such an option was typed.
     """
-    for name, shown in _typed():
+    for name, option in _list_typed_parameters():
         if name in idle:
-            raise ConfigurationError(shown, diagnose("option-alone", needed=tuple(needed)))
+            raise ConfigurationError(option, diagnose("option-alone", needed=tuple(needed)))
 
 
-def _typed() -> Iterator[tuple[str, str]]:
-    """Yields name and longest spelling of what was typed; what a stance's file says was not."""
+def _list_typed_parameters() -> Iterator[tuple[str, str]]:
+    """Yield name and longest spelling of the parameters on the command line.
+
+    Values from the file of ``--stance`` are not included.
+    """
     context = click.get_current_context()
     for parameter in context.command.params:
         name = str(parameter.name)
         typed = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
         if typed and parameter.expose_value:
-            option = isinstance(parameter, click.Option)
-            yield name, max(parameter.opts, key=len) if option else parameter.human_readable_name
+            is_option = isinstance(parameter, click.Option)
+            yield name, max(parameter.opts, key=len) if is_option else parameter.human_readable_name

@@ -1,4 +1,4 @@
-"""What a command needs of its process: output that gives no tracebacks, and signals that end it."""
+"""Output and signals of the process of a command: no tracebacks, no lost results."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from pupper_analysis.base.files import ClosedOutput
 
 
 class TolerantStream(io.RawIOBase):
-    """A stream of bytes that remembers what failed and goes on, so that results are not lost.
+    """Stream of bytes that ignores output errors after recording the first.
 
     Attributes:
-        failure: The first error in writing, but for a reader that has gone; None if there is none.
+        failure: First output error, except that of a closed pipe; None without an error.
     """
 
     def __init__(self, below: io.RawIOBase) -> None:
@@ -31,25 +31,25 @@ class TolerantStream(io.RawIOBase):
         self.failure: OSError | None = None
 
     def writable(self) -> bool:
-        """Whether it takes bytes: it does."""
+        """Return True."""
         return True
 
     def isatty(self) -> bool:
-        """Whether the stream below is a terminal."""
+        """Return True if the wrapped stream is a terminal."""
         return self._below.isatty()
 
     def fileno(self) -> int:
-        """Returns the number of the stream below."""
+        """Return the file descriptor of the wrapped stream."""
         return self._below.fileno()
 
     def write(self, data: Any) -> int:
-        """Writes, or forgets what nobody takes."""
+        """Write data; after an error, data are discarded."""
         if not self._gone:
             try:
                 return self._below.write(data) or 0
             except OSError as error:
                 self._gone = True
-                # Windows says EINVAL of a pipe without a reader.
+                # Windows reports EINVAL for a pipe without a reader.
                 if error.errno not in (errno.EPIPE, errno.EINVAL):
                     self.failure = error
         return memoryview(data).nbytes
@@ -57,18 +57,21 @@ class TolerantStream(io.RawIOBase):
 
 @contextlib.contextmanager
 def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
-    """Makes standard output and error take every letter, and go on without reader or room.
+    """Let standard output and error accept all characters, and ignore errors of writing.
 
-    What the encoding lacks is written as its number.
+    A character that the encoding lacks is written as a backslash escape.
+
+    Yields:
+        Streams that record the first error.
     """
     before = sys.stdout, sys.stderr
-    _occupy_closed()
+    _reopen_closed_streams()
     streams = []
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         below = getattr(stream, "buffer", None)
-        raw = getattr(below, "raw", below)  # it is the raw stream itself with python -u
-        if stream is None:  # closed by who started the process
+        raw = getattr(below, "raw", below)  # with python -u the buffer is the raw stream
+        if stream is None:  # closed by the parent process
             setattr(sys, name, ClosedOutput())
         elif isinstance(raw, io.RawIOBase) and not isinstance(raw, TolerantStream):
             stream.flush()
@@ -92,30 +95,30 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
         sys.stdout, sys.stderr = before
 
 
-def _occupy_closed() -> None:
-    """Opens what stands for nothing as those of the three standard streams that are closed.
+def _reopen_closed_streams() -> None:
+    """Open the null device in place of closed standard streams.
 
-    Otherwise the next file that is opened has such a stream's number, and gets what libraries
-    print.
+    Otherwise the next opened file gets the descriptor of such a stream, and the output of
+    libraries.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # as the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
 
 
 class ProcessEnded(BaseException):
-    """A signal ends the process. No KeyboardInterrupt, of which click makes an empty line."""
+    """A signal ends the process. Not a KeyboardInterrupt, for which click prints an empty line."""
 
 
 @dataclass
 class ProcessEnding:
-    """Which signal has asked the process to end; 0: none.
+    """State of a process that a signal ends.
 
     Attributes:
-        signal: Its number.
-        caught: Whether the exception `ProcessEnded` has reached the code that ends the process.
+        signal: Number of the signal; 0 without a signal.
+        caught: True if `ProcessEnded` has reached the code that ends the process.
     """
 
     signal: int = 0
@@ -123,7 +126,7 @@ class ProcessEnding:
 
     @property
     def status(self) -> int:
-        """The exit status that shells know."""
+        """Exit status by the convention of shells."""
         return 128 + self.signal
 
     def __str__(self) -> str:
@@ -133,35 +136,39 @@ class ProcessEnding:
 RAISE_INTERVAL = 0.3
 """Time [s] after which `ProcessEnded` is raised again if a callback has suppressed it. Chosen."""
 
-_now: list[ProcessEnding] = []
+_active_endings: list[ProcessEnding] = []
 
 
 def raise_if_ended() -> None:
-    """Ends the command if a signal has asked for it, and a library has swallowed that.
+    """Raise `ProcessEnded` again if a signal has arrived; a library may have suppressed it.
 
     Raises:
-        Ended: If so.
+        ProcessEnded: If a signal has arrived.
     """
-    if _now and _now[-1].signal:
+    if _active_endings and _active_endings[-1].signal:
         raise ProcessEnded
 
 
 @contextlib.contextmanager
 def catch_ending_signals() -> Iterator[ProcessEnding]:
-    """Turns the signals that end a process into an exception, and remembers them.
+    """Turn the signals that end a process into an exception, and record the signal.
 
-    What a library makes of the exception, or whether it swallows it, does not matter then. A second
-    signal ends the process at once.
+    The exception is raised again if a library suppresses it. A second signal ends the process at
+    once.
+
+    Yields:
+        State of the process.
     """
     ending = ProcessEnding()
-    _now.append(ending)
+    _active_endings.append(ending)
 
     def end(number: int, _frame: FrameType | None) -> None:
+        """Record the first signal and raise `ProcessEnded`."""
         if ending.signal:
             os._exit(128 + number)
         ending.signal = number
         if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
-            before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
+            previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
             signal.setitimer(signal.ITIMER_REAL, RAISE_INTERVAL, RAISE_INTERVAL)
         raise ProcessEnded
 
@@ -173,20 +180,20 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
         if handled is None and not ending.caught:
             raise ProcessEnded
 
-    before: dict[int, Any] = {}
+    previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
-            # What is ignored, as nohup does it, stays so.
-            usual = (signal.SIG_DFL, signal.default_int_handler)
-            if number is not None and signal.getsignal(number) in usual:
-                before[number] = signal.signal(number, end)
+            # Ignored signals remain ignored, for example under nohup.
+            default_handlers = (signal.SIG_DFL, signal.default_int_handler)
+            if number is not None and signal.getsignal(number) in default_handlers:
+                previous[number] = signal.signal(number, end)
     try:
         yield ending
     finally:
         ending.caught = True
-        if getattr(signal, "SIGALRM", None) in before:
+        if getattr(signal, "SIGALRM", None) in previous:
             signal.setitimer(signal.ITIMER_REAL, 0)
-        _now.pop()
-        for number, handler in before.items():
+        _active_endings.pop()
+        for number, handler in previous.items():
             signal.signal(number, handler)

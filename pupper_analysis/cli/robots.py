@@ -1,4 +1,4 @@
-"""Which robot: the words and options by which all commands are given it."""
+"""Arguments and options that select a robot, shared by all commands."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ DETECTION_OPTIONS = (
     ),
     shared.package_option,
 )
-"""What is found in a robot's files, unless it is said."""
+"""Options for properties that are detected in a robot's files by default."""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
@@ -75,18 +75,18 @@ FILE_OPTIONS = (
 )
 
 
-def _is_model(path: Path) -> bool:
-    """Tells whether a file's name is that of a robot's model."""
+def _is_model_file(path: Path) -> bool:
+    """Return True if a path is an existing file with the suffix of a model."""
     return path.suffix in (".urdf", ".xml") and path.is_file()
 
 
-class _Word(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A variant's name, or a file; ``-`` is standard input."""
+class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """Parameter type of a robot: name of a variant, or file; ``-`` is standard input."""
 
     name = "robot"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Returns the word, or the name under which standard input is read."""
+        """Return the word; for standard input, the name under which it is read."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
 
     def shell_complete(
@@ -95,27 +95,27 @@ class _Word(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
         param: click.Parameter,  # noqa: ARG002
         incomplete: str,
     ) -> list[CompletionItem]:
-        """Returns the variants and model files that begin so; without, asks the shell for files.
+        """Return matching variants and model files; else let the shell complete files.
 
-        A shell that has names to offer looks for no files of its own.
+        If names are returned, the shell does not complete file names by itself.
         """
         from pupper_analysis.pupper.variants import VARIANTS
 
-        there = [
+        candidates = [
             *VARIANTS,
-            *(path.name for path in sorted(Path().glob("*[!~]")) if _is_model(path)),
+            *(path.name for path in sorted(Path().glob("*[!~]")) if _is_model_file(path)),
         ]
-        names = [name for name in there if name.startswith(incomplete)]
-        return [CompletionItem(one) for one in names] or [CompletionItem(incomplete, type="file")]
+        names = [name for name in candidates if name.startswith(incomplete)]
+        return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
 
 
-robot_argument = click.argument("words", nargs=-1, type=_Word(), metavar="[ROBOT]")
-robots_argument = click.argument("words", nargs=-1, type=_Word(), metavar="[ROBOT]...")
+robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
+robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """What these options say of the robot, as it was given; each field is an option's."""
+    """Values of the options that select a robot, as typed; each field is that of an option."""
 
     urdf: Path | None
     mjcf: Path | None
@@ -131,49 +131,63 @@ class RobotOptions:
 
     @staticmethod
     def taken_from(values: dict[str, Any]) -> RobotOptions:
-        """Takes the options of the robot out of a command's; those that it has not are None."""
+        """Remove the options of the robot from a command's values; missing options are None."""
         return RobotOptions(
-            **{one.name: values.pop(one.name, None) for one in fields(RobotOptions)}
+            **{field.name: values.pop(field.name, None) for field in fields(RobotOptions)}
         )
 
     def select_robot(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
-        """Returns the robot that is meant; None if none is.
+        """Return the selected robot; None if no robot is specified.
 
         Raises:
-            ConfigurationError: If it is given in several ways.
+            ConfigurationError: If the robot is specified in several ways.
             VariantError: If a word names no robot.
         """
         from pupper_analysis.pupper.variant_files import parse_single_robot
 
-        found = parse_single_robot(words)
-        robots = [way for way in (found, self._derived, self._named) if way is not None]
+        parsed = parse_single_robot(words)
+        robots = [
+            specification
+            for specification in (parsed, self._derived_variant, self._named_files)
+            if specification is not None
+        ]
         if len(robots) > 1:
             raise ConfigurationError("ROBOT", diagnose("one-robot-of-three-ways"))
-        given = self._given(robots)
-        return given[0] if given else None
+        selected = self._attach_options(robots)
+        return selected[0] if selected else None
 
     def select_robots(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
-        """Returns the robots that are meant; a URDF and the MJCF after it are one.
+        """Return the selected robots; a URDF and the MJCF after it are one robot.
 
         Raises:
-            ConfigurationError: If options are for files, and there are none.
+            ConfigurationError: If options for files are typed without a file.
             VariantError: If a word names no robot.
         """
         from pupper_analysis.pupper.variant_files import parse_robot_words
 
-        robots = [*parse_robot_words(words), self._derived, self._named]
-        return self._given([way for way in robots if way is not None])
+        robots = [*parse_robot_words(words), self._derived_variant, self._named_files]
+        return self._attach_options(
+            [specification for specification in robots if specification is not None]
+        )
 
-    def _given(
+    def _attach_options(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        if self._said and not any(isinstance(way, tuple) for way in robots):
+        """Return the robots, those of files with the options for files."""
+        if self._load_options and not any(
+            isinstance(specification, tuple) for specification in robots
+        ):
             raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
-        return [RobotFiles(way, self._said) if isinstance(way, tuple) else way for way in robots]
+        return [
+            RobotFiles(specification, self._load_options)
+            if isinstance(specification, tuple)
+            else specification
+            for specification in robots
+        ]
 
     @property
-    def _derived(self) -> VariantSpec | None:
-        """The variant of a base that the options give, if they give one."""
+    def _derived_variant(self) -> VariantSpec | None:
+        """Variant that the scale options specify; None without these options."""
         if (self.base, self.leg_scale, self.torso_mass_scale) == (None, None, None):
             return None
         from pupper_analysis.pupper.variants import VariantSpec
@@ -185,20 +199,20 @@ class RobotOptions:
         )
 
     @property
-    def _named(self) -> tuple[str, ...] | None:
-        """The files that --urdf and --mjcf name, if they do."""
+    def _named_files(self) -> tuple[str, ...] | None:
+        """Files of --urdf and --mjcf; None without these options."""
         return tuple(str(path) for path in (self.urdf, self.mjcf) if path is not None) or None
 
     @property
-    def _said(self) -> dict[str, Any]:
-        """What is said of the files, as ``load_robot`` takes it."""
+    def _load_options(self) -> dict[str, Any]:
+        """Options for files, as arguments of ``load_robot``."""
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet or ()]
         frames: dict[str, str | tuple[str, str]] = {}
         for foot, frame in (shared.parse_assignment("foot", text) for text in named):
             link, colon, place = frame.partition(":")
             frames[foot] = (link, place) if colon else frame
         folders = shared.parse_packages(self.packages or ())
-        said = {
+        options = {
             "take": self.take,
             "body": self.body,
             "feet": frames,
@@ -206,11 +220,11 @@ class RobotOptions:
             "keyframe": self.keyframe,
             "packages": {name: str(path) for name, path in folders.items()},
         }
-        return {name: value for name, value in said.items() if value}
+        return {name: value for name, value in options.items() if value}
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:
-    """Loads the robot of files, and shows that it takes a while; notes are left to the caller."""
+    """Load the robot of files, and show progress; the caller prints the notes."""
     with shared.show_progress("preparing the robot: feet, start pose, servos"):
         return files.load(**more)
 
@@ -218,12 +232,12 @@ def load_files(files: RobotFiles, **more: Any) -> Robot:
 def load_selected_robot(
     meant: str | VariantSpec | RobotFiles, *, fixed_base: bool = False, **more: bool
 ) -> Robot:
-    """Loads a robot that is meant.
+    """Load a selected robot.
 
     Args:
-        meant: A variant, or files.
-        fixed_base: Fix its base.
-        **more: What else ``load_robot`` is given of files, and matters to no variant.
+        meant: Variant, or files.
+        fixed_base: True to fix the base.
+        **more: Further arguments of ``load_robot``, ignored for a variant.
     """
     if isinstance(meant, RobotFiles):
         return load_files(meant, fixed_base=fixed_base, **more)
@@ -235,27 +249,27 @@ def load_selected_robot(
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
-    """Returns robots by names of their own: those of one name have their files', or a number."""
+    """Return robots with unique names: equal names are extended by file names or numbers."""
     names = Counter(robot.name for robot in robots)
-    found: list[Robot] = []
-    for one, robot in zip(meant, robots, strict=True):
+    renamed: list[Robot] = []
+    for selection, robot in zip(meant, robots, strict=True):
         name = robot.name
-        if names[name] > 1 and isinstance(one, RobotFiles):
-            name = f"{name} ({one})"
-        taken, number, first = {other.name for other in found}, 1, name
+        if names[name] > 1 and isinstance(selection, RobotFiles):
+            name = f"{name} ({selection})"
+        taken, number, first = {named.name for named in renamed}, 1, name
         while name in taken:
             number += 1
             name = f"{first} {number}"
-        found.append(robot if name == robot.name else replace(robot, name=name))
-    return found
+        renamed.append(robot if name == robot.name else replace(robot, name=name))
+    return renamed
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Prints what was assumed of a robot of files: warnings, and how much else was added.
+    """Print the notes on a robot of files: warnings, and the number of other notes.
 
     Args:
-        robot: The robot.
-        everything: Print all of it.
+        robot: Robot.
+        everything: True to print all notes.
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
     from pupper_analysis.present.document import diagnostic_text, text
@@ -263,7 +277,7 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
     from pupper_analysis.present.terminal import print_notes as print_lines
 
     notes = merge_diagnostics(robot.notes)
-    shown = [one for one in notes if everything or one.severity is not Severity.NOTE]
+    shown = [note for note in notes if everything or note.severity is not Severity.NOTE]
     lines = [*map(diagnostic_text, shown)]
     if left := len(notes) - len(shown):
         lines.append(text("things-were-added", robot=robot.name, count=left))
@@ -271,19 +285,19 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
 
 
 def pass_robot_options(command: Command) -> Command:
-    """Gives a command the options of a robot as one ``RobotOptions``, its first argument."""
+    """Let a command receive the options of a robot as ``RobotOptions``, its first argument."""
 
     @wraps(command)
-    def gathered(**values: Any) -> None:
+    def wrapped(**values: Any) -> None:
         command(RobotOptions.taken_from(values), **values)
 
-    return gathered
+    return wrapped
 
 
 def add_options(
     *groups: tuple[Callable[[Command], Command], ...],
 ) -> Callable[[Command], Command]:
-    """Returns what gives a command the options of these groups, in this order."""
+    """Return a decorator that adds the options of these groups to a command, in this order."""
 
     def add(command: Command) -> Command:
         for option in reversed([option for group in groups for option in group]):

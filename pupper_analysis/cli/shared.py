@@ -1,4 +1,4 @@
-"""What the commands share: options, the reading of their values, the writing of results."""
+"""Shared parts of commands: options, parsing of their values, and output of results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
-"""Exit statuses."""
+"""Exit statuses of all commands."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -47,11 +47,11 @@ package_option = click.option(
 
 
 class OutputPath(click.Path):
-    """Where a result goes.
+    """Parameter type of an output path.
 
     Args:
-        holds: Which kind of result, or what a folder gets: from what is given to the command, if
-            that decides; None: nothing is written then.
+        holds: Kind of the result, or content of the folder; or a function that returns it from
+            the parameters of the command (None: nothing is written).
     """
 
     def __init__(
@@ -62,14 +62,14 @@ class OutputPath(click.Path):
         self._holds = holds
 
     def get_kind(self, given: Mapping[str, Any]) -> Kind | Folder | None:
-        """Returns what is written there."""
+        """Return the kind of the written result."""
         return self._holds(given) if callable(self._holds) else self._holds
 
     def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
-        """Refuse a name whose suffix promises another format.
+        """Refuse a name whose suffix belongs to another format.
 
         Raises:
-            ConfigurationError: If it does.
+            ConfigurationError: If the suffix belongs to another format.
         """
         suffix = path.suffix.lower()
         if kind.suffixes and suffix in FORMAT_SUFFIXES and suffix not in kind.suffixes:
@@ -80,13 +80,13 @@ class OutputPath(click.Path):
 FORMAT_SUFFIXES: Final = frozenset(
     (".docx", ".gif", ".htm", ".html", ".jpeg", ".jpg", ".md", ".pdf", ".png", ".svg", ".xlsx")
 )
-"""Suffixes of formats that programs open by them: no other format is written under them."""
+"""Suffixes by which programs select a format: no other format is written under them."""
 
 
 class Command(click.Command):
-    """A command that finds out before it begins that its results must not be, or cannot be written.
+    """Command that checks before its run that its results may and can be written.
 
-    It has ``--force`` if it has results to write.
+    A command with results has the option ``--force``.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -97,29 +97,29 @@ class Command(click.Command):
 
     @property
     def outputs(self) -> list[click.Parameter]:
-        """The options that say where a result goes."""
+        """Options with the path of a result."""
         return [option for option in self.params if isinstance(option.type, OutputPath)]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Reads the options; of an unknown one those are suggested that have its words, first."""
+        """Parse the options; for an unknown option, suggest options with all of its words."""
         _refuse_separate_units(ctx, args)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             words = set(error.option_name.strip("-").split("-"))
             known = (name for option in self.params for name in option.opts)
-            longer = [name for name in known if words < set(name.strip("-").split("-"))]
-            if longer and error.possibilities is not None:
-                error.possibilities[:] = longer
+            matching = [name for name in known if words < set(name.strip("-").split("-"))]
+            if matching and error.possibilities is not None:
+                error.possibilities[:] = matching
             raise
 
     def invoke(self, context: click.Context) -> Any:
-        """Runs it, if its results can be written."""
+        """Run the command if its results can be written."""
         run = context.with_resource(ensure_run())
-        run.asked = _asked_options(self, context)
-        given = context.params.get if self._has_force else context.params.pop
-        run.force = bool(given("force", False))
-        for name in _named_files(self, context):
+        run.asked = _collect_options(self, context)
+        take_parameter = context.params.get if self._has_force else context.params.pop
+        run.force = bool(take_parameter("force", False))
+        for name in _list_named_files(self, context):
             register_input(name)
         _check_outputs(self, context)
         import_without_opengl()
@@ -146,17 +146,17 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
 FORCE_HELP: Final = (
     "Replace files that are no results of this command; never one that it reads, nor measurements."
 )
-"""What ``--force`` does for all commands that write results."""
+"""Help text of ``--force``."""
 
 
 def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Returns what makes a command of a function."""
+    """Return a decorator that turns a function into a `Command`."""
     return click.command(name, cls=Command, context_settings=CONTEXT_SETTINGS, **options)
 
 
-def _asked_options(command: click.Command, context: click.Context) -> dict[str, Any]:
-    """Returns {option: its value} of what was given, but for where results go."""
-    usual = (ParameterSource.DEFAULT, None)
+def _collect_options(command: click.Command, context: click.Context) -> dict[str, Any]:
+    """Return {option: value} of the specified options, without paths of results."""
+    default_sources = (ParameterSource.DEFAULT, None)
     return {
         max(option.opts, key=len).lstrip("-").replace("-", "_"): context.params[name]
         for option in command.params
@@ -164,19 +164,20 @@ def _asked_options(command: click.Command, context: click.Context) -> dict[str, 
         and name != "force"
         and isinstance(option, click.Option)
         and not isinstance(option.type, OutputPath)
-        and context.get_parameter_source(name) not in usual
+        and context.get_parameter_source(name) not in default_sources
     }
 
 
-def _named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
+def _list_named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
+    """Yield the paths of files that the parameters may name."""
     for parameter in command.params:
         reads = isinstance(parameter, click.Argument) or isinstance(parameter.type, click.Path)
         if not reads or isinstance(parameter.type, OutputPath):
             continue
-        given = context.params.get(parameter.name or "")
-        for value in given if isinstance(given, tuple) else (given,):
+        values = context.params.get(parameter.name or "")
+        for value in values if isinstance(values, tuple) else (values,):
             text = "" if value is None else str(value)
-            # Also a.urdf+a.xml, and REVISION:PATH.
+            # Further forms: a.urdf+a.xml, and REVISION:PATH.
             for word in {text, *text.split("+"), text.rpartition(":")[2]} - {""}:
                 yield Path(word)
             if isinstance(parameter.type, click.Path) and text:  # a bag of several files
@@ -185,14 +186,13 @@ def _named_files(command: click.Command, context: click.Context) -> Iterator[Pat
 
 
 def _check_outputs(command: Command, context: click.Context) -> None:
-    """Finds out that results could not be written, or must not be.
+    """Check that all results may and can be written.
 
-    Where one of them goes to standard output (``-``), all else that is printed from here on goes
-    to standard error.
+    If a result goes to standard output (``-``), all other output goes to standard error.
     """
     from pupper_analysis.base import files
 
-    taken: set[Path] = set()
+    targets: set[Path] = set()
     for option in command.outputs:
         path: Path | None = context.params.get(option.name or "")
         holds = None if path is None else option.type.get_kind(context.params)  # type: ignore[attr-defined]
@@ -200,24 +200,24 @@ def _check_outputs(command: Command, context: click.Context) -> None:
             continue
         if isinstance(holds, Folder):
             files.check_folder(path)
-            wanted = {path / name: kind for name, kind in holds.files.items()}
+            kinds_of_files = {path / name: kind for name, kind in holds.files.items()}
         else:
-            wanted = {path: holds}
-        for file, kind in wanted.items():
+            kinds_of_files = {path: holds}
+        for file, kind in kinds_of_files.items():
             files.check_writable(file, kind)
             option.type.check_suffix(option.opts[0], file, kind)  # type: ignore[attr-defined]
-            place = file if file == files.STANDARD_OUTPUT else files.resolve_target(file)[0]
-            if place in taken:
+            target = file if file == files.STANDARD_OUTPUT else files.resolve_target(file)[0]
+            if target in targets:
                 raise OutputError(file, diagnose("two-results-to-one-file"))
-            taken.add(place)
-    if files.STANDARD_OUTPUT in taken:
+            targets.add(target)
+    if files.STANDARD_OUTPUT in targets:
         context.with_resource(files.results_on_standard_output())
 
 
 def file_option(
     *names: str, help: str, required: bool = False
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Returns an option whose value is the path of a file that is read."""
+    """Return an option whose value is the path of an input file."""
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
 
@@ -228,7 +228,7 @@ def output_option(
     help: str,
     **more: Any,
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Returns an option that says where a result goes; see ``OutputPath``."""
+    """Return an option with the path of a result; see `OutputPath`."""
     return click.option(*names, type=OutputPath(holds), help=help, **more)
 
 
@@ -278,15 +278,15 @@ all_option = click.option(
 
 
 class ModelFile(click.Path):
-    """A model file; ``-`` is standard input, which is held until the command ends."""
+    """Parameter type of a model file; ``-`` is standard input, stored until the command ends."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
 
-    def convert(  # type: ignore[override]  # click.Path says that it may be a string
+    def convert(  # type: ignore[override]  # type of click.Path includes str
         self, value: str, param: click.Parameter | None, ctx: click.Context | None
     ) -> Path:
-        """Returns the path, or the name under which standard input is read."""
+        """Return the path; for standard input, the path under which its content is read."""
         if str(value) == "-":
             from pupper_analysis.base.inputs import read_standard_input
             from pupper_analysis.models.xml import MAX_BYTES
@@ -325,7 +325,7 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Returns the number in SI units."""
+        """Return the value in SI units."""
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
         if isinstance(value, float | int):
@@ -333,14 +333,21 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         try:
             return parse_quantity(self.name, str(value))
         except ValueError:
-            self.fail(str(_no_quantity(self.name, str(value))), param, ctx)
+            self.fail(str(_describe_invalid_quantity(self.name, str(value))), param, ctx)
 
 
 def parse_quantity(kind: str, text: str) -> float:
-    """Returns a number in SI units; its unit may follow it.
+    """Return a value in SI units; the text may end with a unit.
+
+    A length without unit is in metres.
+
+    Args:
+        kind: Key of ``units.UNITS``.
+        text: Text.
 
     Raises:
-        ValueError: If it is no number, or has another unit, or a length is probably in mm.
+        ValueError: If the text is no number, has an unknown unit, or is a length that is
+            probably in mm.
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -355,8 +362,8 @@ def parse_quantity(kind: str, text: str) -> float:
 
 
 MAX_BARE_LENGTH: Final = 5.0
-"""Longest length [m] that is accepted without a unit; larger numbers are probably in mm or cm:
-no two parts of a legged robot are so far apart (chosen, not tuned)."""
+"""Upper bound of lengths that are accepted without a unit [m]. Larger values are probably in mm
+or cm: no two parts of a legged robot are so far apart (chosen, not tuned)."""
 
 
 def is_millimetres(kind: str, value: float) -> bool:
@@ -365,7 +372,11 @@ def is_millimetres(kind: str, value: float) -> bool:
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
-    """Returns name and value of NAME=VALUE, or raises ConfigurationError for the option."""
+    """Return name and value of NAME=VALUE.
+
+    Raises:
+        ConfigurationError: If the text has another form; it names the option.
+    """
     name, separator, value = text.partition("=")
     if not (name and separator and value):
         raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form="NAME=VALUE"))
@@ -373,7 +384,11 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 
 
 def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
-    """Returns name and number of NAME=NUMBER, or raises ConfigurationError for the option."""
+    """Return name and number of NAME=NUMBER.
+
+    Raises:
+        ConfigurationError: If the text has another form; it names the option.
+    """
     name, value = parse_assignment(option, text)
     try:
         return name, float(value)
@@ -383,31 +398,35 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
 
 
 def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
-    """Returns a number in SI units, or raises ConfigurationError for the option.
+    """Return a value in SI units.
 
     Args:
-        option: Its name.
-        kind: A key of ``units.UNIT_FACTORS``.
-        text: What was typed.
-        given: In what: the whole of the option's value.
+        option: Name of the option, for errors.
+        kind: Key of ``units.UNITS``.
+        text: Text of the value.
+        given: Complete value of the option, for errors.
+
+    Raises:
+        ConfigurationError: If the text is no valid value; it names the option.
     """
     try:
         return parse_quantity(kind, text)
     except ValueError as error:
-        raise ConfigurationError(option, _no_quantity(kind, text, given)) from error
+        raise ConfigurationError(option, _describe_invalid_quantity(kind, text, given)) from error
 
 
 def parse_position(option: str, text: str) -> tuple[str, float]:
-    """Returns name and position of NAME=POSITION, an angle or a length, in SI units.
+    """Return name and position of NAME=POSITION, an angle or a length in SI units.
 
     Raises:
-        ConfigurationError: For the option, if it is none.
+        ConfigurationError: If the text has another form; it names the option.
     """
     name, value = parse_assignment(option, text)
     return name, parse_measure(option, "position", value, text)
 
 
-def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
+def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
+    """Return the message about an invalid quantity."""
     units = tuple(UNIT_FACTORS[kind])
     with suppress(ValueError):
         if is_millimetres(kind, float(text)):
@@ -416,7 +435,7 @@ def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Shows on a terminal's standard error that work is going on, and on which."""
+    """Show a progress message while a context is active, if standard error is a terminal."""
     if not sys.stderr.isatty():
         return nullcontext()
     from rich.console import Console
@@ -432,14 +451,14 @@ def show_results(
     overview: Iterable[Block] = (),
     everything: bool = False,
 ) -> None:
-    """Shows results: on the terminal, or as Markdown.
+    """Print results for a terminal, or as Markdown.
 
     Args:
-        results: (name, result) of each; the name may be empty, if the result has one of its own.
+        results: (name, result) pairs; the name may be empty if the result has its own.
         style: ``text`` or ``markdown``.
-        robots: The robots that they are of; of what was assumed of them Markdown tells.
-        overview: What compares the results.
-        everything: Print what the short view leaves out.
+        robots: Robots of the results; Markdown includes their notes.
+        overview: Blocks that compare the results.
+        everything: True to print all tables and notes.
     """
     from pupper_analysis.present.documents.registry import build_report
 
@@ -450,7 +469,7 @@ def show_results(
 
 
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
-    """Shows a report on the terminal, or as Markdown; its arguments are ``show_results``'s."""
+    """Print a report for a terminal, or as Markdown; see `show_results`."""
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
         from pupper_analysis.present.markdown import fold_lines, write_markdown
@@ -464,7 +483,10 @@ def show_report(report: Report, style: str = "text", *, everything: bool = False
 
 
 def confirm_written(path: Path | str) -> None:
-    """Confirms a file that was written; on standard error, where standard output has data."""
+    """Print the path of a written file; on standard error if the style is not ``text``.
+
+    Nothing is printed for standard output.
+    """
     from pupper_analysis.base.files import STANDARD_OUTPUT
     from pupper_analysis.present.formats import escape_control
 
@@ -474,7 +496,7 @@ def confirm_written(path: Path | str) -> None:
 
 
 def write_json(path: Path | None, content: object) -> None:
-    """Writes results as JSON, if there is a file to write to."""
+    """Write results as JSON, if a path was typed."""
     from pupper_analysis.base.files import write_atomically
     from pupper_analysis.base.provenance import to_marked_json
     from pupper_analysis.cli.process import raise_if_ended
@@ -487,7 +509,7 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
-    """Writes results as one HTML file, if there is a file to write to."""
+    """Write results as one HTML file, if a path was typed."""
     from pupper_analysis.cli.process import raise_if_ended
 
     raise_if_ended()
@@ -499,7 +521,7 @@ def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] 
 
 
 def finish_command(json_path: Path | None, content: object, *, passed: bool) -> None:
-    """Writes results as JSON, if there is a file to write to; leaves with the exit status."""
+    """Write results as JSON, if a path was typed; set the exit status if the command failed."""
     write_json(json_path, content)
     if not passed:
         click.get_current_context().exit(EXIT_FAILED)
@@ -508,13 +530,16 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
 def parse_point(
     option: str, text: str, size: int = 2, choices: Iterable[str] = ()
 ) -> tuple[float, ...]:
-    """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option.
+    """Return the coordinates [m] of X,Y or X,Y,Z.
 
     Args:
-        option: Its name.
-        text: What was typed.
-        size: How many numbers there are.
-        choices: Words that are valid in their place, for the message.
+        option: Name of the option, for errors.
+        text: Text.
+        size: Number of coordinates.
+        choices: Valid words in place of coordinates, for errors.
+
+    Raises:
+        ConfigurationError: If the text has another form; it names the option.
     """
     try:
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
@@ -532,7 +557,7 @@ def parse_point(
 
 
 def parse_place(option: str, text: str) -> tuple[str | float, ...]:
-    """Returns (x, y, z), or (frame, x, y, z), of X,Y,Z, FRAME,X,Y,Z or FRAME (m)."""
+    """Return (x, y, z) or (frame, x, y, z) [m] of X,Y,Z, FRAME,X,Y,Z or FRAME."""
     frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
     zero = (0.0, 0.0, 0.0)
     point = parse_point(option, place, 3) if place or not frame else zero
@@ -540,9 +565,14 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
 
 
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
-    """Returns {package: folder} of NAME=DIR."""
+    """Return {package: folder} of NAME=DIR.
+
+    Raises:
+        ConfigurationError: If a text has another form, or a folder does not exist.
+    """
     folders = {
-        name: Path(value) for name, value in (parse_assignment("package", p) for p in packages)
+        name: Path(value)
+        for name, value in (parse_assignment("package", text) for text in packages)
     }
     for name, folder in folders.items():
         if not folder.is_dir():
@@ -580,16 +610,20 @@ fine_tolerance_option = click.option(
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
-    """Returns tolerances with the changes of --tolerance KIND=VALUE."""
+    """Return tolerances with the changes of --tolerance KIND=VALUE."""
     return tolerances.changed(dict(parse_number_assignment("tolerance", text) for text in changes))
 
 
 def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
-    """Returns {name in the URDF: name in the MJCF} of --map."""
+    """Return {name in the URDF: name in the MJCF} of --map.
+
+    Raises:
+        ConfigurationError: If a text has another form, or a name is mapped to two names.
+    """
     names: dict[str, str] = {}
     for text in pairs:
-        old, new = parse_assignment("map", text)
-        if names.setdefault(old, new) != new:
-            message = diagnose("mapped-twice", joint=old, one=names[old], two=new)
+        urdf_name, mjcf_name = parse_assignment("map", text)
+        if names.setdefault(urdf_name, mjcf_name) != mjcf_name:
+            message = diagnose("mapped-twice", joint=urdf_name, one=names[urdf_name], two=mjcf_name)
             raise ConfigurationError("map", message)
     return names

@@ -1,6 +1,6 @@
-"""How a stand shall be, on the command line: an option per field of the table that has a help.
+"""Options of a stand task on the command line, one per field with a help text.
 
-Or ``--stance FILE``: the same options from a file, which the live page saves.
+``--stance FILE`` reads the same options from a file, as saved by the live page.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 Command = Callable[..., None]
 
 OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
-"""The fields that have an option, whose value a command gets by the field's name."""
+"""{name: field} of the fields with an option; a command receives the value under this name."""
 
 
 def make_option(field: Field) -> Callable[[Command], Command]:
-    """Returns a field's option."""
+    """Return the option of a field, as decorator."""
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
-    point = field.axes or field.choices
+    is_point = field.axes or field.choices
     if field.per:
-        form = "X,Y" if point else "PLANE" if field.kind == "contact" else field.kind.upper()
+        form = "X,Y" if is_point else "PLANE" if field.kind == "contact" else field.kind.upper()
         options |= {"multiple": True, "metavar": f"{field.per.upper()}={form}"}
-    elif point:
+    elif is_point:
         frame = "[FRAME,]" if field.frame else ""
         options |= {"metavar": frame + ",".join(field.axes or "xy").upper()}
     elif field.kind in UNIT_FACTORS:
@@ -47,7 +47,7 @@ def make_option(field: Field) -> Callable[[Command], Command]:
 
 
 def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:
-    """Returns the options of the fields, or of those under some headings of the live page."""
+    """Return the options of all fields, or of those under some headings of the live page."""
     return tuple(
         make_option(field)
         for field in OPTION_FIELDS.values()
@@ -56,10 +56,10 @@ def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:
 
 
 def make_task(values: Mapping[str, Any]) -> StandTask:
-    """Returns the task that options say.
+    """Return the stand task that options specify.
 
     Args:
-        values: {field: as click read its option}; the others are as usual.
+        values: {field: value of its option}; other fields have their default.
     """
     from pupper_analysis.stance.task import StandTask
 
@@ -69,20 +69,23 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
 
 
 def to_task_value(field: Field, value: Any) -> Any:
-    """Returns an option's value as the task has it."""
+    """Return the value of an option in the form of the task."""
     if field.per:
-        given = [(shared.parse_assignment(field.option, text), text) for text in value]
-        names = [of for (of, _), _ in given]
-        twice = next((of for of in names if names.count(of) > 1), None)
-        if field.kind == "contact" and twice is not None:
-            raise ConfigurationError(field.option, diagnose("contact-stated-twice", name=twice))
-        return {of: _one(field, text, whole) for (of, text), whole in given}
+        assignments = [(shared.parse_assignment(field.option, text), text) for text in value]
+        names = [key for (key, _), _ in assignments]
+        duplicate = next((key for key in names if names.count(key) > 1), None)
+        if field.kind == "contact" and duplicate is not None:
+            raise ConfigurationError(field.option, diagnose("contact-stated-twice", name=duplicate))
+        return {
+            key: _parse_value(field, text, text_given) for (key, text), text_given in assignments
+        }
     if value is None or value in field.choices or not (field.axes or field.choices):
         return value
-    return _one(field, value, value)
+    return _parse_value(field, value, value)
 
 
-def _one(field: Field, text: str, given: str) -> Any:
+def _parse_value(field: Field, text: str, given: str) -> Any:
+    """Return the value of one text, by the kind of the field."""
     if field.kind == "contact":
         return parse_contact(field.option, text, given)
     if field.axes or field.choices:
@@ -91,20 +94,27 @@ def _one(field: Field, text: str, given: str) -> Any:
 
 
 def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
-    """Returns what is touched, of ``wall:0.4m,mu=0.6`` or ``weld``; see the option's help.
+    """Return the contact surface of a text such as ``wall:0.4m,mu=0.6`` or ``weld``.
+
+    The form is in the help of the option.
+
+    Args:
+        option: Name of the option, for errors.
+        text: Text of the surface.
+        given: Complete value of the option, for errors.
 
     Raises:
-        ConfigurationError: For the option, if it is none.
+        ConfigurationError: If the text has another form, or a value is out of range.
     """
     from pupper_analysis.robot.plane import KINDS, Bar, Contact, Plane, Slope, Weld
 
-    what, *parts = (part.strip() for part in text.split(","))
-    kind, _, first = what.partition(":")
+    surface, *parts = (part.strip() for part in text.split(","))
+    kind, _, first = surface.partition(":")
     numbers = [first, *(part for part in parts if "=" not in part)]
-    known: tuple[str, ...] = ("mu", "place", "offset", "radius", "force", "grip")
+    valid_words: tuple[str, ...] = ("mu", "place", "offset", "radius", "force", "grip")
     sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(KINDS, 1)}
-    if what == "weld" and numbers == [""]:
-        numbers, known = [], ("place", "offset")
+    if surface == "weld" and numbers == [""]:
+        numbers, valid_words = [], ("place", "offset")
     elif sizes.get(kind) != len(numbers):
         form = (
             "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, bar:X,Y,Z,DX,DY,DZ,R,"
@@ -113,47 +123,56 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
     unit = "length"
     if kind == "slope":
-        unit, known = "angle", (*known, "uphill")
+        unit, valid_words = "angle", (*valid_words, "uphill")
     lengths = [
-        shared.parse_measure(option, unit, one, given)
-        if not 3 <= place < 6  # of a plane's normal, or a bar's direction: of any length
-        else shared.parse_measure(option, "direction", one, given)
-        for place, one in enumerate(numbers)
+        shared.parse_measure(option, unit, number, given)
+        if not 3 <= position < 6  # of a plane's normal, or a bar's direction: of any length
+        else shared.parse_measure(option, "direction", number, given)
+        for position, number in enumerate(numbers)
     ]
-    asked: dict[str, Any] = {}
+    properties: dict[str, Any] = {}
     for part in (part for part in parts if "=" in part):
         word, _, value = part.partition("=")
-        if word not in known:
-            raise ConfigurationError(option, diagnose("not-one-of", given=word, known=known))
+        if word not in valid_words:
+            raise ConfigurationError(option, diagnose("not-one-of", given=word, known=valid_words))
         if word in ("place", "offset"):
-            asked[word] = shared.parse_point(option, value.replace("/", ","), 3)
+            properties[word] = shared.parse_point(option, value.replace("/", ","), 3)
         elif word == "mu":
-            _, asked[word] = shared.parse_number_assignment(option, part)
+            _, properties[word] = shared.parse_number_assignment(option, part)
         else:
             quantity = {"radius": "length", "uphill": "angle", "grip": "force"}.get(word, word)
-            asked[word] = shared.parse_measure(option, quantity, value, given)
-    friction = asked.pop("mu", None)
+            properties[word] = shared.parse_measure(option, quantity, value, given)
+    friction = properties.pop("mu", None)
     try:
         if not lengths:
-            return Weld(**asked)
+            return Weld(**properties)
         if kind == "slope":
-            return Contact(Slope(lengths[0], asked.pop("uphill", 0.0), friction), **asked)
+            return Contact(Slope(lengths[0], properties.pop("uphill", 0.0), friction), **properties)
         if kind == "bar":
             x, y, z, *way, radius = lengths
-            return Contact(Bar((x, y, z), (way[0], way[1], way[2]), radius, friction), **asked)
+            return Contact(Bar((x, y, z), (way[0], way[1], way[2]), radius, friction), **properties)
         x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *KINDS[kind])
         plane = Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
-        return Contact(plane if kind == "plane" else plane.moved(lengths[0]), **asked)
+        return Contact(plane if kind == "plane" else plane.moved(lengths[0]), **properties)
     except ConfigurationError as error:
         raise ConfigurationError(option, error.diagnostic) from None
 
 
-_OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "timestep", "cone", "impratio")
-"""Options besides those of the stance: the load, and the servos that hold it."""
+_ROBOT_OPTION_NAMES = (
+    "payload",
+    "payload_at",
+    "kp",
+    "kd",
+    "integrator",
+    "timestep",
+    "cone",
+    "impratio",
+)
+"""Options of the robot that a stance file may contain: payload, servos and MuJoCo options."""
 
 
-def _take_options(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
-    """Makes what a file says the options' defaults: what is typed goes first."""
+def _load_defaults(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
+    """Use the values of a stance file as defaults of the options: typed values have priority."""
     if path is not None:
         context.default_map = {**(context.default_map or {}), **read_stance_file(path)}
 
@@ -163,50 +182,50 @@ stance_option = click.option(
     type=click.Path(path_type=Path),
     is_eager=True,  # before the options whose defaults it gives
     expose_value=False,
-    callback=_take_options,
+    callback=_load_defaults,
     help="TOML file of such options, as the live page saves it; e.g. a line height = '12cm'. What "
     "is typed goes first.",
 )
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
-    """Returns {parameter: value as it would be typed} of a stance's file.
+    """Return {parameter: value as it would be typed} of a stance file.
 
     Raises:
-        ConfigurationError: If it cannot be read, or has what is no option of a stance.
+        ConfigurationError: If the file cannot be read, or contains an unknown option.
     """
     try:
-        _, given = read_toml(path)
+        _, values = read_toml(path)
     except InputError as error:
         raise ConfigurationError(str(path), error.cause) from error
-    known = {field.option: name for name, field in OPTION_FIELDS.items()}
-    known |= {name.replace("_", "-"): name for name in _OF_ROBOT}
+    parameters = {field.option: name for name, field in OPTION_FIELDS.items()}
+    parameters |= {name.replace("_", "-"): name for name in _ROBOT_OPTION_NAMES}
     options = {}
-    for key, value in given.items():
+    for key, value in values.items():
         option = key.replace("_", "-")
-        if option not in known:
-            unknown = diagnose("no-option-of-a-stance", given=key, known=sorted(known))
+        if option not in parameters:
+            unknown = diagnose("no-option-of-a-stance", given=key, known=sorted(parameters))
             raise ConfigurationError(str(path), unknown)
-        typed = _typed(path, key, value)
-        field = OPTION_FIELDS.get(known[option])
+        typed = _format_as_typed(path, key, value)
+        field = OPTION_FIELDS.get(parameters[option])
         if field is not None and field.per and not isinstance(value, Mapping):
             form = '{}."{}" = "{}"'.format(option, *field.example.strip("'").split("=", 1))
             raise ConfigurationError(str(path), diagnose("not-of-the-form", given=key, form=form))
-        several = option in ("kp", "kd") and not isinstance(typed, list)
-        options[known[option]] = [typed] if several else typed
+        is_single_gain = option in ("kp", "kd") and not isinstance(typed, list)
+        options[parameters[option]] = [typed] if is_single_gain else typed
     return options
 
 
-def _typed(path: Path, key: str, value: Any) -> Any:
-    """Returns a value as it is typed: a point with commas, of several feet or joints a list.
+def _format_as_typed(path: Path, key: str, value: Any) -> Any:
+    """Return a value as it would be typed: points with commas, values per foot or joint as list.
 
     Raises:
-        ConfigurationError: If none is typed so.
+        ConfigurationError: If the value has no such form.
     """
     if isinstance(value, Mapping):
-        return [f"{name}={_typed(path, key, one)}" for name, one in value.items()]
+        return [f"{name}={_format_as_typed(path, key, item)}" for name, item in value.items()]
     if isinstance(value, list):
-        return ",".join(str(_typed(path, key, one)) for one in value)
+        return ",".join(str(_format_as_typed(path, key, item)) for item in value)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ConfigurationError(str(path), diagnose("no-value-of-a-stance", given=key))
     return value

@@ -1,4 +1,4 @@
-"""Which robot, and how it shall stand: the options that all commands about stances share."""
+"""Options of the robot, the stance and the servos, shared by all commands about stances."""
 
 from __future__ import annotations
 
@@ -97,9 +97,9 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 
 @dataclass(frozen=True)
 class RobotAndTask:
-    """What these options say, as it was given.
+    """Values of these options, as typed.
 
-    Each field is an option's; ``stance`` has those of the table of what can be asked of a stand.
+    Each field is that of an option; ``stance`` contains those of the stand task.
     """
 
     which: RobotOptions
@@ -119,52 +119,59 @@ class RobotAndTask:
     fixed_base: bool = False
 
     @classmethod
-    def of_fixed_base(cls, **given: Any) -> RobotAndTask:
-        """Returns what the options of a robot alone say of one whose base is fixed."""
-        which = RobotOptions.taken_from(given)
+    def of_fixed_base(cls, **options: Any) -> RobotAndTask:
+        """Return the options of a robot whose base is fixed, without stance and payload."""
+        which = RobotOptions.taken_from(options)
         return cls(
             which=which,
             payload=0.0,
             payload_at=None,
             stance={},
             fixed_base=True,
-            **given,
+            **options,
         )
 
     def robot(self, words: tuple[str, ...], *, payload_sought: bool = False) -> Robot:
-        """Returns the robot that is meant; v3 by default.
+        """Load the selected robot; v3 by default.
 
         Args:
-            words: What names it.
-            payload_sought: Whether the command seeks a payload, which has a place without a mass.
+            words: Words that name the robot.
+            payload_sought: True if the command computes a payload: its place needs no mass.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
-        meant = self.which.select_robot(words) or "v3"
-        _refuse_idle([meant])
-        return self._loaded(meant)
+        selection = self.which.select_robot(words) or "v3"
+        _refuse_file_options([selection])
+        return self._load_robot(selection)
 
     def robots(self, words: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
-        """Returns the robots that are meant, by names of their own."""
+        """Load the selected robots, with unique names.
+
+        Args:
+            words: Words that name the robots.
+            default: Names of variants that are loaded if no robot is selected.
+        """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
-        meant = self.which.select_robots(words) or default
-        _refuse_idle(meant)
-        return name_uniquely(meant, [self._loaded(one) for one in meant])
+        selections = self.which.select_robots(words) or default
+        _refuse_file_options(selections)
+        return name_uniquely(selections, [self._load_robot(selection) for selection in selections])
 
-    def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
-        """Returns a robot as it was asked for; of one of files its notes follow the answer."""
-        robot = self._as_asked(
-            load_selected_robot(meant, fixed_base=self.fixed_base, as_is=self.as_is)
+    def _load_robot(self, selection: str | VariantSpec | RobotFiles) -> Robot:
+        """Load a robot with the options; notes on files are printed after the result."""
+        robot = self._apply_options(
+            load_selected_robot(selection, fixed_base=self.fixed_base, as_is=self.as_is)
         )
-        if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
-            # After the answer, or the refusal: what is read first is what was asked.
+        if (
+            isinstance(selection, RobotFiles) and self.style == "text"
+        ):  # Markdown output contains the notes
+            # The result, or the error, is printed first.
             context = click.get_current_context()
             context.call_on_close(partial(print_notes, robot, everything=self.everything))
         return robot
 
-    def _as_asked(self, robot: Robot) -> Robot:
-        """Returns a robot with efforts, payload and options of MuJoCo as they were asked for."""
+    def _apply_options(self, robot: Robot) -> Robot:
+        """Return a robot with the typed effort limits, payload, MuJoCo options and contacts."""
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
         from pupper_analysis.robot.tool import with_payload
@@ -185,11 +192,11 @@ class RobotAndTask:
 
     @property
     def place(self) -> tuple[str | float, ...]:
-        """Where the payload is: (x, y, z) in the base frame, or with a frame before it (m)."""
+        """Payload position (x, y, z) [m] in the base frame, or (frame, x, y, z)."""
         return shared.parse_place("payload-at", self.payload_at or "0,0,0")
 
     def show(self, result: Result, robot: Robot) -> None:
-        """Shows a result of that robot as it was asked for."""
+        """Show a result of the robot in the requested format."""
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
         verdict = getattr(result, "verdict", None)
@@ -198,24 +205,26 @@ class RobotAndTask:
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
-        """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
+        """Return kp [N m/rad] and kd [N m s/rad] of the servos; None: those of the model."""
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
-        """Returns the task of the stance."""
+        """Return the stand task."""
         return make_task(self.stance)
 
 
-def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
-    """Refuses what is for robots of files, where there is none."""
-    variants = [one for one in meant if not isinstance(one, RobotFiles)]
-    if len(variants) == len(meant):
-        names = [one if isinstance(one, str) else one.name for one in variants]
+def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -> None:
+    """Refuse options for files if only variants are selected."""
+    variants = [selection for selection in selections if not isinstance(selection, RobotFiles)]
+    if len(variants) == len(selections):
+        names = [
+            selection if isinstance(selection, str) else selection.name for selection in variants
+        ]
         refuse_idle(", ".join(names), "as_is")
 
 
 def _print_first_difference(robot: Robot) -> None:
-    """Prints what makes a robot's files those of two robots, as far as one thing does."""
+    """Print the first difference to correct, if the files describe different robots."""
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.present.terminal import make_console
@@ -226,32 +235,33 @@ def _print_first_difference(robot: Robot) -> None:
     try:
         comparison = compare_files(files.urdf_source, files.mjcf_source).result
     except ModelError:
-        return  # they are not comparable as they are; the verdict has said enough
+        return  # the files cannot be compared; the verdict is sufficient
     first = diagnose("first-difference-of-files", cause=comparison.first_to_mend)
     print_lines(make_console(), [diagnostic_text(first)])
 
 
 def robot_and_task(command: Command) -> Command:
-    """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
-    return _gathered(command, (*SERVO_OPTIONS, *OUTPUT_OPTIONS))
+    """Let a command receive the options of robot, stance and servos as `RobotAndTask`."""
+    return _gather_options(command, (*SERVO_OPTIONS, *OUTPUT_OPTIONS))
 
 
 def robot_and_stance(command: Command) -> Command:
-    """Gives a command those of robot and stance alone: of one that simulates nothing."""
-    return _gathered(command, OUTPUT_OPTIONS)
+    """Let a command without simulation receive robot and stance as `RobotAndTask`."""
+    return _gather_options(command, OUTPUT_OPTIONS)
 
 
-def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
+def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
+    """Add options to a command, which receives their values as `RobotAndTask`."""
     own = ("stance", "which", "fixed_base")
-    names = [one.name for one in fields(RobotAndTask) if one.name not in own]
+    names = [field.name for field in fields(RobotAndTask) if field.name not in own]
 
     @wraps(command)
-    def gathered(**values: Any) -> None:
+    def wrapped(**values: Any) -> None:
         stance = {name: values.pop(name) for name in OPTION_FIELDS}
         which = RobotOptions.taken_from(values)
         own = {name: values.pop(name) for name in names if name in values}
-        asked = RobotAndTask(which=which, stance=stance, **own)
-        command(asked, **values)
+        options = RobotAndTask(which=which, stance=stance, **own)
+        command(options, **values)
 
     groups = (
         FILE_OPTIONS,
@@ -263,65 +273,77 @@ def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) 
         make_options(),
         more,
     )
-    return add_options(*groups)(gathered)
+    return add_options(*groups)(wrapped)
 
 
-def _assigned(option: str, texts: tuple[str, ...]) -> list[tuple[str, float]]:
-    """Returns (pattern of joints, number) of each [JOINTS=]NUMBER."""
+def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, float]]:
+    """Return (pattern of joint names, number) of each text [JOINTS=]NUMBER."""
     return [
         shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
         for text in texts
     ]
 
 
-def _matching(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Returns of each joint whether a pattern is its name's; refuses one of none."""
+def _match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
+    """Return for each joint True if its name matches a pattern.
+
+    Raises:
+        UnknownNameError: If no joint matches.
+    """
     from fnmatch import fnmatchcase
 
     from pupper_analysis.base.errors import UnknownNameError
 
-    chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
-    if not any(chosen):
+    matches = [fnmatchcase(name, pattern) for name in robot.joint_names]
+    if not any(matches):
         unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
         raise unknown.at(f"--{option}")
-    return chosen
+    return matches
 
 
 def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") -> dict[str, float]:
-    """Returns {joint: its motor's limit} (N m) of what was typed for ``--effort``, or another."""
+    """Return {joint: effort limit [N m]} of the texts of ``--effort`` or of another option."""
     efforts: dict[str, float] = {}
-    for pattern, value in _assigned(option, texts):
-        chosen = _matching(option, pattern, robot)
+    for pattern, value in _parse_assignments(option, texts):
+        matches = _match_joints(option, pattern, robot)
         efforts |= {
-            name: value for name, this in zip(robot.joint_names, chosen, strict=True) if this
+            name: value
+            for name, matches_pattern in zip(robot.joint_names, matches, strict=True)
+            if matches_pattern
         }
     return efforts
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
-    """Returns a gain for all joints, or (nu,) one each; the model's own where none is given."""
+    """Return a gain for all joints, or one per joint (nu,); None if no gain was typed.
+
+    Joints without a typed gain keep that of the model.
+    """
     from pupper_analysis.robot.servos import model_with_servos
 
-    values = _assigned(option, texts)
+    values = _parse_assignments(option, texts)
     if not values:
         return None
     if values[-1][0] == "*":
         return values[-1][1]
     gains = None
     for pattern, value in values:
-        chosen = _matching(option, pattern, robot)
+        matches = _match_joints(option, pattern, robot)
         if gains is None:
             gains = (
                 [value] * robot.nu
-                if all(chosen)
+                if all(matches)
                 else list(getattr(model_with_servos(robot), option))
             )
-        gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]
+        gains = [
+            value if matches_pattern else gain
+            for matches_pattern, gain in zip(matches, gains, strict=True)
+        ]
     return gains
 
 
 def draw_stand(robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None) -> None:
-    """Draws a stand, if there is a file to draw it into."""
+    """Draw a stand to a file, if a path was typed."""
     if path is not None:
         from pupper_analysis.present.figures.pose import write_pose_figure
 

@@ -1,1 +1,1 @@
-"""Makes a robot of two files as they are published: matched, on feet, with servos and a start."""
+"""Prepare a robot from its published files: matching, feet, servos, start pose and verdict."""

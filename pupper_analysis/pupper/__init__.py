@@ -1,4 +1,4 @@
-"""What is Pupper's alone: its variants, and their derivation."""
+"""Variants of Pupper, and their derivation."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

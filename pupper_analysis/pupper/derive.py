@@ -1,4 +1,4 @@
-"""Derives a variant: of a URDF through yourdfpy, of an MJCF through MuJoCo's spec."""
+"""Derive a variant: its URDF with yourdfpy, its MJCF with MuJoCo's spec."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ Array = NDArray[np.float64]
 
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
-    """Derives the URDF of a variant from that of its base model.
+    """Derive the URDF of a variant from that of its base model.
 
-    What is scaled, and how, is documented at ``derive_mjcf``; this is the other, independent route.
+    The scaling is described at `derive_mjcf`; this function is an independent implementation.
 
     Args:
-        text: The base URDF.
-        variant: Names the base and the scales.
-        source: Where the text came from, for messages.
+        text: XML text of the base URDF.
+        variant: Variant.
+        source: Path of the base URDF, for errors.
 
     Returns:
-        The variant's URDF.
+        XML text of the variant's URDF.
 
     Raises:
-        ModelError: If the text is no URDF, or a leg is not of the expected make.
+        UnknownNameError: If the link of a foot does not exist.
+        ModelError: If a mesh cannot be stretched along its own axes.
     """
     base = BASE_MODELS[variant.base]
     model = yourdfpy.URDF.load(
@@ -52,8 +53,14 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
         foot = parent_joint[frame]
         knee = parent_joint[foot.parent]
         axis = np.asarray(knee.axis, dtype=float)
-        _stretch(robot, links[knee.parent], _origin(knee), _origin(knee)[:3, :3] @ axis, variant)
-        _stretch(robot, links[knee.child], _origin(foot), axis, variant)
+        _stretch_link(
+            robot,
+            links[knee.parent],
+            _read_origin(knee),
+            _read_origin(knee)[:3, :3] @ axis,
+            variant,
+        )
+        _stretch_link(robot, links[knee.child], _read_origin(foot), axis, variant)
     root = next(link for link in robot.links if link.name not in parent_joint)
     root.inertial.mass *= variant.torso_mass_scale
     root.inertial.inertia = variant.torso_mass_scale * root.inertial.inertia
@@ -63,26 +70,27 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     return written.getvalue().decode()
 
 
-def _origin(element: object) -> Array:
+def _read_origin(element: object) -> Array:
+    """Return the origin of an element as homogeneous matrix; the identity without an origin."""
     origin = getattr(element, "origin", None)
     return np.eye(4) if origin is None else np.array(origin, dtype=float)
 
 
-def _stretch(
+def _stretch_link(
     robot: yourdfpy.Robot, link: yourdfpy.Link, end: Array, normal: Array, variant: VariantSpec
 ) -> None:
-    """Stretches a link along the way to ``end``, within the plane of the given normal."""
+    """Stretch a link along the direction to ``end``, projected into the plane of the normal."""
     factor = variant.leg_scale
-    across = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
-    axis = across / np.linalg.norm(across)
+    in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
+    axis = in_plane / np.linalg.norm(in_plane)
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
-    capsule = _capsule(link, axis)  # before its shapes change
+    capsule = _find_capsule(link, axis)  # before its shapes change
     for joint in robot.joints:
         if joint.parent == link.name:
-            joint.origin = _moved(joint, matrix)
+            joint.origin = _move_origin(joint, matrix)
     for shape in (*link.visuals, *link.collisions):
-        rotation = _origin(shape)[:3, :3]
-        shape.origin = _moved(shape, matrix)
+        rotation = _read_origin(shape)[:3, :3]
+        shape.origin = _move_origin(shape, matrix)
         cylinder, mesh = shape.geometry.cylinder, shape.geometry.mesh
         if cylinder is not None and abs(rotation[:, 2] @ axis) > 1 - 1e-9:
             cylinder.length *= factor
@@ -92,12 +100,12 @@ def _stretch(
                 raise ModelError(mesh.filename, diagnose("mesh-without-axis", along=link.name))
             mesh.scale = np.diag(stretched) * (1.0 if mesh.scale is None else mesh.scale)
     inertial = link.inertial
-    rotation = _origin(inertial)[:3, :3]
+    rotation = _read_origin(inertial)[:3, :3]
     tensor = rotation @ np.asarray(inertial.inertia, dtype=float) @ rotation.T
-    solid = capsule is not None and np.allclose(
+    is_capsule = capsule is not None and np.allclose(
         tensor, compute_capsule_inertia(inertial.mass, *capsule, axis), rtol=1e-6, atol=1e-12
     )
-    if capsule is not None and solid:
+    if capsule is not None and is_capsule:
         radius, length = capsule
         tensor = compute_capsule_inertia(factor * inertial.mass, radius, factor * length, axis)
     else:
@@ -105,56 +113,59 @@ def _stretch(
         tensor = np.trace(second) * np.eye(3) - second
     inertial.mass *= factor
     inertial.inertia = tensor
-    inertial.origin = _moved(inertial, matrix)
+    inertial.origin = _move_origin(inertial, matrix)
     inertial.origin[:3, :3] = np.eye(3)
 
 
-def _moved(element: object, matrix: Array) -> Array:
-    origin = _origin(element)
+def _move_origin(element: object, matrix: Array) -> Array:
+    """Return the origin of an element with its position transformed by a matrix."""
+    origin = _read_origin(element)
     origin[:3, 3] = matrix @ origin[:3, 3]
     return origin
 
 
-def _capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
-    """Returns radius and length (m) if the link's shape is a capsule along the axis."""
-    shapes = list(_primitives(link))
-    cylinders = [(geometry.cylinder, at) for geometry, at in shapes if geometry.cylinder]
-    spheres = [(geometry.sphere, at) for geometry, at in shapes if geometry.sphere]
+def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
+    """Return radius and length [m] if the collision shape of a link is a capsule along the axis."""
+    shapes = list(_yield_primitives(link))
+    cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
+    spheres = [(geometry.sphere, pose) for geometry, pose in shapes if geometry.sphere]
     if len(cylinders) != 1 or len(spheres) != 2:
         return None
-    cylinder, at = cylinders[0]
-    if abs(at[:3, 2] @ axis) < 1 - 1e-9:
+    cylinder, pose = cylinders[0]
+    if abs(pose[:3, 2] @ axis) < 1 - 1e-9:
         return None
     half = axis * cylinder.length / 2
-    for end in (at[:3, 3] + half, at[:3, 3] - half):
+    for end in (pose[:3, 3] + half, pose[:3, 3] - half):
         if not any(
-            np.allclose(end, where[:3, 3]) and np.isclose(sphere.radius, cylinder.radius)
-            for sphere, where in spheres
+            np.allclose(end, sphere_pose[:3, 3]) and np.isclose(sphere.radius, cylinder.radius)
+            for sphere, sphere_pose in spheres
         ):
             return None
     return cylinder.radius, cylinder.length
 
 
-def _primitives(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]]:
+def _yield_primitives(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]]:
+    """Yield the collision shapes of a link with their poses."""
     for collision in link.collisions:
-        yield collision.geometry, _origin(collision)
+        yield collision.geometry, _read_origin(collision)
 
 
 def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Array) -> Array:
-    """Returns the inertia of a solid capsule about its centre: a cylinder and two hemispheres.
+    """Compute the inertia of a solid capsule about its centre: a cylinder and two hemispheres.
 
-    With the cylinder's mass m_c and that of both hemispheres m_s (in proportion to their volumes):
-    I_axial = m_c r^2 / 2 + m_s 2 r^2 / 5 and
+    With the masses m_c of the cylinder and m_s of both hemispheres, in proportion to their
+    volumes, and the length l of the cylinder:
+    I_axial = m_c r^2 / 2 + m_s 2 r^2 / 5,
     I_lateral = m_c (r^2 / 4 + l^2 / 12) + m_s (2 r^2 / 5 + l^2 / 4 + 3 l r / 8).
 
     Args:
-        mass: kg.
-        radius: m.
-        length: Distance of the hemispheres' centres (m).
-        axis: (3,) unit vector.
+        mass: Mass [kg].
+        radius: Radius [m].
+        length: Distance between the centres of the hemispheres [m].
+        axis: Unit vector of the axis, shape (3,).
 
     Returns:
-        (3, 3) tensor (kg m^2) in the axes in which ``axis`` is given.
+        Inertia tensor, shape (3, 3) [kg m^2], expressed in the frame of ``axis``.
     """
     share = length / (length + 4 * radius / 3)
     cylinder, spheres = mass * share, mass * (1 - share)
@@ -162,26 +173,27 @@ def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Arr
     lateral = cylinder * (radius**2 / 4 + length**2 / 12) + spheres * (
         0.4 * radius**2 + length**2 / 4 + 3 * length * radius / 8
     )
-    along = np.outer(axis, axis)
-    tensor: Array = lateral * (np.eye(3) - along) + axial * along
+    projection = np.outer(axis, axis)
+    tensor: Array = lateral * (np.eye(3) - projection) + axial * projection
     return tensor
 
 
 def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
-    """Turns the spec of a base model, in place, into that of a variant.
+    """Convert the spec of a base model to that of a variant, in place.
 
-    A leg's last joint is its knee; the bodies on its two sides are thigh and calf. Both are
-    stretched by ``leg_scale`` along the line to the next joint (to the foot), taken in the plane
-    normal to the knee's axis: the leg's sideways offset stays. Mass grows in proportion. A shape
-    that spans the link gets longer, another one keeps its size and moves. The base body's mass and
-    inertia are multiplied by ``torso_mass_scale``. Keyframes keep their clearance of the ground.
+    The last joint of a leg is its knee, between thigh and calf. Both bodies are stretched by
+    ``leg_scale`` along the direction to the next joint (or the foot), projected into the plane
+    normal to the knee axis, so the lateral offset of the leg is unchanged. Mass is proportional
+    to the scale. A shape along the link becomes longer; other primitive shapes keep their size.
+    Mass and inertia of the base body are multiplied by ``torso_mass_scale``. The ground
+    clearance of keyframes is unchanged.
 
     Args:
-        spec: The base model's spec.
-        variant: Names the base and the scales.
+        spec: Spec of the base model.
+        variant: Variant.
     """
     base = BASE_MODELS[variant.base]
-    before = _keyframe_depths(spec, base.feet.values())
+    before = _measure_foot_depths(spec, base.feet.values())
     torso = spec.site(next(iter(base.feet.values()))).parent
     while torso.parent.name != "world":
         torso = torso.parent
@@ -190,10 +202,10 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         site = spec.site(frame)
         calf = site.parent
         thigh = calf.parent
-        knee_in_calf = _unit(calf.joints[0].axis)
-        knee_in_thigh = _rotation(calf.quat) @ knee_in_calf
-        along_thigh = _in_plane(np.array(calf.pos), knee_in_thigh)
-        along_calf = _in_plane(np.array(site.pos), knee_in_calf)
+        knee_in_calf = _normalize(calf.joints[0].axis)
+        knee_in_thigh = _make_rotation(calf.quat) @ knee_in_calf
+        along_thigh = _project_in_plane(np.array(calf.pos), knee_in_thigh)
+        along_calf = _project_in_plane(np.array(site.pos), knee_in_calf)
         _stretch_body(thigh, along_thigh, variant.leg_scale, stretched_meshes)
         _stretch_body(calf, along_calf, variant.leg_scale, stretched_meshes)
     for name, factor in stretched_meshes.items():
@@ -201,29 +213,32 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         mesh.scale = np.array(mesh.scale) * factor
     _scale_torso(torso, variant.torso_mass_scale)
     spec.modelname = variant.name
-    _raise_keyframes(spec, torso, before, _keyframe_depths(spec, base.feet.values()))
+    _raise_keyframes(spec, torso, before, _measure_foot_depths(spec, base.feet.values()))
 
 
-def _unit(vector: object) -> Array:
+def _normalize(vector: object) -> Array:
+    """Return the unit vector of a vector."""
     array = np.array(vector, dtype=float)
     unit: Array = array / np.linalg.norm(array)
     return unit
 
 
-def _rotation(quat: object) -> Array:
+def _make_rotation(quat: object) -> Array:
+    """Return the rotation matrix of a quaternion (w, x, y, z)."""
     matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, _unit(quat))
+    mujoco.mju_quat2Mat(matrix, _normalize(quat))
     return matrix.reshape(3, 3)
 
 
-def _in_plane(offset: Array, normal: Array) -> Array:
-    return _unit(offset - (offset @ normal) * normal)
+def _project_in_plane(offset: Array, normal: Array) -> Array:
+    """Return the unit vector of an offset, projected into the plane of a unit normal."""
+    return _normalize(offset - (offset @ normal) * normal)
 
 
 def _stretch_body(
     body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
 ) -> None:
-    """Stretches all that is fixed to a body by ``factor`` along the unit vector ``axis``."""
+    """Stretch all parts of a body by ``factor`` along the unit vector ``axis``."""
     stretch = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):
         part.pos = stretch @ np.array(part.pos)
@@ -236,8 +251,9 @@ def _stretch_body(
 def _stretch_geom(
     geom: mujoco.MjsGeom, axis: Array, factor: float, stretch: Array, meshes: dict[str, Array]
 ) -> None:
+    """Stretch a geom; record the factors of its mesh."""
     ends = np.array(geom.fromto)
-    rotation = _rotation(geom.quat)
+    rotation = _make_rotation(geom.quat)
     spans = False
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
         local = rotation.T @ stretch @ rotation
@@ -245,7 +261,7 @@ def _stretch_geom(
             raise ModelError(geom.meshname, diagnose("mesh-without-axis", along=axis))
         meshes[geom.meshname] = np.diag(local).copy()
     elif not math.isnan(ends[0]):
-        spans = bool(abs(_unit(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
+        spans = bool(abs(_normalize(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
         geom.fromto = np.concatenate([stretch @ ends[:3], stretch @ ends[3:]])
     elif geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
         spans = bool(abs(rotation[:, 2] @ axis) > 1 - 1e-9)
@@ -257,12 +273,13 @@ def _stretch_geom(
 
 
 def _stretch_inertial(body: mujoco.MjsBody, stretch: Array, factor: float) -> None:
-    """Stretches a body of constant density, given by its inertial.
+    """Stretch the inertial of a body of constant density.
 
-    The body is replaced by six equal point masses on its principal axes that have its mass,
-    centre and inertia (an equimomental system); these are moved, and their inertia is summed up.
+    The body is replaced by six equal point masses on its principal axes with the same mass,
+    centre and inertia (an equimomental system). The points are transformed, and their inertia is
+    summed.
     """
-    rotation = _rotation(body.iquat)
+    rotation = _make_rotation(body.iquat)
     full = np.array(body.fullinertia)
     if math.isnan(full[0]):
         tensor = rotation @ np.diag(body.inertia) @ rotation.T
@@ -282,6 +299,7 @@ def _stretch_inertial(body: mujoco.MjsBody, stretch: Array, factor: float) -> No
 
 
 def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
+    """Multiply mass and inertia of a body by a factor."""
     if body.explicitinertial:
         body.mass = factor * body.mass
         body.fullinertia = factor * np.array(body.fullinertia)
@@ -293,9 +311,9 @@ def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
             geom.mass = factor * geom.mass
 
 
-def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
-    """Returns how far the lowest foot is below the base: at zero angles, then at each keyframe."""
-    model = compile_spec(_bones(spec), Path(spec.modelname))
+def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
+    """Return the depth of the lowest foot below the base [m]: at zero angles, then per keyframe."""
+    model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
     ids = [model.site(name).id for name in sites]  # type: ignore[attr-defined]
     depths = []
@@ -308,13 +326,13 @@ def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     return depths
 
 
-def _bones(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Returns a copy that moves alike, without what takes time to compile: shapes, textures."""
+def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Return a copy with the same kinematics, without shapes and textures: faster to compile."""
     bones = spec.copy()
     for element in (*bones.geoms, *bones.meshes, *bones.materials, *bones.textures):
         bones.delete(element)
     for body in bones.bodies[1:]:
-        if not body.explicitinertial:  # its mass was that of its shapes; any is as good
+        if not body.explicitinertial:  # arbitrary: the mass of the shapes is lost
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
     return bones
 
@@ -322,6 +340,7 @@ def _bones(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
+    """Raise the base and its keyframes by the increase of the foot depths."""
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):
         qpos = np.array(key.qpos)

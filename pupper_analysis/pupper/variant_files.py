@@ -1,4 +1,4 @@
-"""The files of a variant: derived in memory, written, loaded; and what a robot is called by."""
+"""Files of a variant: derive, write and load them; parse the words that name a robot."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from pupper_analysis.robot.robot import PublishedFile, Robot
 Array = NDArray[np.float64]
 
 _SAFE_SCALE = 20.0
-"""Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
+"""Scales up to this value, or its inverse, compile; a compilation tests other scales."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
-    """Derives a variant's URDF from the base URDF and its MJCF from the base MJCF, in memory.
+    """Derive the URDF and MJCF of a variant from those of its base model, in memory.
 
-    The two derivations share no code but the numbers of the spec.
+    Both derivations share no code except the values of the spec.
 
     Raises:
         VariantError: If the name is unknown.
@@ -53,11 +53,16 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     base = BASE_MODELS[spec.base]
     urdf_source = find_model_folder("urdf") / base.urdf
     mjcf_source = find_model_folder("mjcf") / base.mjcf
-    urdf_text, mjcf_spec = _derived(
-        spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
+    urdf_text, mjcf_spec = _derive_files(
+        spec,
+        spec.name,
+        urdf_source,
+        mjcf_source,
+        _read_file_stamp(urdf_source),
+        _read_file_stamp(mjcf_source),
     )
-    for file in (urdf_source, *_files(_read(mjcf_source, _stamp(mjcf_source)))):
-        register_input(file)  # each time: what is derived is kept
+    for file in (urdf_source, *_list_files(_read_base(mjcf_source, _read_file_stamp(mjcf_source)))):
+        register_input(file)  # in each run, although the derivation is cached
     return Description(
         name=spec.name,
         urdf=urdf_text,
@@ -68,8 +73,8 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     )
 
 
-def _stamp(file: Path) -> tuple[int, int]:
-    """Returns what tells that a file has changed; reading it tells that there is none."""
+def _read_file_stamp(file: Path) -> tuple[int, int]:
+    """Return modification time and size of a file; zeros if it does not exist."""
     if not file.is_file():
         return 0, 0
     found = file.stat()
@@ -77,16 +82,16 @@ def _stamp(file: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=32)
-def _derived(
+def _derive_files(
     spec: VariantSpec,
-    _name: str,  # which does not count where specs are compared
+    _name: str,  # part of the cache key; the comparison of specs ignores names
     urdf_source: Path,
     mjcf_source: Path,
     _urdf_stamp: tuple[int, int],
     mjcf_stamp: tuple[int, int],
 ) -> tuple[str, mujoco.MjSpec]:
-    """Derives a variant's URDF and MJCF once, unless a base file changes."""
-    urdf_text, mjcf_spec = urdf_source.read_text(), _read(mjcf_source, mjcf_stamp).spec.copy()
+    """Derive the URDF and MJCF of a variant; cached until a base file changes."""
+    urdf_text, mjcf_spec = urdf_source.read_text(), _read_base(mjcf_source, mjcf_stamp).spec.copy()
     if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
         from pupper_analysis.pupper import derive  # yourdfpy is slow to import
 
@@ -106,13 +111,13 @@ def _derived(
 
 
 @lru_cache(maxsize=8)
-def _read(source: Path, _stamp: tuple[int, int]) -> MjcfFile:
-    """Reads a base MJCF once, unless the file changes; that it compiles is known then."""
+def _read_base(source: Path, _read_file_stamp: tuple[int, int]) -> MjcfFile:
+    """Read a base MJCF, which compiles it; cached until the file changes."""
     return read_mjcf(source)
 
 
-def _files(mjcf: MjcfFile) -> list[Path]:
-    """Returns the files of an MJCF: itself, what it includes, and its meshes."""
+def _list_files(mjcf: MjcfFile) -> list[Path]:
+    """Return the files of an MJCF: the file itself, included files, and meshes."""
     meshes = mjcf.path.parent / mjcf.spec.compiler.meshdir
     return [*mjcf.files, *sorted({meshes / mesh.file for mesh in mjcf.spec.meshes})]
 
@@ -120,19 +125,19 @@ def _files(mjcf: MjcfFile) -> list[Path]:
 def write_variant(
     variant: str | VariantSpec, folder: str | Path, *, force: bool = False
 ) -> tuple[Path, Path]:
-    """Writes a variant's files, with the meshes they use, so that any viewer can open them.
+    """Write the files of a variant, with the meshes.
 
     Args:
-        variant: A name or a spec.
-        folder: Gets ``urdf/NAME.urdf``, ``mjcf/NAME.xml`` and ``mjcf/meshes/``.
-        force: Replace files that are there with another content.
+        variant: Name or spec.
+        folder: Output folder, for ``urdf/NAME.urdf``, ``mjcf/NAME.xml`` and ``mjcf/meshes/``.
+        force: Replace existing files with other content.
 
     Returns:
-        The paths of the URDF and of the MJCF.
+        Paths of the URDF and of the MJCF.
 
     Raises:
         VariantError: If the name is unknown.
-        OutputError: If a file cannot be written, or is there with another content.
+        OutputError: If a file cannot be written, or exists with other content.
     """
     description = describe_variant(variant)
     check_type("folder", folder, str | Path)
@@ -152,14 +157,14 @@ def write_variant(
 
 
 def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
-    """Loads one of the package's variants, or any other one.
+    """Load a variant of one of the package's base models.
 
     Args:
-        variant: A name from ``VARIANTS``, or a ``VariantSpec``.
-        fixed_base: Fix the base in the world, at the height that the MJCF gives it.
+        variant: Name from ``VARIANTS``, or a ``VariantSpec``.
+        fixed_base: Fix the base in the world, at the height in the MJCF.
 
     Returns:
-        The robot.
+        Robot.
 
     Raises:
         VariantError: If the name is unknown.
@@ -175,88 +180,89 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     return replace(robot, notes=notes, published=PublishedFile(None))
 
 
-_ENDINGS: Final = (".urdf", ".xml", ".mjcf", ".xacro")
+_MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf", ".xacro")
+"""Suffixes by which a word names a file, even if no such file exists."""
 
-_MJCF_OF_SCHEME: Final = "_mj_description"
-"""How the names of those packages end that are MJCFs."""
+_MJCF_PACKAGE_SUFFIX: Final = "_mj_description"
+"""Suffix of the names of description packages that contain an MJCF."""
 
-_HEAD: Final = 4096
-"""Bytes of a file in which its root element begins."""
+_NUM_HEAD_BYTES: Final = 4096
+"""Number of bytes of a file in which the root element is searched."""
 
-_BOTH: Final = "+"
-"""Between a robot's two files, where several robots are named."""
+_PAIR_SEPARATOR: Final = "+"
+"""Separator between the two files of a robot in one word."""
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
-    """Returns a variant's name, or the files of a robot: one, or two with a plus between them.
+    """Return the name of a variant, or the files of a robot: one, or two separated by a plus.
 
     Raises:
-        VariantError: If it is neither.
+        VariantError: If the word is neither.
     """
     if word in VARIANTS:
         return word
-    files = (word,) if is_input(Path(word)) else tuple(word.split(_BOTH))
-    if all(map(_is_file, files)):
+    files = (word,) if is_input(Path(word)) else tuple(word.split(_PAIR_SEPARATOR))
+    if all(map(_names_file, files)):
         return files
     raise VariantError("name", word, diagnose("known-robots", variants=VARIANTS))
 
 
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
-    """Returns the variants and files of the robots that words name, each once.
+    """Return the variants and files that words name, without duplicates.
 
-    A URDF that is followed by an MJCF is one robot with it, in all commands; so are a URDF and an
-    MJCF that are all that is named, in any order.
+    A URDF followed by an MJCF is one robot. An MJCF and a URDF alone are also one robot.
 
     Raises:
         VariantError: If a word names no robot.
     """
-    found: list[str | tuple[str, ...]] = []
-    for meant in map(parse_robot_word, words):
-        last = found[-1] if found else None
-        if _format(last) == "urdf" and _format(meant) == "mjcf":
-            assert isinstance(last, tuple)
-            assert isinstance(meant, tuple)
-            found[-1] = (*last, *meant)
-        elif meant not in found:
-            found.append(meant)
-    if [_format(meant) for meant in found] == ["mjcf", "urdf"]:
-        return [tuple(str(file) for meant in found for file in meant)]
-    return found
+    robots: list[str | tuple[str, ...]] = []
+    for robot in map(parse_robot_word, words):
+        previous = robots[-1] if robots else None
+        if _guess_format(previous) == "urdf" and _guess_format(robot) == "mjcf":
+            assert isinstance(previous, tuple)
+            assert isinstance(robot, tuple)
+            robots[-1] = (*previous, *robot)
+        elif robot not in robots:
+            robots.append(robot)
+    if [_guess_format(robot) for robot in robots] == ["mjcf", "urdf"]:
+        return [tuple(str(file) for robot in robots for file in robot)]
+    return robots
 
 
 def parse_single_robot(words: Sequence[str]) -> str | tuple[str, ...] | None:
-    """Returns the variant or the files of one robot, which may be two words; None without any.
+    """Return the variant or the files of the only robot that words name; None without words.
 
     Raises:
-        ConfigurationError: If it is more than one robot.
-        VariantError: If it is none.
+        ConfigurationError: If the words name several robots.
+        VariantError: If a word names no robot.
     """
-    found = parse_robot_words(words)
-    if len(found) > 1:
+    robots = parse_robot_words(words)
+    if len(robots) > 1:
         raise ConfigurationError("ROBOT", diagnose("one-robot-at-a-time", robots=list(words)))
-    return found[0] if found else None
+    return robots[0] if robots else None
 
 
-def _format(meant: str | tuple[str, ...] | None) -> str | None:
-    """Returns ``"urdf"`` or ``"mjcf"`` of a file alone; None of what else is named."""
-    if not isinstance(meant, tuple) or len(meant) != 1:
+def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
+    """Return ``"urdf"`` or ``"mjcf"`` for a single file; None for other robots and suffixes."""
+    if not isinstance(robot, tuple) or len(robot) != 1:
         return None
-    [word] = meant
+    [word] = robot
     if word.startswith(DESCRIPTION_PREFIX):
-        return "mjcf" if word.endswith(_MJCF_OF_SCHEME) else "urdf"
-    ending = Path(word).suffix.lower()
-    if ending == ".xml" and Path(word).is_file():  # which may be either
+        return "mjcf" if word.endswith(_MJCF_PACKAGE_SUFFIX) else "urdf"
+    suffix = Path(word).suffix.lower()
+    if suffix == ".xml" and Path(word).is_file():  # either format
         with Path(word).open("rb") as file:
-            return "urdf" if b"<robot" in file.read(_HEAD) else "mjcf"
-    return {".urdf": "urdf", ".xacro": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}.get(ending)
+            return "urdf" if b"<robot" in file.read(_NUM_HEAD_BYTES) else "mjcf"
+    return {".urdf": "urdf", ".xacro": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}.get(suffix)
 
 
-def _is_file(word: str) -> bool:
+def _names_file(word: str) -> bool:
+    """Return True if a word names a file by its form, or if such a file exists."""
     path = Path(word)
     return (
         word.startswith(DESCRIPTION_PREFIX)
         or path == STANDARD_INPUT
-        or path.suffix.lower() in _ENDINGS
+        or path.suffix.lower() in _MODEL_SUFFIXES
         or len(path.parts) > 1
         or is_input(path)
     )

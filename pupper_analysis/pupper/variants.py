@@ -1,4 +1,4 @@
-"""Which robot: the base models that come with the package, and the variants derived from them."""
+"""Base models of the package, and the variants derived from them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 
-_LONGEST_NAME = 200
-"""Bytes: file systems allow 255, of which prefixes and suffixes take some."""
+_MAX_NAME_BYTES = 200
+"""Upper bound of the length of a variant's name [bytes]: file systems permit 255, including
+prefixes and suffixes."""
 
 
 @dataclass(frozen=True)
 class BaseModel:
-    """A pair of model files from which variants are derived.
+    """Pair of model files from which variants are derived.
 
     Attributes:
         urdf: Name of the file in ``urdf/``.
         mjcf: Name of the file in ``mjcf/``.
-        feet: For each foot, the name that both its URDF link and its MJCF site have.
-        foot_depth: How far below the hips the nominal stand has its feet (m), by leg_scale.
-        remarks: Returns what its users should know.
+        feet: {foot: name of its URDF link and of its MJCF site}.
+        foot_depth: Function from leg_scale to the depth of the feet below the hips in the
+            nominal stand [m].
+        remarks: Function that returns notes for users.
     """
 
     urdf: str
@@ -57,31 +59,32 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
         ),
     }
 )
+"""{name: base model}."""
 
 
 def _check_name(name: object) -> None:
-    """Refuses a name that is no file's, as it would be written into other folders."""
+    """Refuse a name that is no valid file name, or contains a folder."""
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))
     if name.startswith(".") or set(name) & set("/\\:") or not name.isprintable():
         raise VariantError("name", name, diagnose("name-of-no-file"))
-    if len(name.encode()) > _LONGEST_NAME:
-        raise VariantError("name", name, diagnose("name-too-long", most=_LONGEST_NAME))
+    if len(name.encode()) > _MAX_NAME_BYTES:
+        raise VariantError("name", name, diagnose("name-too-long", most=_MAX_NAME_BYTES))
 
 
 @dataclass(frozen=True)
 class VariantSpec:
-    """A robot derived from a base model by scaling.
+    """Robot derived from a base model by scaling.
 
     Attributes:
         base: ``"skeleton"`` or ``"v3"``.
-        leg_scale: Factor on the length and on the mass of every thigh and calf; finite, > 0.
-        torso_mass_scale: Factor on the mass and inertia of the torso; finite, > 0.
-        name: A name for tables and files; made from the values where it is not given.
+        leg_scale: Factor of the length and mass of each thigh and calf; finite, > 0.
+        torso_mass_scale: Factor of the mass and inertia of the torso; finite, > 0.
+        name: Name for tables and files; by default it is formed from the other values.
 
     Raises:
-        VariantError: If the base is unknown, or a scale is not a finite positive number, or the
-            name cannot be that of a file.
+        VariantError: If the base is unknown, a scale is not positive, not finite or above
+            `MAX_SCALE`, or the name is no valid file name.
     """
 
     base: str = "skeleton"
@@ -92,25 +95,26 @@ class VariantSpec:
     def __post_init__(self) -> None:
         if not isinstance(self.base, str) or self.base not in BASE_MODELS:
             raise VariantError("base", self.base, diagnose("valid-bases", bases=BASE_MODELS))
-        for what in ("leg_scale", "torso_mass_scale"):
-            value = getattr(self, what)
+        for scale_name in ("leg_scale", "torso_mass_scale"):
+            value = getattr(self, scale_name)
             try:
-                number = check_finite(what, value)
+                number = check_finite(scale_name, value)
             except ConfigurationError:
                 number = 0.0
             if number <= 0:
-                raise VariantError(what, value, diagnose("scale-not-positive"))
+                raise VariantError(scale_name, value, diagnose("scale-not-positive"))
             if number > MAX_SCALE:
-                raise VariantError(what, value, diagnose("scale-too-large", most=MAX_SCALE))
-            object.__setattr__(self, what, number)
+                raise VariantError(scale_name, value, diagnose("scale-too-large", most=MAX_SCALE))
+            object.__setattr__(self, scale_name, number)
         _check_name(self.name)
         if not self.name:
-            made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
-            object.__setattr__(self, "name", made)
+            default_name = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
+            object.__setattr__(self, "name", default_name)
 
 
 MAX_SCALE = 1000.0
-"""Legs of 100 m, a torso of a tonne: beyond, engines compute nonsense, and nobody builds it."""
+"""Upper bound of both scales: legs of 100 m, a torso of a tonne. Chosen: engines compute
+nonsense beyond."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {
@@ -125,10 +129,11 @@ VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
         )
     }
 )
+"""{name: variant}."""
 
 
 def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
-    """Returns the spec of a variant given by name; a spec is returned as it is.
+    """Return the spec of a variant by its name; a spec is returned unchanged.
 
     Raises:
         VariantError: If the name is unknown.
@@ -142,12 +147,13 @@ def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
 
 @cache
 def find_model_folder(kind: str) -> Path:
-    """Returns the folder ``urdf`` or ``mjcf`` of the model files.
+    """Return the folder ``urdf`` or ``mjcf`` of the model files.
 
-    They are the package's own in an installed wheel, and stand at the top level of a checkout.
+    In an installed wheel the folders are part of the package, in a checkout they are at the top
+    level.
 
     Raises:
-        ModelError: If neither is there.
+        ModelError: If the folder exists in neither place.
     """
     here = Path(__file__).resolve().parent
     for folder in (here / kind, here.parents[1] / kind):
@@ -158,24 +164,24 @@ def find_model_folder(kind: str) -> Path:
 
 @dataclass(frozen=True)
 class ScalableVariant:
-    """A variant that can be scaled.
+    """Variant that can be scaled.
 
     Attributes:
-        spec: The variant where nothing is scaled otherwise.
+        spec: Variant with the default scales.
     """
 
     spec: VariantSpec
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Those of a ``VariantSpec``."""
+        """{name: default value} of the scales of a ``VariantSpec``."""
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def scaled(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Returns the variant of some scales; where not given, they are the variant's.
+        """Return the variant with some scales replaced.
 
         Raises:
-            VariantError: If a scale is not a finite positive number.
+            VariantError: If a scale is not a finite positive number, or too large.
         """
-        wanted = {**self.scales, **scales}
-        return VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
+        merged = {**self.scales, **scales}
+        return VariantSpec(self.spec.base, merged["leg_scale"], merged["torso_mass_scale"])

@@ -42,8 +42,8 @@ def test_xml_format_is_determined_by_the_content(tmp_path: Path) -> None:
     first, second = tmp_path / "a.xml", tmp_path / "b.xml"
     first.write_text('<?xml version="1.0"?><robot name="a"/>')
     second.write_text("<mujoco/>")
-    assert len(NOTHING.all((str(first), str(second)))) == 1
-    assert len(NOTHING.all((str(first), str(first.with_name("c.urdf")), "v3"))) == 3
+    assert len(NOTHING.select_robots((str(first), str(second)))) == 1
+    assert len(NOTHING.select_robots((str(first), str(first.with_name("c.urdf")), "v3"))) == 3
 
 
 def test_robots_with_equal_names_get_unique_names() -> None:

@@ -1,1 +1,1 @@
-"""The other model of a robot of which there is one file: an MJCF of a URDF, or back."""
+"""Make the missing model of a robot with one file: an MJCF from a URDF, or a URDF from an MJCF."""

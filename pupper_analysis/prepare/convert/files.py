@@ -1,6 +1,6 @@
-"""A robot that is given by files: how it is loaded, and how scripts and command lines say it.
+"""Specification of a robot by files, for scripts, command lines and studies.
 
-It loads no engine before it loads a robot, so that ``--help`` need not wait for one.
+No engine is imported before a robot is loaded, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from pupper_analysis.base.errors import ConfigurationError
 if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
-_NAMED = ("urdf", "mjcf")
-"""Files that options may name instead, by their format."""
+_FILE_OPTIONS = ("urdf", "mjcf")
+"""Options of ``load_robot`` that name files."""
 
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """A robot that is given by files.
+    """Files of a robot, with the options for loading.
 
     Attributes:
-        models: Their names: one, or a URDF's and an MJCF's.
-        options: What else ``load_robot`` is given.
+        models: Names of the files: a URDF, an MJCF, or both.
+        options: Other arguments of ``load_robot``.
     """
 
     models: tuple[str, ...]
@@ -34,49 +34,52 @@ class RobotFiles:
 
     @staticmethod
     def of(*models: str, **options: Any) -> RobotFiles:
-        """Returns what ``load_robot`` is given, with absolute paths.
+        """Return the arguments of ``load_robot``, with absolute paths.
 
         Raises:
-            ModelError: If a description is not installed, or not there.
+            ModelError: If a file or an installed description does not exist.
         """
         from pupper_analysis.models.published import find_file
 
         def absolute(model: str) -> str:
             return str(find_file(model).absolute())
 
-        named = {name: absolute(options[name]) for name in _NAMED if name in options}
+        named = {name: absolute(options[name]) for name in _FILE_OPTIONS if name in options}
         return RobotFiles(tuple(map(absolute, models)), {**options, **named})
 
     def __str__(self) -> str:
-        names = (*self.models, *(self.options[name] for name in _NAMED if name in self.options))
+        names = (
+            *self.models,
+            *(self.options[name] for name in _FILE_OPTIONS if name in self.options),
+        )
         return "+".join(Path(model).name for model in names)
 
     def load(self, **more: Any) -> Robot:
-        """Loads the robot.
+        """Load the robot.
 
         Args:
-            **more: What else ``load_robot`` is given.
+            **more: Further arguments of ``load_robot``.
 
         Raises:
-            ConfigurationError: As ``load_robot``.
-            ModelError: As ``load_robot``.
+            ConfigurationError: See ``load_robot``.
+            ModelError: See ``load_robot``.
         """
         from pupper_analysis.prepare.convert.load import load_robot
 
         return load_robot(*self.models, **self.options, **more)
 
     def plain(self) -> dict[str, Any]:
-        """Returns it as plain data, as a study's file has it."""
+        """Return the specification as plain data, as in the file of a study."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 
 @dataclass(frozen=True, eq=False)
 class FileSource:
-    """The robot of files, for pages and studies: it can be pickled, and has no scales.
+    """Source of a robot from files, for pages and studies; it can be pickled.
 
     Attributes:
-        files: How it is given.
-        loaded: The robot.
+        files: Files of the robot.
+        loaded: Robot.
     """
 
     files: RobotFiles
@@ -84,14 +87,14 @@ class FileSource:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """It has none."""
+        """Empty: a robot of files cannot be scaled."""
         return {}
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Returns the robot.
+        """Return the robot.
 
         Raises:
-            ConfigurationError: If it is to be scaled.
+            ConfigurationError: If scales are passed.
         """
         if scales:
             name = next(iter(scales))
@@ -99,5 +102,5 @@ class FileSource:
         return self.loaded
 
     def asked(self) -> dict[str, Any]:
-        """Returns how a study's file says it, as plain data."""
+        """Return the specification as plain data, as in the file of a study."""
         return self.files.plain()

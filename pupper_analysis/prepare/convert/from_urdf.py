@@ -1,4 +1,4 @@
-"""The MJCF of a URDF: bodies, joints, inertias and shapes, number by number."""
+"""Convert a URDF to an MJCF: bodies, joints, inertias and shapes."""
 
 from __future__ import annotations
 
@@ -51,89 +51,90 @@ from pupper_analysis.prepare.convert.repair import (
 )
 from pupper_analysis.prepare.passes import Feet
 
-_ZERO = "0 0 0"
+_ZERO_VECTOR = "0 0 0"
 
-_POINT = "0.001"
-"""Radius of a sphere that a URDF gives none (m): Drake's models have points at a sole's corners."""
+_POINT_RADIUS = "0.001"
+"""Radius [m] of a collision sphere with zero radius in the URDF: Drake's models have such points
+at the corners of a sole."""
 
-_SIZES = {
+_SIZE_ATTRIBUTES = {
     "box": ("size",),
     "sphere": ("radius",),
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
 }
-"""The attributes of a URDF's shapes that are lengths."""
+"""{shape of a URDF: attributes that are lengths}."""
 
 
 VISUAL_CLASS: Final = "visual"
-"""The class of geoms that are only seen."""
+"""Default class of visual geoms."""
 
 COLLISION_CLASS: Final = "collision"
-"""The class of geoms that touch."""
+"""Default class of collision geoms."""
 
 
 @dataclass(frozen=True, eq=False)
 class MjcfXml:
-    """An MJCF that is made of a URDF.
+    """MJCF that is made from a URDF.
 
     Attributes:
-        root: Its ``<mujoco>``.
+        root: Element ``<mujoco>``.
     """
 
     root: etree._Element
 
     @staticmethod
     def of_urdf(name: str) -> MjcfXml:
-        """Begins an MJCF whose angles are a URDF's, about fixed axes.
+        """Create an MJCF without bodies, with the angle convention of a URDF (fixed axes).
 
-        What has no ``<inertial>`` weighs nothing in it.
+        A body without ``<inertial>`` has no mass.
         """
         root = etree.Element("mujoco", {"model": name})
         add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
         default = add_element(root, "default")
-        seen = add_element(default, "default", class_=VISUAL_CLASS)
-        add_element(seen, "geom", contype="0", conaffinity="0", group="2")
+        visual = add_element(default, "default", class_=VISUAL_CLASS)
+        add_element(visual, "geom", contype="0", conaffinity="0", group="2")
         add_element(add_element(default, "default", class_=COLLISION_CLASS), "geom", group="3")
         add_element(root, "asset")
         add_element(root, "worldbody")
         return MjcfXml(root)
 
     def copy(self) -> MjcfXml:
-        """Returns an MJCF with XML of its own."""
+        """Return a copy with its own XML elements."""
         return MjcfXml(copy.deepcopy(self.root))
 
     @property
     def text(self) -> str:
-        """Its XML, as it is so far."""
+        """XML text of the MJCF."""
         return str(etree.tostring(self.root, encoding="unicode"))
 
     def section(self, tag: str) -> etree._Element:
-        """Returns a section of the file, which is added where there is none."""
+        """Return a section of the file; a missing section is added."""
         found = self.root.find(tag)
         return add_element(self.root, tag) if found is None else found
 
     def body(self, name: str) -> etree._Element:
-        """Returns a body by its name."""
+        """Return a body by its name."""
         return next(body for body in self.root.iter("body") if body.get("name") == name)
 
     @property
     def geoms(self) -> list[etree._Element]:
-        """All geoms, those of the world and of classes included."""
+        """All geoms, including those of the world and of default classes."""
         return list(self.root.iter("geom"))
 
     @property
     def used_meshes(self) -> set[str]:
-        """The meshes of its geoms."""
+        """Names of the meshes of all geoms."""
         return {str(geom.get("mesh")) for geom in self.geoms}
 
     def remove_visuals(self) -> None:
-        """Takes out what is only seen."""
+        """Remove the visual geoms."""
         for geom in self.geoms:
             if geom.get("class") == VISUAL_CLASS:
                 geom.getparent().remove(geom)
 
     def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
-        """Makes a joint follow another: q = offset + multiplier q of the leader."""
+        """Couple two joints: q = offset + multiplier * q of the leader."""
         add_element(
             self.section("equality"),
             "joint",
@@ -145,28 +146,28 @@ class MjcfXml:
 
 
 def format_number(number: Number) -> str:
-    """Returns how a number is written, or what was written of it."""
+    """Return a number as text; text is returned unchanged."""
     return number if isinstance(number, str) else write_numbers(number)
 
 
 @dataclass
 class UrdfBodies:
-    """Makes the bodies of an MJCF from the links of a URDF.
+    """Converter from the links of a URDF to the bodies of an MJCF.
 
-    Angles stay as the URDF has them: with ``eulerseq="XYZ"``, about fixed axes, an MJCF's ``euler``
-    is a URDF's ``rpy``.
+    Angles are unchanged: with ``eulerseq="XYZ"`` (fixed axes), ``euler`` of an MJCF equals
+    ``rpy`` of a URDF.
 
     Attributes:
-        urdf: The file.
-        tree: Its links, as they are to be bodies.
-        meshes: Its meshes.
-        armature: {joint: rotor inertia (kg m^2)}.
-        notes: What an MJCF cannot say, or what was left out.
-        materials: {name: rgba} that shapes use.
-        mimics: {joint: what it follows, multiplier, offset}, as they are written.
-        efforts: {joint: effort limit (N m or N)}, of those that follow no other and have one.
-        root: The link that is the base.
-        frames: All links.
+        urdf: URDF.
+        tree: Links to be converted.
+        meshes: Meshes of the URDF.
+        armature: {joint: rotor inertia [kg m^2]}.
+        notes: Notes on parts that an MJCF cannot express, or that were left out.
+        materials: {name: rgba} of the used materials.
+        mimics: {joint: (leader, multiplier, offset)} as text.
+        efforts: {joint: effort limit [N m or N]} as text, for independent joints with a limit.
+        root: Name of the base link.
+        frames: Names of all links.
     """
 
     urdf: UrdfFile
@@ -189,7 +190,11 @@ class UrdfBodies:
         self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
-        """Adds all bodies to an MJCF.
+        """Add all bodies to an MJCF.
+
+        Args:
+            mjcf: MJCF.
+            free: True to add a free joint to the base.
 
         Raises:
             ModelError: If a link cannot be a body of MuJoCo.
@@ -199,15 +204,15 @@ class UrdfBodies:
             problem = diagnose("link-named-world", subject=("link", WORLD_LINK))
             raise make_element_error(self.urdf.path, links[WORLD_LINK].element, problem)
         if self.root == WORLD_LINK:
-            self._fill(worldbody, links[self.root])
+            self._fill_body(worldbody, links[self.root])
             return
         body = add_element(worldbody, "body", name=self.root)
         if free:
             add_element(body, "freejoint", name=make_unique_name("root", set(self.tree.joints)))
-        self._fill(body, links[self.root])
+        self._fill_body(body, links[self.root])
 
-    def _fill(self, body: etree._Element, link: UrdfLink) -> None:
-        """Adds to a body what its link has, and the links that it carries."""
+    def _fill_body(self, body: etree._Element, link: UrdfLink) -> None:
+        """Add the inertial, shapes and child bodies of a link to a body."""
         if link.inertial is not None and body.tag != "worldbody":
             _add_inertial(body, link.inertial)
         for kind, shape, geometry in link.shapes:
@@ -217,28 +222,29 @@ class UrdfBodies:
             else:
                 self._add_shape(body, link.name, kind, shape, geometry)
         for joint in self.tree.below.get(link.name, ()):
-            xyz, rpy = _origin(joint.element)
+            xyz, rpy = _read_origin(joint.element)
             inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
-            self._fill(inner, self.tree.links[joint.child])
+            self._fill_body(inner, self.tree.links[joint.child])
 
-    def _add_joint(self, body: etree._Element, stated: UrdfJoint) -> None:
-        if stated.is_fixed:
+    def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
+        """Add the joint of a body, and record its effort limit and coupling."""
+        if urdf_joint.is_fixed:
             return
-        joint, kind, name = stated.element, stated.kind, stated.name
+        joint, kind, name = urdf_joint.element, urdf_joint.kind, urdf_joint.name
         if kind in ("floating", "planar"):
             problem = diagnose("joint-free-inside", subject=("joint", name), kind=Term(kind))
             raise make_element_error(self.urdf.path, joint, problem)
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
-        if kind != "continuous" and not states_no_limits(stated):
+        if kind != "continuous" and not states_no_limits(urdf_joint):
             bounds = f"{limit.get('lower') or 0} {limit.get('upper') or 0}"
             low, high = (float(word) for word in bounds.split())
             if not low < high:
-                moved = "joint", name
+                subject = "joint", name
                 self.notes.append(
-                    diagnose("empty-range-left", subject=moved, lower=low, upper=high)
+                    diagnose("empty-range-left", subject=subject, lower=low, upper=high)
                 )
                 bounds = None
         add_element(
@@ -249,45 +255,48 @@ class UrdfBodies:
             axis="1 0 0" if axis is None else axis.get("xyz"),
             range=bounds,
             **{
-                one.mjcf[0]: _stated(dynamics, one.urdf[1])
-                for one in PASSIVE_ATTRIBUTES
-                if one.urdf
+                attribute.mjcf[0]: _read_nonzero(dynamics, attribute.urdf[1])
+                for attribute in PASSIVE_ATTRIBUTES
+                if attribute.urdf
             },
             armature=write_numbers(self.armature[name]) if name in self.armature else None,
         )
-        effort = _stated(limit, "effort")
+        effort = _read_nonzero(limit, "effort")
         if effort is not None and float(effort) < 0:
             limit = Quantity(float(effort), "N m")
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
         if effort is not None and not 0 < float(effort) < UNSTATED:
-            effort = None  # MuJoCo ignores an empty range; the URDF's statement is kept beside it
-        mimic = stated.mimic
-        if mimic is not None and self._follows(stated):
+            effort = None  # MuJoCo ignores an empty range; the robot's description keeps the limit
+        mimic = urdf_joint.mimic
+        if mimic is not None and self._is_mimic(urdf_joint):
             factors = mimic.get("multiplier") or "1", mimic.get("offset") or "0"
             self.mimics[name] = str(mimic.get("joint")), *factors
-            if effort is not None:  # no motor, whose limit it could be
+            if effort is not None:  # a dependent joint has no motor
                 body[-1].set("actuatorfrcrange", f"-{effort.removeprefix('+')} {effort}")
         elif effort is not None:
             self.efforts[name] = effort
 
-    def _follows(self, joint: UrdfJoint) -> bool:
-        """Tells whether a joint mimics another; notes if there is none that moves."""
+    def _is_mimic(self, joint: UrdfJoint) -> bool:
+        """Return True if a joint follows a moving joint; add a note if its leader does not move."""
         if joint.mimic is None:
             return False
-        meant, passed = str(joint.mimic.get("joint")), {joint.name}
-        leader = self.tree.joints.get(meant)
-        while leader is not None and leader.mimic is not None and leader.name not in passed:
-            passed.add(leader.name)
+        leader_name, visited = str(joint.mimic.get("joint")), {joint.name}
+        leader = self.tree.joints.get(leader_name)
+        while leader is not None and leader.mimic is not None and leader.name not in visited:
+            visited.add(leader.name)
             leader = self.tree.joints.get(str(leader.mimic.get("joint")))
-        if leader is None or leader.is_fixed or leader.name in passed:
-            message = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
+        if leader is None or leader.is_fixed or leader.name in visited:
+            message = diagnose(
+                "mimic-leads-nowhere", subject=("joint", joint.name), leader=leader_name
+            )
             self.notes.append(message)
             return False
         return True
 
     def _check_axis(self, joint: etree._Element) -> None:
+        """Refuse a joint axis of length zero."""
         axis = joint.find("axis")
-        if axis is not None and is_zero(axis.get("xyz") or _ZERO):
+        if axis is not None and is_zero(axis.get("xyz") or _ZERO_VECTOR):
             problem = diagnose("axis-without-direction", subject=("joint", str(joint.get("name"))))
             raise make_element_error(self.urdf.path, axis, problem)
 
@@ -299,10 +308,11 @@ class UrdfBodies:
         shape: etree._Element,
         geometry: etree._Element,
     ) -> None:
-        attributes = self._geometry(geometry, kind)
+        """Add a shape of a link as geom."""
+        attributes = self._convert_geometry(geometry, kind)
         if attributes is None:
             return
-        xyz, rpy = _origin(shape)
+        xyz, rpy = _read_origin(shape)
         name = None
         if kind == "collision":
             name = make_unique_name(str(shape.get("name") or f"{link}_collision"), self._geoms)
@@ -314,15 +324,16 @@ class UrdfBodies:
             **attributes,
             pos=xyz,
             euler=rpy,
-            material=self._material(shape) if kind == "visual" else None,
+            material=self._find_material(shape) if kind == "visual" else None,
         )
 
-    def _geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
+    def _convert_geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
+        """Return the attributes of a geom; None, with a note, if the shape is left out."""
         tag = str(geometry.tag)
-        sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
-        point = tag == "sphere" and is_zero(sizes) and kind == "collision"
-        if point:
-            message = diagnose("points-made-spheres", radius=Quantity(float(_POINT), "m"))
+        sizes = " ".join(str(geometry.get(word)) for word in _SIZE_ATTRIBUTES.get(tag, ()))
+        is_point = tag == "sphere" and is_zero(sizes) and kind == "collision"
+        if is_point:
+            message = diagnose("points-made-spheres", radius=Quantity(float(_POINT_RADIUS), "m"))
             self.notes += [message] if message not in self.notes else []
         elif any(float(size) <= 0 for size in sizes.split()):
             message = diagnose("flat-shape-left", tag=tag, sizes=sizes)
@@ -332,7 +343,10 @@ class UrdfBodies:
             name = self.meshes.name(geometry, touches=kind == "collision")
             return None if name is None else {"type": "mesh", "mesh": name}
         if tag == "sphere":
-            return {"type": "sphere", "size": _POINT if point else str(geometry.get("radius"))}
+            return {
+                "type": "sphere",
+                "size": _POINT_RADIUS if is_point else str(geometry.get("radius")),
+            }
         if tag == "box":
             return {"type": "box", "size": write_halves(str(geometry.get("size")))}
         if tag in ("cylinder", "capsule"):
@@ -341,7 +355,8 @@ class UrdfBodies:
         self.notes.append(diagnose("shape-left", tag=tag))
         return None
 
-    def _material(self, shape: etree._Element) -> str | None:
+    def _find_material(self, shape: etree._Element) -> str | None:
+        """Return the name of a shape's material, which is recorded; None without a colour."""
         material = shape.find("material")
         if material is None:
             return None
@@ -351,46 +366,48 @@ class UrdfBodies:
         rgba = rgba or self._colors.get(name)
         if rgba is None:
             return None
-        known = next((key for key, value in self.materials.items() if value == rgba), None)
-        if known is None:
-            known = make_unique_name(name or "color", {FLOOR_NAME, *self.materials})
-            self.materials[known] = rgba
-        return known
+        material_name = next((key for key, value in self.materials.items() if value == rgba), None)
+        if material_name is None:
+            material_name = make_unique_name(name or "color", {FLOOR_NAME, *self.materials})
+            self.materials[material_name] = rgba
+        return material_name
 
 
-def _stated(parent: etree._Element | None, attribute: str) -> str | None:
-    """Returns an attribute, if it is there and not zero."""
+def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
+    """Return an attribute; None if it is missing or zero."""
     text = None if parent is None else parent.get(attribute)
     return None if text is None or is_zero(text) else text
 
 
-def _origin(parent: etree._Element) -> tuple[str | None, str | None]:
-    """Returns the position and the angles of an <origin>; None where they are zero."""
+def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
+    """Return position and angles of an <origin>; None for each that is zero."""
     origin = parent.find("origin")
-    xyz, rpy = ((None if origin is None else origin.get(name)) or _ZERO for name in ("xyz", "rpy"))
+    xyz, rpy = (
+        (None if origin is None else origin.get(name)) or _ZERO_VECTOR for name in ("xyz", "rpy")
+    )
     return None if is_zero(xyz) else xyz, None if is_zero(rpy) else rpy
 
 
 def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
-    """Adds an <inertial> with the URDF's numbers; a turned tensor is turned into the body's axes.
+    """Add an <inertial>; a rotated tensor is expressed in the axes of the body.
 
-    An MJCF takes products of inertia in the body's axes only.
+    An MJCF requires products of inertia in the axes of the body.
     """
-    mass, given = str(inertial.find("mass").get("value")), inertial.find("inertia")
-    texts = [str(given.get(name)) for name in INERTIA_ENTRIES]
-    xyz, rpy = _origin(inertial)
+    mass, inertia = str(inertial.find("mass").get("value")), inertial.find("inertia")
+    texts = [str(inertia.get(name)) for name in INERTIA_ENTRIES]
+    xyz, rpy = _read_origin(inertial)
     if is_zero(mass) and all(is_zero(text) for text in texts):
         return
     if rpy is not None:
         tensor = inertia_tensor(map(float, texts))
-        turn = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
-        turned = turn @ tensor @ turn.T
-        texts = write_numbers(inertia_entries(turned)).split()
+        rotation = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
+        rotated = rotation @ tensor @ rotation.T
+        texts = write_numbers(inertia_entries(rotated)).split()
     diagonal = all(is_zero(text) for text in texts[3:])
     add_element(
         body,
         "inertial",
-        pos=xyz or _ZERO,
+        pos=xyz or _ZERO_VECTOR,
         mass=mass,
         diaginertia=" ".join(texts[:3]) if diagonal else None,
         fullinertia=None if diagonal else " ".join(texts),
@@ -401,19 +418,19 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""A base that carries so many limbs or more is free, as in ``load_robot``."""
+"""Minimum number of limbs with which a base is free by default, as in ``load_robot``."""
 
 
 @dataclass(frozen=True)
 class MjcfOptions:
-    """What a URDF does not say.
+    """Options of a conversion, for values that a URDF does not contain.
 
     Attributes:
-        feet: The feet's links, or {foot: link}; None: they are found.
-        fixed_base: Whether the base is fixed; None: a base with two limbs or more is free.
-        armature: {joint: rotor inertia (kg m^2)}.
-        repair_inertia: Whether inertials of moving links that no body can have are repaired.
-        copy_meshes: Whether all meshes are copied to a folder beside the MJCF.
+        feet: Links of the feet, or {foot: link}; None: feet are detected.
+        fixed_base: True for a fixed base; None: a base with two limbs or more is free.
+        armature: {joint: rotor inertia [kg m^2]}.
+        repair_inertia: True to repair invalid inertials of moving links.
+        copy_meshes: True to copy all meshes to a folder beside the MJCF.
     """
 
     feet: Feet | None = None
@@ -425,16 +442,16 @@ class MjcfOptions:
 
 @dataclass(frozen=True)
 class ConvertedMjcf:
-    """A URDF's links, shapes and couplings as an MJCF, before anything is added.
+    """Links, shapes and couplings of a URDF as an MJCF, before the preparation.
 
     Attributes:
-        urdf: The URDF, with the inertials that were repaired.
-        mjcf: The MJCF, without its meshes.
-        meshes: Its meshes.
-        bodies: What is known of its bodies.
-        free: Whether its base is free.
-        notes: What was assumed.
-        repairs: Inertials that were repaired.
+        urdf: URDF with the repaired inertials.
+        mjcf: MJCF without its mesh assets.
+        meshes: Meshes.
+        bodies: Converter, with its notes and records.
+        free: True if the base is free.
+        notes: Notes on assumptions.
+        repairs: Repaired inertials.
     """
 
     urdf: UrdfFile
@@ -449,37 +466,49 @@ class ConvertedMjcf:
     def of(
         urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None
     ) -> ConvertedMjcf:
-        """Makes it; whether its base is free is found, if it is not said."""
+        """Convert a URDF.
+
+        Args:
+            urdf: URDF.
+            output: Path of the new MJCF.
+            options: Options.
+            free: True for a free base; None: free if it has enough limbs.
+
+        Raises:
+            ModelError: If no joint moves, or the URDF cannot be converted.
+        """
         if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
             raise ModelError(urdf.path, diagnose("no-joint-moves"))
         tree = urdf.tree.copy()
-        floats = _take_floating(tree)
-        freed = _is_free(tree, floats=floats) if free is None else free
-        links = LinkBodies(tree, freed)
-        moved, repairs = repair_inertials(urdf, links, repair=options.repair_inertia)
+        is_floating = _remove_massless_root(tree)
+        has_free_base = _has_limbs(tree, is_floating=is_floating) if free is None else free
+        links = LinkBodies(tree, has_free_base)
+        moved_notes, repairs = repair_inertials(urdf, links, repair=options.repair_inertia)
         mended = write_repairs(urdf, links, repairs)
-        notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
-        carried = move_massless_shapes(links)
-        if carried:
-            notes.append(diagnose("shapes-carried", links=carried))
+        notes = [*urdf.notes, *moved_notes, *(repair.diagnostic for repair in repairs)]
+        moved_shapes = move_massless_shapes(links)
+        if moved_shapes:
+            notes.append(diagnose("shapes-carried", links=moved_shapes))
         meshes, rotors = MeshFiles(urdf, output, copied=options.copy_meshes), options.armature or {}
         bodies = UrdfBodies(urdf, tree, meshes, rotors)
         mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
-        bodies.add(mjcf, free=freed)
+        bodies.add(mjcf, free=has_free_base)
         for name, rgba in bodies.materials.items():
             add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
         for follower, mimic in bodies.mimics.items():
             mjcf.add_coupling(follower, *mimic)
-        return ConvertedMjcf(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
+        return ConvertedMjcf(
+            mended, mjcf, meshes, bodies, has_free_base, tuple(notes), tuple(repairs)
+        )
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
-        """Returns the MJCF as far as it is made, as if it were read from the URDF's file.
+        """Return the MJCF as if it were read from the URDF's path.
 
         Args:
-            visuals: Whether it has what only looks are for.
+            visuals: True to include visual geoms.
 
         Raises:
-            ModelError: If MuJoCo refuses it.
+            ModelError: If MuJoCo refuses the MJCF.
         """
         draft, assets = self.mjcf.copy(), dict[str, bytes]()
         if not visuals:
@@ -489,10 +518,10 @@ class ConvertedMjcf:
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
     def imported(self) -> UrdfImport:
-        """Returns the URDF for MuJoCo's own importer, as far as it touches.
+        """Return the URDF for MuJoCo's own importer, without visual shapes.
 
-        What no body can weigh, which MuJoCo refuses, is where it was given to, and so are shapes of
-        links without mass: the importer, too, makes them the body's that carries them.
+        Invalid inertials, which MuJoCo refuses, are moved as in the MJCF. Shapes of links
+        without mass are moved, too; the importer does the same.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():
@@ -507,45 +536,45 @@ class ConvertedMjcf:
 
 
 def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
-    """Makes the MJCF of a URDF in memory, its base fixed as it is in the URDF.
+    """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    Links whose inertia no body can have get the nearest that one can, and a gram if they have no
-    mass; the notes of the MJCF say so.
+    Invalid inertias become the nearest valid inertias; a link without mass gets 1 g. The notes
+    of the MJCF report the repairs.
 
     Returns:
-        The URDF with such inertials, the MJCF, and that URDF for MuJoCo's own importer.
+        URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
 
     Raises:
-        ModelError: If MuJoCo cannot have the robot, or nothing that moves has a mass.
+        ModelError: If MuJoCo cannot represent the robot, or if no moving link has a mass.
     """
-    bare = ConvertedMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
-    made_up = {repair.link for repair in bare.repairs if not repair.mass > 0}
-    if {joint.child for joint in bare.bodies.tree.moving} <= made_up:
-        # Whatever is said of its motors would be of masses that nobody stated.
+    converted = ConvertedMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
+    massless = {repair.link for repair in converted.repairs if not repair.mass > 0}
+    if {joint.child for joint in converted.bodies.tree.moving} <= massless:
+        # All torques would depend on masses that the file does not state.
         raise ModelError(urdf.path, diagnose("robot-without-mass", mass=Quantity(0.0, "kg")))
     stated = {shape.get("name") for shape in urdf.root.iter("collision")}
-    for geom in bare.mjcf.geoms:
+    for geom in converted.mjcf.geoms:
         if geom.get("name") not in stated:
-            geom.attrib.pop("name", None)  # a foot is called as its link then
-    left = (*bare.bodies.notes, *bare.meshes.notes)
-    made = replace(bare.file(visuals=True), notes=(*bare.notes, *left))
-    return bare.urdf, made, bare.imported()
+            geom.attrib.pop("name", None)  # a foot is then named after its link
+    left = (*converted.bodies.notes, *converted.meshes.notes)
+    mjcf = replace(converted.file(visuals=True), notes=(*converted.notes, *left))
+    return converted.urdf, mjcf, converted.imported()
 
 
-def _take_floating(tree: UrdfTree) -> bool:
-    """Makes the link on a floating joint below a root without mass the root, in place."""
+def _remove_massless_root(tree: UrdfTree) -> bool:
+    """Remove a root link without mass above a floating joint, in place; return True if removed."""
     base = tree.base
     below = tree.below.get(base.name, [])
-    floats = base.inertial is None and [joint.kind for joint in below] == ["floating"]
-    if floats:
+    is_floating = base.inertial is None and [joint.kind for joint in below] == ["floating"]
+    if is_floating:
         tree.remove_base()
-    return floats
+    return is_floating
 
 
-def _is_free(tree: UrdfTree, *, floats: bool) -> bool:
-    """Tells whether the base carries two limbs or more, and is not the world."""
+def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
+    """Return True if the base has enough limbs, and is not the world; True for a floating base."""
     base = tree.base.name
-    if base == WORLD_LINK or floats:
-        return floats
+    if base == WORLD_LINK or is_floating:
+        return is_floating
     carried = [joint for link in tree.fixed_group(base) for joint in tree.below.get(link, ())]
     return sum(not joint.is_fixed for joint in carried) >= MIN_FREE_BASE_LIMBS

@@ -1,6 +1,6 @@
-"""Loads a robot from its URDF, from its MJCF, or from both.
+"""Load a robot from its URDF, its MJCF, or both.
 
-Where there is one file, the other model is made of it in memory.
+If there is one file, the other model is made from it in memory.
 """
 
 from __future__ import annotations
@@ -24,8 +24,13 @@ from pupper_analysis.prepare.convert.to_urdf import ConvertedUrdf, with_one_robo
 from pupper_analysis.prepare.passes import Feet, make_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
-_OF_A_URDF = ("armature-from-mjcf", "effort-unstated", "fixed-base-stands", "root-link-left-out")
-"""What is told of a URDF beside an MJCF, and is no news of one that was made of it."""
+_URDF_NOTE_CODES = (
+    "armature-from-mjcf",
+    "effort-unstated",
+    "fixed-base-stands",
+    "root-link-left-out",
+)
+"""Codes of notes about a URDF beside an MJCF that are not relevant if the URDF was made from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +38,11 @@ class ModelPair:
     """Both models of a robot.
 
     Attributes:
-        urdf: The URDF.
-        mjcf: The MJCF.
-        converted: ``"urdf"`` or ``"mjcf"``: which of them was made of the other one; empty if each
-            has a file.
-        imported: A URDF that is alone, for MuJoCo's own importer.
+        urdf: URDF.
+        mjcf: MJCF.
+        converted: ``"urdf"`` or ``"mjcf"`` if this model was made from the other; empty if both
+            have files.
+        imported: The URDF for MuJoCo's own importer, if there is no MJCF file.
     """
 
     urdf: UrdfFile
@@ -47,40 +52,40 @@ class ModelPair:
 
     @staticmethod
     def of(file: UrdfFile | MjcfFile) -> ModelPair:
-        """Makes the other model of a file, in memory.
+        """Make the other model of a file, in memory.
 
         Raises:
-            ModelError: If the other format cannot have the robot.
+            ModelError: If the other format cannot represent the robot.
         """
         if isinstance(file, UrdfFile):
             urdf, mjcf, imported = convert_urdf_in_memory(file)
             return ModelPair(urdf, mjcf, "mjcf", imported)
-        return ModelPair(_bare_urdf(file), file, "urdf")
+        return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def mark(self, robot: Robot) -> Robot:
-        """Returns the robot of these models, which knows which of them was made."""
+        """Return the robot of these models, with a note and a record of the model that was made."""
         if not self.converted:
             return robot
         description = replace(robot.description, converted=self.converted)
         source = self.urdf if self.converted == "mjcf" else self.mjcf
-        made = self.converted.upper()
-        message = diagnose("one-model-converted", made=made, file=source.path.name)
-        known = _OF_A_URDF if self.converted == "urdf" else ()
-        own = [note for note in robot.notes if note.code not in known]
-        return replace(robot, description=description, notes=(message, *own))
+        format_name = self.converted.upper()
+        message = diagnose("one-model-converted", made=format_name, file=source.path.name)
+        ignored_codes = _URDF_NOTE_CODES if self.converted == "urdf" else ()
+        kept = [note for note in robot.notes if note.code not in ignored_codes]
+        return replace(robot, description=description, notes=(message, *kept))
 
 
-def _bare_urdf(file: MjcfFile) -> UrdfFile:
-    """Makes the URDF of an MJCF in memory; its ball joints are fixed, as beside a hand-made one.
+def _convert_mjcf_in_memory(file: MjcfFile) -> UrdfFile:
+    """Convert an MJCF to a URDF in memory; ball joints are fixed.
 
     Raises:
-        ModelError: If a URDF cannot have the robot.
+        ModelError: If a URDF cannot represent the robot, or no joint moves.
     """
     text = ConvertedUrdf.of(file, file.path, fix_balls=True).text
-    made = urdf_from(file.path, text, parse_text(text), None)
-    if all(joint.is_fixed for joint in made.tree.joints.values()):
+    urdf = urdf_from(file.path, text, parse_text(text), None)
+    if all(joint.is_fixed for joint in urdf.tree.joints.values()):
         raise ModelError(file.path, diagnose("no-joints"))
-    return made
+    return urdf
 
 
 def read_pair(
@@ -91,20 +96,20 @@ def read_pair(
     body: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
 ) -> ModelPair:
-    """Reads a robot's files, and makes the model that has none.
+    """Read the files of a robot, and make the missing model.
 
     Args:
         *models: A URDF, an MJCF, or one of each, in any order.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
-        body: The robot's root in an MJCF of several; where there is no URDF, it is found if it can
-            be.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
+        body: Root body of the robot in an MJCF with several; without a URDF it is detected if
+            possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
 
     Raises:
-        ConfigurationError: If there is no file, or two of one format.
-        ModelError: If a file cannot be read, or the other format cannot have the robot.
+        ConfigurationError: If there is no file, or if there are two of one format.
+        ModelError: If a file cannot be read, or the other format cannot represent the robot.
     """
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     for model in models:
@@ -114,7 +119,7 @@ def read_pair(
         if path is not None:
             files.append(read_model(path, folders))
             if not isinstance(files[-1], kind):
-                read(find_file(path))  # refuses it, and says what it is
+                read(find_file(path))  # raises an error that names the actual format
     found = {"urdf" if isinstance(file, UrdfFile) else "mjcf": file for file in files}
     if not files or len(found) < len(files):
         paths = [str(file.path) for file in files]
@@ -123,16 +128,16 @@ def read_pair(
         raise ConfigurationError("take", diagnose("take-what-is-not-there", take=take))
     if take is not None:
         found = {take: found[take]}
-    one, other = found.get("urdf"), found.get("mjcf")
-    if body is not None and not isinstance(other, MjcfFile):
+    urdf_file, mjcf_file = found.get("urdf"), found.get("mjcf")
+    if body is not None and not isinstance(mjcf_file, MjcfFile):
         raise ConfigurationError("body", diagnose("body-of-an-mjcf"))
-    if isinstance(other, MjcfFile):
-        other.check_compiled()
-        if one is None or body is not None:
-            other = with_one_robot(other, body)
-    if isinstance(one, UrdfFile) and isinstance(other, MjcfFile):
-        return ModelPair(one, other)
-    return ModelPair.of(other or next(iter(found.values())))
+    if isinstance(mjcf_file, MjcfFile):
+        mjcf_file.check_compiled()
+        if urdf_file is None or body is not None:
+            mjcf_file = with_one_robot(mjcf_file, body)
+    if isinstance(urdf_file, UrdfFile) and isinstance(mjcf_file, MjcfFile):
+        return ModelPair(urdf_file, mjcf_file)
+    return ModelPair.of(mjcf_file or next(iter(found.values())))
 
 
 @check_arguments
@@ -151,39 +156,41 @@ def load_robot(
     packages: Mapping[str, str | Path] | None = None,
     as_is: bool = False,
 ) -> Robot:
-    """Loads a robot from its URDF, its MJCF or both, as they were published.
+    """Load a robot from its URDF, its MJCF or both, as published.
 
-    What the files lack is made up for in memory, and each such thing is said in ``notes``: the
-    model of which there is no file is made of the other one, joints whose names differ are matched,
-    those that only one file has are held at zero, a floor, a free base and position servos are
-    added, and where the MJCF has no keyframe in which the robot stands, a stand is looked for.
+    Missing parts are added in memory, and reported in ``notes``: a missing model is made from
+    the other one, joints with different names are matched, joints of only one file are held at
+    zero, and a floor, a free base and position servos are added. If the robot does not stand in
+    a keyframe of the MJCF, a stand is searched.
 
     Args:
-        *models: Path of a URDF or an MJCF, or of both, in any order. ``pa.load_robot`` also accepts
-            the name of a variant, such as ``"v3"``.
+        *models: Path of a URDF or an MJCF, or of both, in any order. ``pa.load_robot`` also
+            accepts the name of a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
-        body: The robot's root in an MJCF of several robots, or any body of it.
-        feet: The feet's frames, or {foot: its frame}; a frame is a link of the URDF, or a geom,
-            site or body of the MJCF, or a pair of both. By default the feet are the collision geoms
-            at the ends of the limbs that are lowest in the start pose; an empty list: no feet.
-        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
-        name: The robot's name; by default the MJCF's.
-        joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
-        keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
-            robot stands.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
+        body: Root body of the robot in an MJCF of several robots, or any body of the robot.
+        feet: Frames of the feet, or {foot: frame}; a frame is a link of the URDF, or a geom,
+            site or body of the MJCF, or a pair of both. By default the feet are the collision
+            geoms at the ends of the limbs that are lowest in the start pose; an empty list: no
+            feet.
+        fixed_base: Fix the base in the world, at the pose in the MJCF.
+        name: Name of the robot; by default that of the MJCF.
+        joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
+        keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which
+            the robot stands.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
-        as_is: Add no servos, and alter no shapes: what the file has is to hold the robot.
+        as_is: Add no servos, and change no collision shapes.
 
     Returns:
-        The robot; ``robot.description.converted`` tells which model was made of the other one.
+        Robot; ``robot.description.converted`` is the format of a model that was made.
 
     Raises:
-        ConfigurationError: If an argument is of another kind, or no file is given.
-        ModelError: If a file cannot be read, the two have no joints in common, or no feet are
+        ConfigurationError: If an argument has the wrong type, or no file is passed.
+        ModelError: If a file cannot be read, both files have no joint in common, or no feet are
             found.
-        UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
+        UnknownNameError: If a foot, joint or keyframe does not exist; the message lists valid
+            names.
     """
     pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
     robot = make_robot(
