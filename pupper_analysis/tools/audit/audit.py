@@ -81,7 +81,11 @@ def _audited(
         if robot.format not in rule.formats or rule.id in unwanted:
             continue
         run.append(rule.id)
-        checks = [each[rule.id] for each in (CHECKS, theirs) if rule.id in each]
+        checks = [
+            checks_by_rule[rule.id]
+            for checks_by_rule in (CHECKS, theirs)
+            if rule.id in checks_by_rule
+        ]
         findings += [_finding(file, rule, found) for check in checks for found in check(robot)]
     findings.sort(
         key=lambda finding: (

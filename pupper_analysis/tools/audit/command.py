@@ -77,17 +77,23 @@ def command(
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.parse_packages(packages)
     with variant_model_files(str(file)) if is_variant(str(file)) else nullcontext((file,)) as files:
-        results = [audit_model(one, packages=folders, disabled=disabled) for one in files]
+        results = [
+            audit_model(model_file, packages=folders, disabled=disabled) for model_file in files
+        ]
         if style in ("text", "markdown"):
             shown = [("", result) for result in results]
             shared.show_results(shown, style, everything=everything)
         else:
             found = [
-                one for result in results for one in audit_report.make_audit_annotations(result)
+                annotation
+                for result in results
+                for annotation in audit_report.make_audit_annotations(result)
             ]
             click.echo(formats.write_annotations(style, found))
         least = Severity(fail_on).rank
-        passed = all(one.severity.rank > least for result in results for one in result.findings)
+        passed = all(
+            finding.severity.rank > least for result in results for finding in result.findings
+        )
         content = (
             results[0]
             if len(results) == 1

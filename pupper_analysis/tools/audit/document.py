@@ -82,7 +82,7 @@ def _alike(
     message = doc.diagnostic_text(first.diagnostic)
     said = text("element-message", element=format_element(first.diagnostic), message=message)
     if others:
-        names = join_words(format_element(other.diagnostic) for other in others)
+        names = join_words(format_element(finding.diagnostic) for finding in others)
         said = text("finding-likewise-names", finding=said, names=names)
     path = first.place.path
     quote = doc.Name(quote_line(path, audit.file))

@@ -192,7 +192,7 @@ def check_repository(
     whole = not _refused(known)
     if update_baseline and whole:
         known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
-        taken = [BaselineEntry(one.identity, one.values) for one in known if one.known]
+        taken = [BaselineEntry(remark.identity, remark.values) for remark in known if remark.known]
         write_baseline(settings.baseline, before, taken)
     ordered = sorted(
         (replace(remark, fails=_fails(remark, settings)) for remark in known),
@@ -214,10 +214,14 @@ def check_repository(
 def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
     """Returns what was checked of a pair, with its results."""
     own = [
-        one for one in remarks if one.pair == pair.name or (not one.pair and one.file in pair.files)
+        remark
+        for remark in remarks
+        if remark.pair == pair.name or (not remark.pair and remark.file in pair.files)
     ]
-    known = count_findings(one for one in own if one.known)
-    return replace(pair, failures=count_findings(one for one in own if one.fails), known=known)
+    known = count_findings(remark for remark in own if remark.known)
+    return replace(
+        pair, failures=count_findings(remark for remark in own if remark.fails), known=known
+    )
 
 
 def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
@@ -225,7 +229,9 @@ def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterat
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
     differences = {
-        (one.pair, one.kind, one.element) for one in messages if one.check == "crosscheck"
+        (remark.pair, remark.kind, remark.element)
+        for remark in messages
+        if remark.check == "crosscheck"
     }
     with open_revision(since, folder.absolute()) as before:
         for pair in config.pairs:

@@ -90,7 +90,9 @@ def command(
     else:
         found = report.make_check_annotations(result, in_a_change=style == "github")
         if style == "github":
-            found = [one for one in found if not one.known]  # nobody is reminded of it
+            found = [
+                annotation for annotation in found if not annotation.known
+            ]  # nobody is reminded of it
         text = formats.write_annotations(style, found)
         click.echo(text, nl=bool(text))
         if style == "github":

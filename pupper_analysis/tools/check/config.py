@@ -89,9 +89,9 @@ def find_config(start: Path | None = None) -> Path:
         ConfigurationError: If there is none.
     """
     folder = (start or Path.cwd()).absolute()
-    for each in (folder, *folder.parents):
-        if (each / CONFIG_NAME).is_file():
-            return each / CONFIG_NAME
+    for parent in (folder, *folder.parents):
+        if (parent / CONFIG_NAME).is_file():
+            return parent / CONFIG_NAME
     raise ConfigurationError("config", diagnose("no-config", file=CONFIG_NAME, folder=folder))
 
 
@@ -140,7 +140,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_list(value: Any, kind: type) -> bool:
-    return isinstance(value, list) and all(isinstance(each, kind) for each in value)
+    return isinstance(value, list) and all(isinstance(item, kind) for item in value)
 
 
 _TEXT: Final = _Kind(Term("a text, in quotes"), _is_text)
@@ -233,7 +233,7 @@ class _Reader:
         try:
             fail_on = Severity(stated)
         except ValueError:
-            severities = diagnose("one-of", names=[str(each) for each in Severity])
+            severities = diagnose("one-of", names=[str(severity) for severity in Severity])
             raise self.invalid(("fail-on",), stated, severities) from None
         baseline = self.folder / self.top.get("baseline", BASELINE_NAME)
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)

@@ -140,8 +140,8 @@ def summarise_check(check: RepositoryCheck) -> Text:
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,
-        "count-of-less-severity-than": count_findings(one for one in new if not one.fails),
-        "count-known": count_findings(one for one in check.remarks if one.known),
+        "count-of-less-severity-than": count_findings(remark for remark in new if not remark.fails),
+        "count-known": count_findings(remark for remark in check.remarks if remark.known),
         "count-stale": len(check.stale),
     }
     parts = [text(key, count=n) for key, n in counts.items() if n or key == "count-to-fix"]
@@ -173,21 +173,25 @@ def make_check_annotations(
         for remark in group if group[0].cause is None else group[:1]:
             # A tool that guards reports at each of its lines.
             both = in_a_change or remark.check not in ("crosscheck", "audit", "diff")
-            places: list[str | None] = [one for one in (remark.place, remark.other_place) if one]
-            found += [_annotation(group, remark, one) for one in places[: 1 + both] or [None]]
+            places: list[str | None] = [
+                location for location in (remark.place, remark.other_place) if location
+            ]
+            found += [
+                _annotation(group, remark, location) for location in places[: 1 + both] or [None]
+            ]
     about = about_kind("stale")
     found += [
         Annotation(
             "notice",
             "stale baseline",
-            str(one),
+            str(entry),
             check.baseline,
             "check/stale",
             about,
             known=False,
-            diagnostic=one,
+            diagnostic=entry,
         )
-        for one in describe_stale_entries(check)
+        for entry in describe_stale_entries(check)
     ]
     return found
 
@@ -202,8 +206,8 @@ def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
 
 def _annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
     both = (remark.place, remark.other_place)
-    others = [relative_to_root(one) for one in both if one and one != place]
-    message = " ".join([remark.message, *(f"[{other}]" for other in others)])
+    others = [relative_to_root(location) for location in both if location and location != place]
+    message = " ".join([remark.message, *(f"[{location}]" for location in others)])
     kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
     title = f"{kind}{joint}{remark.element}" if remark.element else kind
     about = RULES[kind].title if _by_rule(remark) else about_kind(kind)

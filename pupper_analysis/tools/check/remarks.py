@@ -132,7 +132,9 @@ def list_comparison_remarks(
                 "joint-not-in-file", subject=("joint", name), lacks=Path(other).name, sources=path
             )
             messages.append(("joint", name, lacks, path))
-    messages += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
+    messages += [
+        ("agreement", "", objection, comparison.mjcf) for objection in comparison.objections
+    ]
     for kind, element, diagnostic, place in messages:
         yield make_remark(
             "crosscheck", pair.name, kind, element, file, diagnostic, Severity.ERROR, place
@@ -166,21 +168,21 @@ def list_guard_remarks(
         pair: Whose models they are about.
         folder: Of the configuration.
     """
-    for one in findings:
-        file, _, line = one.places[0].rpartition(":")
+    for finding in findings:
+        file, _, line = finding.places[0].rpartition(":")
         plain = line.isdecimal() or line.startswith("<")
-        named = relative_path(file if plain else one.places[0], folder)
+        named = relative_path(file if plain else finding.places[0], folder)
         yield make_remark(
             tool,
             pair.name,
-            one.kind,
-            ", ".join(one.joints),
+            finding.kind,
+            ", ".join(finding.joints),
             named,
-            one.diagnostic,
-            one.severity,
-            one.places[0],
-            next(iter(one.places[1:]), None),
-            one.effects,
+            finding.diagnostic,
+            finding.severity,
+            finding.places[0],
+            next(iter(finding.places[1:]), None),
+            finding.effects,
         )
 
 
@@ -257,7 +259,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [to_plain(each) for each in value]
+        return [to_plain(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{NUM_DIGITS}g}") + 0.0
     return value if isinstance(value, bool | int | str) or value is None else str(value)
@@ -321,7 +323,7 @@ class Baseline:
         A comment stays above its entry: the new entry with the same value, otherwise the first one
         with the same identity. Comments whose entry is gone move to the end.
         """
-        written = sorted(((_line_of(one), one) for one in entries), key=itemgetter(0))
+        written = sorted(((_line_of(entry), entry) for entry in entries), key=itemgetter(0))
         above: list[list[str]] = [[] for _ in written]
         end: list[str] = []
         for old, comment in self.comments:
@@ -463,8 +465,8 @@ def values_agree(one: Any, two: Any) -> bool:
     if isinstance(one, Mapping) and isinstance(two, Mapping):
         return one.keys() == two.keys() and all(values_agree(one[key], two[key]) for key in one)
     here, there = _leaves(one), _leaves(two)
-    sizes = [abs(each) for each in (*here, *there) if _is_finite(each)]
-    if any(isinstance(each, str) for each in here):
+    sizes = [abs(leaf) for leaf in (*here, *there) if _is_finite(leaf)]
+    if any(isinstance(leaf, str) for leaf in here):
         sizes = []  # no list of numbers of one kind: each is held against its like
     return len(here) == len(there) and all(
         abs(a - b) <= _VALUE_TOLERANCE * max([*sizes, abs(a), abs(b)])
@@ -477,7 +479,7 @@ def values_agree(one: Any, two: Any) -> bool:
 def _leaves(value: Any) -> list[Any]:
     """Returns what nested lists and tables hold, with their ends."""
     if isinstance(value, list | tuple):
-        return [(), *(leaf for each in value for leaf in _leaves(each)), ()]
+        return [(), *(leaf for item in value for leaf in _leaves(item)), ()]
     if isinstance(value, Mapping):
         return [{}, *(leaf for key in sorted(value) for leaf in (key, *_leaves(value[key]))), {}]
     return [value]

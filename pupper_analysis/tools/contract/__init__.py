@@ -1,6 +1,7 @@
 """Find where trainer, deployment and model disagree.
 
-What trained a policy, what runs it, what drives the motors, and what models the robot.
+Compares the numbers that are specified for each joint by the training configuration of a policy,
+its deployment, the motor drivers, and the model of the robot.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

@@ -1,4 +1,4 @@
-"""``pupper-analysis contract``: whether trainer, deployment, firmware and model agree."""
+"""``pupper-analysis contract``: compare trainer, deployment, firmware and model."""
 
 from __future__ import annotations
 

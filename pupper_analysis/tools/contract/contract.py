@@ -1,4 +1,8 @@
-"""Reads what trainer, deployment, driver and model state of a robot: where do they differ?"""
+"""Comparison of the joint numbers in a trainer, a deployment, a driver and a model of a robot.
+
+`read_contract` reads each source (`readers`), assigns the statements to joints of the robot
+(`orders`), lists the disagreements (`findings`), and computes the default poses (`poses`).
+"""
 
 from __future__ import annotations
 
@@ -28,9 +32,9 @@ from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, ass
 from pupper_analysis.tools.contract.readers.models import match_joint_names, read_model_file
 
 MAX_FOLDER_FILES = 500
-"""Files of a folder that are read."""
+"""Largest number of files that are read from a folder. Chosen, to bound the time."""
 
-_PASSED_OVER = (
+_SKIPPED_FOLDERS = (
     "node_modules",
     "site-packages",
     "build",
@@ -40,20 +44,21 @@ _PASSED_OVER = (
     "thirdparty",
     "__pycache__",
 )
+"""Folders of installed or generated files; not searched."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourceRead(Result):
-    """A source.
+    """Source that was read.
 
     Attributes:
-        name: The file's name, and the configuration's in it.
-        path: The file.
+        name: Name of the file, followed by the name of the configuration.
+        path: Path of the file.
         role: trainer, policy, deployment, driver or model.
-        order: Its joints in the order in which a policy has them.
-        how: How that is known: named, motors, policy or assumed.
-        unknown: Names in it that are of no joint of the model.
-        observations: What a policy observes, in order.
+        order: Joints in the order of the policy's arrays.
+        how: How the order is known: named, motors, policy or assumed; empty if it is not known.
+        unknown: Names in the source that match no joint of the model.
+        observations: Observations of the policy, in order.
     """
 
     name: str
@@ -67,17 +72,17 @@ class SourceRead(Result):
 
 @dataclass(frozen=True, eq=False)
 class Contract(Result):
-    """What sources state of a robot, and where they differ.
+    """Joint numbers of all sources, and the disagreements between them.
 
     Attributes:
-        model: The model file by whose joints all is ordered.
-        joints: Its joints.
-        sources: What was read.
-        facts: Every number, with its place.
-        findings: What differs, the worst first.
-        poses: How the robot stands in each source's default pose, with its gains.
-        notes: What was assumed, and what could not be read.
-        passed: Whether nothing differs that is as bad as ``fail_on``.
+        model: Path of the model file that defines the joint order.
+        joints: Joints of this model.
+        sources: Sources that were read.
+        facts: All numbers, with file and line.
+        findings: Disagreements, the most severe first.
+        poses: Stand of the robot in the default pose of each source, with the gains of the source.
+        notes: Assumptions, and content that could not be read.
+    passed: True if every disagreement is less severe than ``fail_on``.
     """
 
     model: str
@@ -97,58 +102,70 @@ def read_contract(
     stand: bool = True,
     fail_on: str = "warning",
 ) -> Contract:
-    """Reads sources, at least one of them a model of the robot, and compares what they state.
+    """Read sources, including a model of the robot, and compare the stated numbers.
 
-    Nothing of a source is imported or run: Python is read by its syntax.
+    No code of a source is imported or executed: Python files are evaluated from the syntax tree.
 
     Args:
-        *sources: Files or folders; of a file with several configurations ``FILE:NAME``. Folders
-            are also where modules are looked for that a Python file imports.
-        names: {a source's name of a joint: the model's}, where they are not matched.
-        stand: Whether the robot is stood in each source's default pose.
-        fail_on: The least severity of a finding with which it is not passed.
+        *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file. Modules that
+            a Python file imports are searched in the folders as well.
+        names: {joint name in a source: joint name in the model} of joints that are not matched.
+        stand: Compute the stand in the default pose of each source.
+        fail_on: Lowest severity of a disagreement that makes ``passed`` False.
+
+    Returns:
+        Numbers, disagreements and poses.
 
     Raises:
-        ConfigurationError: If no model is given, or an argument is not valid.
-        ModelError: If a source cannot be read, has no joint of the robot, or several
-            configurations that fit; one line that tells where, and what would be valid.
+        ConfigurationError: If no model is passed, or an argument is invalid.
+        ModelError: If a source cannot be read, contains no joint of the robot, or contains several
+            configurations and no name is passed. The message states the place and the valid
+            choices.
     """
     if fail_on not in list(map(str, Severity)):
-        message = diagnose("one-of", names=[str(each) for each in Severity])
+        message = diagnose("one-of", names=[str(severity) for severity in Severity])
         raise ConfigurationError("fail_on", message)
-    asked, folders = _asked(sources)
-    read = [source for request in asked for source in _one_of(request, _read(request))]
-    models = [one for one in read if one.role is Role.MODEL]
+    requests, folders = _split_arguments(sources)
+    read = [
+        source
+        for request in requests
+        for source in _select_configurations(request, _read_file(request))
+    ]
+    models = [source for source in read if source.role is Role.MODEL]
     if not models:
         raise ConfigurationError("sources", diagnose("contract-without-model"))
-    # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
-    models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
+    # The joint order is that of the MJCF if there is one: trainers and engines use this order.
+    models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
     names, notes = match_joint_names(models, names or {})
     joints = RobotJoints(read_model_file(models[0].path), models[0].order, names)
     for folder in folders:
-        found, said = _in_folder(folder, read, joints)
-        read += found
-        notes += said
-    first, *rest = _named_apart([models[0], *(one for one in read if one is not models[0])])
-    placed = [assign_joints(one, joints, rest) for one in (first, *rest)]
-    for one in placed:
-        notes += _check(one, first)
-    placed.sort(key=lambda one: list(Role).index(one.source.role))
+        folder_sources, folder_notes = _read_folder(folder, read, joints)
+        read += folder_sources
+        notes += folder_notes
+    first, *rest = _make_names_distinct(
+        [models[0], *(source for source in read if source is not models[0])]
+    )
+    placed = [assign_joints(source, joints, rest) for source in (first, *rest)]
+    for placed_source in placed:
+        notes += _check_source(placed_source, first)
+    placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses = tuple[Pose, ...]()
     if stand:
-        from pupper_analysis.tools.contract.poses import stand_poses  # PlaCo, which a guard lacks
+        from pupper_analysis.tools.contract.poses import (
+            stand_poses,
+        )  # imports PlaCo, which a guard may lack
 
-        paths = list(dict.fromkeys(one.path for one in models))
+        paths = list(dict.fromkeys(model.path for model in models))
         poses, unstood = stand_poses(paths, placed, first.order)
         notes += unstood
     findings = add_height_effects(find_disagreements(placed, joints), poses)
     worst = Severity(fail_on).rank
-    facts = tuple(fact for one in placed for fact in one.facts.values())
-    passed = all(one.severity.rank > worst for one in findings)
+    facts = tuple(fact for placed_source in placed for fact in placed_source.facts.values())
+    passed = all(finding.severity.rank > worst for finding in findings)
     return Contract(
         str(first.path),
         first.order,
-        tuple(map(_source_read, placed)),
+        tuple(map(_summarise_source, placed)),
         facts,
         findings,
         poses,
@@ -157,48 +174,67 @@ def read_contract(
     )
 
 
-def _check(one: PlacedSource, model: Source) -> list[Diagnostic]:
-    """Returns what is noted of a source; one without a joint of the robot is refused."""
-    said = [fact for fact in one.facts.values() if fact.joint and not fact.implied]
-    theirs = [*one.unknown, *(each.joint for each in one.source.statements if each.joint)]
-    # A network without names states how many joints it is for.
-    alone = any(not fact.joint for fact in one.facts.values()) and not (theirs or one.notes)
-    if not (said or any(one.order) or alone):
-        names = tuple(dict.fromkeys(theirs))[:4]
+def _check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic]:
+    """Return the notes on a source.
+
+    Raises:
+        ModelError: If the source states no number for a joint of the robot, has no joint order, and
+            is no unnamed network with a number of joints.
+    """
+    stated_facts = [
+        fact for fact in placed_source.facts.values() if fact.joint and not fact.implied
+    ]
+    source_names = [
+        *placed_source.unknown,
+        *(statement.joint for statement in placed_source.source.statements if statement.joint),
+    ]
+    # A network without joint names still states the number of joints.
+    is_unnamed_network = any(not fact.joint for fact in placed_source.facts.values()) and not (
+        source_names or placed_source.notes
+    )
+    if not (stated_facts or any(placed_source.order) or is_unnamed_network):
+        names = tuple(dict.fromkeys(source_names))[:4]
         message = diagnose(
             "contract-no-joint", model=model.name, names=names, joints=model.order[:4]
         )
-        raise ModelError(one.source.path, next(iter(one.notes), message))
+        raise ModelError(placed_source.source.path, next(iter(placed_source.notes), message))
     unknown = (
-        [diagnose("contract-names-unknown", file=one.source.name, names=one.unknown)]
-        if one.unknown
+        [
+            diagnose(
+                "contract-names-unknown",
+                file=placed_source.source.name,
+                names=placed_source.unknown,
+            )
+        ]
+        if placed_source.unknown
         else []
     )
-    return [*one.source.notes, *one.notes, *unknown]
+    return [*placed_source.source.notes, *placed_source.notes, *unknown]
 
 
-def _named_apart(read: Sequence[Source]) -> list[Source]:
-    """Returns sources with names that differ: by as many folders as that takes."""
-    done = []
-    for one in read:
-        mine = one.path.absolute().parts
-        same = [each.path.absolute().parts for each in read if each.name == one.name]
-        others = [parts for parts in same if parts != mine]
-        least = next(
-            least
-            for least in range(1, len(mine) + 1)
-            if mine[-least:] not in [parts[-least:] for parts in others]
+def _make_names_distinct(read: Sequence[Source]) -> list[Source]:
+    """Prefix names that occur more than once with as many parent folders as are needed."""
+    renamed = []
+    for source in read:
+        own_parts = source.path.absolute().parts
+        all_parts = [peer.path.absolute().parts for peer in read if peer.name == source.name]
+        other_parts = [parts for parts in all_parts if parts != own_parts]
+        num_parts = next(
+            num_parts
+            for num_parts in range(1, len(own_parts) + 1)
+            if own_parts[-num_parts:] not in [parts[-num_parts:] for parts in other_parts]
         )
-        done.append(replace(one, name="/".join((*mine[-least:-1], one.name))))
-    return done
+        renamed.append(replace(source, name="/".join((*own_parts[-num_parts:-1], source.name))))
+    return renamed
 
 
-def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
+def _split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
+    """Separate files (with the name of a configuration) from folders."""
     folders, files = [], list[tuple[Path, str]]()
-    for each in sources:
-        path, name = Path(each), ""
+    for source in sources:
+        path, name = Path(source), ""
         if not path.exists() and ":" in path.name:
-            file, _, name = str(each).rpartition(":")
+            file, _, name = str(source).rpartition(":")
             path = Path(file)
         if path.is_dir():
             folders.append(path)
@@ -207,38 +243,43 @@ def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
     return [Request(path, name, tuple(folders)) for path, name in files], folders
 
 
-def _read(request: Request) -> list[Source]:
+def _read_file(request: Request) -> list[Source]:
+    """Read a file with all readers for the suffix."""
     ending = request.path.suffix.lower()
-    able = [one for one in load_readers() if ending in one.SUFFIXES]
+    able = [reader for reader in load_readers() if ending in reader.SUFFIXES]
     if not able:
-        known = sorted({suffix for one in load_readers() for suffix in one.SUFFIXES})
+        known = sorted({suffix for reader in load_readers() for suffix in reader.SUFFIXES})
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
     try:
-        return [source for one in able for source in one.read(request)]
+        return [source for reader in able for source in reader.read(request)]
     except InputError as error:
         raise make_input_error(Path(error.path), error) from error
     except RecursionError as error:
         raise ModelError(request.path, diagnose("contract-too-deep")) from error
 
 
-def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
-    """Returns the configuration of a file, if there is one; several controllers are several.
+def _select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
+    """Select the configurations of a file.
 
-    Configurations that say the same are one, and of a trainer one that another one holds is a part.
+    Configurations with the same content are merged. A trainer's configuration is dropped if another
+    one contains all its statements.
+
+    Raises:
+        ModelError: If a trainer's file has several configurations left, or none is found.
     """
-    kept = list({one.content: one for one in reversed(found)}.values())[::-1]
+    kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
     if kept and kept[0].role is Role.TRAINER:
-        said = [frozenset(one.content[0]) for one in kept]
+        statement_sets = [frozenset(source.content[0]) for source in kept]
         kept = [
             one
             for number, one in enumerate(kept)
             if not any(
-                said[number] < each or (said[number] == each and other < number)
-                for other, each in enumerate(said)
+                statement_sets[number] < each or (statement_sets[number] == each and other < number)
+                for other, each in enumerate(statement_sets)
             )
         ]
         if len(kept) > 1:
-            names = [one.name.rpartition(":")[2] for one in kept]
+            names = [source.name.rpartition(":")[2] for source in kept]
             message = diagnose("contract-several", names=names, file=request.path.name)
             raise ModelError(request.path, message)
     if not kept and request.name:
@@ -248,48 +289,58 @@ def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
     return kept
 
 
-def _in_folder(
+def _read_folder(
     folder: Path, read: Sequence[Source], joints: RobotJoints
 ) -> tuple[list[Source], list[Diagnostic]]:
-    """Returns the deployments of a folder that name joints of the robot; not its modules.
+    """Read the deployments in a folder that name joints of this robot; Python modules are not read.
 
-    What cannot be read, or has no joint of it, is another robot's: it is counted.
+    A deployment is kept if it names all joints, or if the order consists of joints of the robot.
+    Others are counted in a note, as are files that cannot be read.
     """
-    seen = {one.path.absolute() for one in read}
-    found, left, refused = list[Source](), 0, list[str]()
-    for path in _files(folder):
+    known_paths = {source.path.absolute() for source in read}
+    fitting, num_rejected, refused = list[Source](), 0, list[str]()
+    for path in _list_source_files(folder):
         try:
-            sources = [] if path.absolute() in seen else _read(Request(path))
+            sources = [] if path.absolute() in known_paths else _read_file(Request(path))
         except PupperAnalysisError:
             refused.append(path.name)
             continue
-        for one in sources:
-            by_name = assign_joints(one, joints, ())
+        for source in sources:
+            by_name = assign_joints(source, joints, ())
             every = set(by_name.names.values()) == set(joints.order)
             fits = every or (by_name.how == "named" and all(by_name.order))
-            left += not fits
-            found += [one] if fits else []
-    notes = [diagnose("contract-folder", file=str(folder), count=len(found), left=left)]
+            num_rejected += not fits
+            fitting += [source] if fits else []
+    notes = [diagnose("contract-folder", file=str(folder), count=len(fitting), left=num_rejected)]
     if refused:
         notes.append(diagnose("contract-folder-refused", count=len(refused), names=refused[:5]))
-    return found, notes
+    return fitting, notes
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    """Returns the files of a folder that may be a deployment's, in the order of their names."""
+def _list_source_files(folder: Path) -> Iterator[Path]:
+    """Yield up to `MAX_FOLDER_FILES` possible deployment files below a folder, sorted by path."""
     found = (
         path
         for path in sorted(folder.rglob("*"))
         if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
         and not any(
-            part[0] == "." or part in _PASSED_OVER for part in path.relative_to(folder).parts
+            part[0] == "." or part in _SKIPPED_FOLDERS for part in path.relative_to(folder).parts
         )
     )
     return islice(found, MAX_FOLDER_FILES)
 
 
-def _source_read(one: PlacedSource) -> SourceRead:
-    source, seen = one.source, tuple(name for name, _, _ in one.source.observations)
+def _summarise_source(placed_source: PlacedSource) -> SourceRead:
+    source, seen = (
+        placed_source.source,
+        tuple(name for name, _, _ in placed_source.source.observations),
+    )
     return SourceRead(
-        source.name, str(source.path), str(source.role), one.order, one.how, one.unknown, seen
+        source.name,
+        str(source.path),
+        str(source.role),
+        placed_source.order,
+        placed_source.how,
+        placed_source.unknown,
+        seen,
     )

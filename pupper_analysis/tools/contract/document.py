@@ -1,4 +1,4 @@
-"""The document of a contract: what differs, both lines side by side; and all that is stated."""
+"""Document of a contract: each disagreement with both lines, and tables of all numbers."""
 
 from __future__ import annotations
 
@@ -19,58 +19,63 @@ from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, find_quantity
 from pupper_analysis.tools.contract.findings import Disagreement
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
+"""Emphasis of each severity in a document."""
+
 ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
+"""Level of an annotation for each severity."""
 
 MAX_SHOWN_FINDINGS = 25
-"""Findings whose lines are shown side by side; the table has them all."""
+"""Largest number of disagreements whose lines are shown in the short view. Chosen."""
 
 
 @build_document.register(Contract)
 def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
-    """Returns what differs between sources, and what they state; see ``build_document``."""
+    """Build the document of a contract; see ``build_document``."""
     message = text(
         "contract-count",
         findings=len(contract.findings),
         facts=len(contract.facts),
         sources=len(contract.sources),
     )
-    found = bool(contract.findings)
-    agree = text("contract-agree-but" if found else "contract-agree")
+    has_findings = bool(contract.findings)
+    agree = text("contract-agree-but" if has_findings else "contract-agree")
     return doc.Document(
         text("contract"),
         doc.Name(Path(contract.model).name),
-        tuple(_blocks(contract)),
+        tuple(_list_blocks(contract)),
         passed=contract.passed,
         verdict=agree if contract.passed else text("contract-differ"),
-        warned=contract.passed and found,
+        warned=contract.passed and has_findings,
         findings=(message,),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
 
 
-def _blocks(contract: Contract) -> Iterable[doc.Block]:
+def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
     for number, finding in enumerate(contract.findings):
-        yield _sides(finding, detail=number >= MAX_SHOWN_FINDINGS)
+        yield _compare_lines(finding, detail=number >= MAX_SHOWN_FINDINGS)
     if contract.poses:
-        yield _poses(contract)
-    yield _sources(contract)
+        yield _tabulate_poses(contract)
+    yield _tabulate_sources(contract)
     for quantity in QUANTITIES:
-        stating = [one for one in contract.facts if one.quantity == quantity and one.joint]
+        stating = [fact for fact in contract.facts if fact.quantity == quantity and fact.joint]
         if stating:
-            yield _table(contract, stating, word(quantity), find_quantity_kind(quantity).unit)
-    settings = [one for one in contract.facts if not one.joint]
+            yield _tabulate_facts(
+                contract, stating, word(quantity), find_quantity_kind(quantity).unit
+            )
+    settings = [fact for fact in contract.facts if not fact.joint]
     if settings:
-        yield _table(contract, settings, text("contract-settings"))
-    if any(one.observations for one in contract.sources):
-        yield _observations(contract)
+        yield _tabulate_facts(contract, settings, text("contract-settings"))
+    if any(source.observations for source in contract.sources):
+        yield _tabulate_observations(contract)
 
 
-def _sides(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
+def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
         doc.FilePlace(
             doc.Name(Path(place).name),
-            doc.Name(quote_line(place) or _value(finding, number)),
+            doc.Name(quote_line(place) or _format_value(finding, number)),
             place,
         )
         for place, number in numbers.items()
@@ -88,22 +93,22 @@ def _sides(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
     )
 
 
-def _value(finding: Disagreement, number: int) -> str:
+def _format_value(finding: Disagreement, number: int) -> str:
     value = finding.values[number]
     return "-" if value is None else f"{value:.6g} {finding.unit}".rstrip()
 
 
-def _column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
+def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
     return doc.Column(text(key), unit, left=not unit, detail=detail)
 
 
-def _poses(contract: Contract) -> doc.Table:
+def _tabulate_poses(contract: Contract) -> doc.Table:
     columns = (
-        _column("contract-source"),
-        _column("contract-height", "mm"),
-        _column("contract-sag", "mm"),
-        _column("contract-utilisation", "%"),
-        _column("contract-stays"),
+        _make_column("contract-source"),
+        _make_column("contract-height", "mm"),
+        _make_column("contract-sag", "mm"),
+        _make_column("contract-utilisation", "%"),
+        _make_column("contract-stays"),
     )
     ends: dict[bool | None, doc.Cell] = {
         None: doc.Name("-"),
@@ -129,46 +134,58 @@ def _poses(contract: Contract) -> doc.Table:
     return doc.Table(text("contract-poses"), columns, rows, notes, source)
 
 
-def _sources(contract: Contract) -> doc.Table:
+def _tabulate_sources(contract: Contract) -> doc.Table:
     columns = (
-        _column("contract-source"),
-        _column("contract-role"),
-        _column("contract-numbers", "1"),
-        _column("contract-order-how"),
+        _make_column("contract-source"),
+        _make_column("contract-role"),
+        _make_column("contract-numbers", "1"),
+        _make_column("contract-order-how"),
     )
     count = Counter(fact.source for fact in contract.facts)
     rows = tuple(
         (
-            doc.Name(one.name),
-            word(one.role),
-            doc.number_cell(count[one.name], ".0f"),
-            text(f"contract-order-{one.how or 'none'}"),
+            doc.Name(source.name),
+            word(source.role),
+            doc.number_cell(count[source.name], ".0f"),
+            text(f"contract-order-{source.how or 'none'}"),
         )
-        for one in contract.sources
+        for source in contract.sources
     )
     return doc.Table(text("contract-sources"), columns, rows, detail=False)
 
 
-def _table(
+def _tabulate_facts(
     contract: Contract, facts: Sequence[Fact], title: doc.Words, unit: str = ""
 ) -> doc.Table:
-    """Returns a quantity, or all settings: a row per joint, or setting, a column per source."""
-    by = {(one.joint or one.quantity, one.source): one for one in facts}
-    names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
-    found = [one for one in contract.findings if one.kind in {fact.quantity for fact in facts}]
-    # A mirror image that is wrong where sources differ is so because of one of the two joints.
-    found = [one for one in found if one.slip != "mirror"] or found
-    differ = {(row, one.sources[1]) for one in found for row in one.joints or [one.kind]}
+    """Make the table of a quantity, or of all settings, with a column per source."""
+    facts_by_cell = {(fact.joint or fact.quantity, fact.source): fact for fact in facts}
+    names = [
+        source.name for source in contract.sources if any(f.source == source.name for f in facts)
+    ]
+    shown_findings = [
+        finding
+        for finding in contract.findings
+        if finding.kind in {fact.quantity for fact in facts}
+    ]
+    # If sources differ as well, a violated symmetry follows from one of the differences.
+    shown_findings = [
+        finding for finding in shown_findings if finding.slip != "mirror"
+    ] or shown_findings
+    marked_cells = {
+        (row, finding.sources[1])
+        for finding in shown_findings
+        for row in finding.joints or [finding.kind]
+    }
     rows: list[tuple[doc.Cell, ...]] = []
-    for row in dict.fromkeys([*contract.joints, *(row for row, _ in by)]):
-        said = [by.get((row, name)) for name in names]
-        if any(said):
-            marks = ["bad" if (row, name) in differ else "" for name in names]
+    for row in dict.fromkeys([*contract.joints, *(row for row, _ in facts_by_cell)]):
+        row_facts = [facts_by_cell.get((row, name)) for name in names]
+        if any(row_facts):
+            marks = ["bad" if (row, name) in marked_cells else "" for name in names]
             head = doc.Name(row) if row in contract.joints else word(row)
-            rows.append((head, *map(_cell, said, marks)))
-    columns = [_column("joint" if facts[0].joint else "contract-setting")]
+            rows.append((head, *map(_make_cell, row_facts, marks)))
+    columns = [_make_column("joint" if facts[0].joint else "contract-setting")]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
-    places = {name: next(one.place for one in facts if one.source == name) for name in names}
+    places = {name: next(fact.place for fact in facts if fact.source == name) for name in names}
     notes = (
         join_words(
             text("contract-first-place", source=name, place=Path(place).name)
@@ -178,7 +195,7 @@ def _table(
     return doc.Table(title, tuple(columns), tuple(rows), notes, detail=True)
 
 
-def _cell(fact: Fact | None, mark: str) -> doc.Cell:
+def _make_cell(fact: Fact | None, mark: str) -> doc.Cell:
     if fact is None:
         return doc.Name("")
     if fact.value is None:
@@ -186,31 +203,33 @@ def _cell(fact: Fact | None, mark: str) -> doc.Cell:
     return doc.Number(f"{fact.value:.5g}", fact.value, mark)
 
 
-def _observations(contract: Contract) -> doc.Table:
-    seen = {one.name: one.observations for one in contract.sources if one.observations}
-    named = [doc.Column(doc.Name(name), left=True) for name in seen]
+def _tabulate_observations(contract: Contract) -> doc.Table:
+    terms_by_source = {
+        source.name: source.observations for source in contract.sources if source.observations
+    }
+    named = [doc.Column(doc.Name(name), left=True) for name in terms_by_source]
     rows: list[tuple[doc.Cell, ...]] = []
-    for number, row in enumerate(zip_longest(*seen.values(), fillvalue=""), start=1):
+    for number, row in enumerate(zip_longest(*terms_by_source.values(), fillvalue=""), start=1):
         rows.append((doc.number_cell(number, ".0f"), *map(doc.Name, row)))
-    columns = (_column("ordinal", "1"), *named)
+    columns = (_make_column("ordinal", "1"), *named)
     return doc.Table(text("contract-observations"), columns, tuple(rows), detail=True)
 
 
-# For machines.
+# Annotations for machines.
 
 
 def make_contract_annotations(contract: Contract) -> list[Annotation]:
-    """Returns each finding as an annotation at the line of each source."""
+    """Make an annotation for each disagreement at the line of each source."""
     return [
         Annotation(
-            ANNOTATION_LEVELS[one.severity],
-            f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
-            f"{one.message} [{one.places[1 - number]}]",
+            ANNOTATION_LEVELS[finding.severity],
+            f"{finding.slip or finding.kind}: {', '.join(finding.joints[:3]) or finding.kind}",
+            f"{finding.message} [{finding.places[1 - number]}]",
             place,
-            about=one.kind,
-            rule=f"contract/{one.kind.replace(' ', '-')}",
-            diagnostic=one.diagnostic,
+            about=finding.kind,
+            rule=f"contract/{finding.kind.replace(' ', '-')}",
+            diagnostic=finding.diagnostic,
         )
-        for one in contract.findings
-        for place, number in {place: n for n, place in enumerate(one.places)}.items()
+        for finding in contract.findings
+        for place, number in {place: n for n, place in enumerate(finding.places)}.items()
     ]

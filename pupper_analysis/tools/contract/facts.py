@@ -1,4 +1,8 @@
-"""What sources state of joints: facts, each with its file and line; and who reads which file."""
+"""Statements about joints that sources contain, and the registry of readers.
+
+A reader returns `Source` objects. A `Statement` refers to a joint by the name, pattern or index in
+the source; a `Fact` refers to a joint of the robot. `Node` is a value of a file with the line.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +25,17 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
 ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
-"""The group of entry points by which a distribution offers readers: ``name = "its.module"``."""
+"""Group of entry points with which other distributions register readers: ``name = "its.module"``.
+"""
 
 MAX_VALUES: Final = 200_000
-"""Values that are read of one source: the largest configurations that were seen have 4,000, and a
-module of a training library takes some 10,000 expressions to be worked out."""
+"""Largest number of values that are read from one source, to bound time and memory. The largest
+configurations that were measured have 4,000 values; a module of a training library needs about
+10,000 evaluated expressions."""
 
 
 class Role(StrEnum):
-    """What a source is for, in the order in which one is held against another."""
+    """Role of a source. If two sources disagree, the earlier role is the reference."""
 
     TRAINER = "trainer"
     POLICY = "policy"
@@ -41,26 +47,27 @@ class Role(StrEnum):
 FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
     Path(__file__).with_name("fields.toml").read_text("utf-8")
 )
-"""What formats call what they state; the file explains its keys."""
+"""Content of ``fields.toml``: quantities and their keys in each format.
+"""
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
-"""{what is named: by which keys}."""
+"""{concept: keys in the formats, in order of precedence}."""
 
 OBSERVATION_ALIASES: Final[Mapping[str, str]] = {
     alias: name for name, aliases in FIELD_TABLE["observed"].items() for alias in aliases
 }
-"""{what a library calls a part of what a policy observes: what the others do}."""
+"""{name of an observation term in a library: common name}."""
 
 
 class QuantityKind(NamedTuple):
-    """A quantity.
+    """Properties of a quantity.
 
     Attributes:
-        unit: Of a joint that turns.
-        severity: Of a difference; None of what is listed alone.
-        mirrored: How it is of the other side's joint: 1 the same, -1 by the joint's axis, 0 not
-            held against it.
-        is_setting: Whether it is of a source as a whole, and not of a joint.
+        unit: Unit for a hinge.
+        severity: Severity of a difference between sources; None if the quantity is only listed.
+        mirrored: Relation to the mirrored joint: 1 if equal, -1 if the sign follows from the axes,
+            0 if not compared.
+        is_setting: Whether the quantity belongs to the source, not to a joint.
     """
 
     unit: str
@@ -78,10 +85,14 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
     )
     for name, row in FIELD_TABLE["quantities"].items()
 }
+"""{quantity: properties}, from ``fields.toml``."""
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
-    """Returns what a quantity is; what is none of ``QUANTITIES`` is a scale of what is observed."""
+    """Return the properties of a quantity.
+
+    Quantities not in `QUANTITIES` are scales of observations.
+    """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
 
@@ -91,23 +102,24 @@ FORMAT_KEYS: Final[Mapping[str, Mapping[str, str]]] = {
     }
     for form in ("table", "settings", "actuator")
 }
-"""{format: {what it calls it: quantity}}."""
+"""{format: {key in this format: quantity}}."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """One number that a source states.
+    """Number in a source, not yet assigned to a joint of the robot.
 
     Attributes:
-        quantity: A key of ``QUANTITIES``; of observations ``observation NAME``.
-        value: In SI units; None of an expression that is no constant.
-        place: Where.
-        joint: The joint's name, or a regular expression that all of it matches; "" of a setting.
-        index: In place of a name: which of the source's ``order``, from 0.
-        count: Of how many numbers the list is that ``index`` counts in.
-        decimals: Digits after the point, as it is written; None of what was computed.
-        expression: What stands there, of what is no constant.
-        implied: Whether the source leaves it to its library's default.
+        quantity: Key of `QUANTITIES`, or ``observation NAME`` for the scale of an observation.
+        value: Value in SI units; None if the expression is not constant.
+        place: File and line.
+        joint: Joint name, or a regular expression that must match the complete name; "" for a
+            setting.
+        index: Index from 0 into the ``order`` of the source, if no name is stated; otherwise None.
+        count: Length of the list that ``index`` refers to.
+        decimals: Decimals of the number as written; None for a computed number.
+        expression: Text of an expression that is not constant.
+        implied: Whether the number is a default of the library, or derived from another statement.
     """
 
     quantity: str
@@ -123,18 +135,18 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Fact(Result):
-    """One number that a source states.
+    """Number that a source specifies.
 
     Attributes:
-        source: The source's name.
-        joint: The joint, by the model's name; "" of a setting.
-        quantity: What it is.
-        value: In SI units; None of an expression that is no constant.
-        unit: Its unit.
+        source: Name of the source.
+        joint: Name of the joint in the model; "" for a setting.
+        quantity: Quantity.
+        value: Value in SI units; None if the expression is not constant.
+        unit: Unit of ``value``.
         place: ``file:line``.
-        expression: What stands there, of what is no constant.
-        implied: Whether the source leaves it to its library's default.
-        decimals: Digits after the point, as it is written; None of what was computed.
+        expression: Text of an expression that is not constant.
+        implied: Whether the number is a default of the library, or derived from another statement.
+        decimals: Decimals of the number as written; None for a computed number.
     """
 
     source: str
@@ -149,26 +161,27 @@ class Fact(Result):
 
     @property
     def number(self) -> float:
-        """Its value; 0 of what is no number."""
+        """Value in SI units; 0 if the value is None."""
         return self.value or 0.0
 
 
 @dataclass(frozen=True)
 class Source:
-    """What was read of one source.
+    """Content of a source.
 
     Attributes:
-        name: The file's name, and the configuration's in it.
-        path: The file.
-        role: What it is for.
-        statements: What it states; of several of one joint the last counts.
-        order: The names of joints in the order in which a policy has them; empty if it names none.
-        order_place: Where that stands.
-        motors: Which motor of the robot's own order each of ``order`` is; empty if not stated.
-        motor_names: The robot's own order of motors, by name; empty if not stated.
-        breadth_first: Whether a trainer puts joints in the order of their depth in the tree.
-        observations: What a policy observes, in order: (name, scale, place).
-        notes: What could not be read.
+        name: Name of the file, followed by the name of the configuration.
+        path: Path of the file.
+        role: Role of the source.
+        statements: Statements. Of several for a joint the last counts.
+        order: Joint names in the order of the policy's arrays; empty if none are stated.
+        order_place: File and line of ``order``.
+        motors: For each joint of the policy, the index in the robot's order of motors; empty if not
+            stated.
+        motor_names: Joint names in the robot's order of motors; empty if not stated.
+        breadth_first: Whether the trainer sorts joints by depth in the tree.
+        observations: Observations of the policy, in order: (name, scale, place).
+        notes: Content that could not be read.
     """
 
     name: str
@@ -183,36 +196,36 @@ class Source:
     observations: tuple[tuple[str, float | None, Place], ...] = ()
     notes: tuple[Diagnostic, ...] = ()
 
-    def fact(self, said: Statement, joint: str = "") -> Fact:
-        """Returns a statement as one of a joint of the robot; of itself as a whole, if of none."""
+    def fact(self, statement: Statement, joint: str = "") -> Fact:
+        """Convert a statement to a fact about a joint; without joint, about the source."""
         return Fact(
             self.name,
             joint,
-            said.quantity,
-            said.value,
-            find_quantity_kind(said.quantity).unit,
-            said.place.path,
-            said.expression,
-            said.implied,
-            said.decimals,
+            statement.quantity,
+            statement.value,
+            find_quantity_kind(statement.quantity).unit,
+            statement.place.path,
+            statement.expression,
+            statement.implied,
+            statement.decimals,
         )
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """What it states, wherever that stands: two of the same are one."""
-        said = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
-        seen = [(name, scale) for name, scale, _ in self.observations]
-        return tuple(said), self.order, self.motors, tuple(seen)
+        """Statements, orders and observations without places, to detect equal configurations."""
+        statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
+        observations = [(name, scale) for name, scale, _ in self.observations]
+        return tuple(statements), self.order, self.motors, tuple(observations)
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a reader is asked for.
+    """Request to a reader.
 
     Attributes:
-        path: The file.
-        name: Which of its configurations; "" for those that there are.
-        folders: Where else modules are looked for that it imports.
+        path: File.
+        name: Name of a configuration in the file; "" for all.
+        folders: Further folders to search for imported modules.
     """
 
     path: Path
@@ -221,11 +234,11 @@ class Request:
 
 
 class Reader(Protocol):
-    """A reader of sources: a module.
+    """Interface of a reader: a module with these names.
 
     Attributes:
-        SUFFIXES: How the names of its files end.
-        read: Yields what a file holds; nothing if it is of another kind.
+        SUFFIXES: File name suffixes, in lower case.
+        read: Function that yields the sources in a file; none if the file is of another kind.
     """
 
     SUFFIXES: tuple[str, ...]
@@ -234,24 +247,24 @@ class Reader(Protocol):
 
 @cache
 def load_readers() -> tuple[Reader, ...]:
-    """Returns all readers, our own first."""
+    """Import all readers, first the readers of this package."""
     from importlib.metadata import entry_points
 
-    own = Path(__file__).parent / "readers"
-    names = {f"{__package__}.readers.{path.stem}" for path in own.glob("[a-z]*.py")}
-    others = [point.module for point in entry_points(group=ENTRY_POINT_GROUP)]
-    modules: Any = [import_module(name) for name in (*sorted(names), *sorted(others))]
+    folder = Path(__file__).parent / "readers"
+    names = {f"{__package__}.readers.{path.stem}" for path in folder.glob("[a-z]*.py")}
+    external = [point.module for point in entry_points(group=ENTRY_POINT_GROUP)]
+    modules: Any = [import_module(name) for name in (*sorted(names), *sorted(external))]
     return tuple(modules)
 
 
 @dataclass(frozen=True)
 class Node:
-    """A value of a file that has lines: what a YAML, a JSON or a Python file states.
+    """Value of a YAML, JSON or Python file, with the place.
 
     Attributes:
-        value: A number, a text, a truth, None; a list or a dict of nodes; else what a reader knows.
-        place: Where it stands.
-        decimals: Of a number that is written: its digits after the point.
+        value: Number, text, truth value or None; list or dict of nodes; or an object of a reader.
+        place: File and line.
+        decimals: Decimals of a number as written; None otherwise.
     """
 
     value: Any
@@ -263,30 +276,30 @@ class Node:
 
     @property
     def is_present(self) -> bool:
-        """Whether it is anything."""
+        """Return True if the value is not None."""
         return self.value is not None
 
     @property
     def table(self) -> dict[Any, Node]:
-        """It as a table, or the fields that it has; empty if it is neither."""
-        held = getattr(self.value, "fields", self.value)
-        return held if isinstance(held, dict) else {}
+        """Value as a dict of nodes, or the fields of an object; empty for other values."""
+        content = getattr(self.value, "fields", self.value)
+        return content if isinstance(content, dict) else {}
 
     def get(self, *keys: str) -> Node:
-        """Returns what is below it, by names; nothing, where there is none."""
+        """Return the node at a path of keys; a node without value if a key is missing."""
         node = self
         for key in keys:
             node = node.table.get(key, Node(None, node.place))
         return node
 
     def find_first(self, names: str) -> Node:
-        """Returns the first of several that is below it: of ``KEY_ALIASES``."""
-        found = (self.get(*one.split(".")) for one in KEY_ALIASES[names])
-        return next((one for one in found if one.is_present), Node(None, self.place))
+        """Return the first present node among the paths of an entry of `KEY_ALIASES`."""
+        candidates = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
+        return next((item for item in candidates if item.is_present), Node(None, self.place))
 
     @property
     def number(self) -> float | None:
-        """It as a number; None if it is none."""
+        """Value as a float; None for a truth value, another type, or a too large integer."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None
@@ -297,17 +310,20 @@ class Node:
 
     @property
     def items(self) -> list[Node]:
-        """It as a list; itself alone if it is none."""
+        """List of nodes; the node itself if the value is not a list; empty if there is no value."""
         return self.value if isinstance(self.value, list) else [self] * self.is_present
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """It as texts; empty unless it is a text, or a list of nothing else."""
-        found = tuple(one.value for one in self.items)
-        return found if all(isinstance(one, str) and one for one in found) else ()
+        """Value as texts; empty unless it is a non-empty text or a list of such texts."""
+        texts = tuple(item.value for item in self.items)
+        return texts if all(isinstance(item, str) and item for item in texts) else ()
 
     def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
-        """Returns its statement: a number, or an expression that is none."""
+        """Make a statement of a quantity.
+
+        A value that is no number is kept as the text of an expression.
+        """
         number = self.number
         shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
         return Statement(
@@ -321,11 +337,11 @@ class Node:
         )
 
     def make_statements(self, quantity: str, joints: Iterable[str] = ()) -> Iterator[Statement]:
-        """Yields statements of a number for all, a list by index, or a table by name or pattern.
+        """Yield statements from a number, from a list by index, or from a table by name or pattern.
 
         Args:
-            quantity: Which; of a source as a whole there is one statement, if it is a number.
-            joints: Patterns of those that a number alone is of; all, if empty.
+            quantity: Quantity. For a setting a single statement results, if the value is a number.
+            joints: Patterns of the joints to which a single number applies; all joints if empty.
         """
         if find_quantity_kind(quantity).is_setting:
             if self.number is not None:
@@ -342,29 +358,35 @@ class Node:
                 yield self.make_statement(quantity, pattern)
 
 
-# Files of YAML and JSON, each value with its line.
+# YAML and JSON with line numbers.
 
 
-_FLOAT = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-"""Numbers as people write them: YAML 1.1 has ``1e-3`` as a text, its readers in C++ as a number."""
+_FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+"""Number without quotes. YAML 1.1 reads ``1e-3`` as a text, the C++ readers as a number."""
 
-_WRITTEN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
+_DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
+"""Number as written, with groups for the decimals and the exponent."""
 
 
 def read_yaml_nodes(path: Path, text: str) -> list[Node]:
-    """Returns the documents of a YAML, of which JSON is a part.
+    """Read the documents of a YAML or JSON file with line numbers.
 
-    Tags are no types: a list of whatever tag is a list. An alias is what it stands for. Weights of
-    networks are left out.
+    Tags are ignored: a tagged list is a list. Aliases are replaced by values. The values of keys
+    ``weights`` are replaced by an empty list.
 
     Raises:
-        ModelError: If it is none, or holds too much; it tells the line.
+        ModelError: If the text is not valid YAML, repeats a key in a table, or has more than
+            `MAX_VALUES` values. The message states the line if known.
     """
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         documents = list(yaml.compose_all(text, Loader=loader))
         left = [MAX_VALUES]
-        return [_node(path, one, left) for one in documents if one is not None]
+        return [
+            _convert_yaml_node(path, document, left)
+            for document in documents
+            if document is not None
+        ]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = one_line(error.problem or error.context or "")
@@ -374,47 +396,50 @@ def read_yaml_nodes(path: Path, text: str) -> list[Node]:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
 
 
-def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
+def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
+    """Convert a node of PyYAML; ``left`` holds the remaining number of values."""
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:
         raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
     if isinstance(node, yaml.MappingNode):
-        found, merged = dict[str, Node](), dict[str, Node]()
+        table, merged = dict[str, Node](), dict[str, Node]()
         for key, value in node.value:
             plain = isinstance(key, yaml.ScalarNode)
             name = str(key.value) if plain else f"? {key.start_mark.index}"
-            made = Node([], place) if name == "weights" else _node(path, value, left)
+            child_node = (
+                Node([], place) if name == "weights" else _convert_yaml_node(path, value, left)
+            )
             if key.tag.endswith(":merge"):
-                for part in reversed(made.items):
+                for part in reversed(child_node.items):
                     merged |= part.value if isinstance(part.value, dict) else {}
-            elif name in found:
+            elif name in table:
                 place = Place(path, key.start_mark.line + 1)
                 raise make_file_error(place, diagnose("contract-twice", key=name))
             else:
-                found[name] = made
-        return Node(merged | found, place)
+                table[name] = child_node
+        return Node(merged | table, place)
     if isinstance(node, yaml.SequenceNode):
-        return Node([_node(path, one, left) for one in node.value], place)
+        return Node([_convert_yaml_node(path, child, left) for child in node.value], place)
     quoted = node.style in ("'", '"', "|", ">")
     return Node(str(node.value), place) if quoted else parse_scalar(str(node.value), place)
 
 
-def parse_scalar(said: str, place: Place) -> Node:
-    """Returns what a text without quotes is: nothing, a truth, a number, or a text."""
-    if said.lower() in ("", "~", "null"):
+def parse_scalar(text: str, place: Place) -> Node:
+    """Parse a text without quotes: None, truth value, number or text."""
+    if text.lower() in ("", "~", "null"):
         return Node(None, place)
-    if said.lower() in ("true", "false"):
-        return Node(said.lower() == "true", place)
-    if len(said) <= 64 and _FLOAT.match(said):
-        plain = said.replace("_", "")
+    if text.lower() in ("true", "false"):
+        return Node(text.lower() == "true", place)
+    if len(text) <= 64 and _FLOAT_PATTERN.match(text):
+        plain = text.replace("_", "")
         return Node(float(plain), place, count_decimals(plain))
-    if said.lower() in (".inf", "-.inf", "inf", "-inf"):
-        return Node(float(said.replace(".", "")), place, 0)
-    return Node(said, place)
+    if text.lower() in (".inf", "-.inf", "inf", "-inf"):
+        return Node(float(text.replace(".", "")), place, 0)
+    return Node(text, place)
 
 
 def count_decimals(text: str) -> int:
-    """Returns the digits after the point of a number as it is written; with its exponent."""
-    found = _WRITTEN.fullmatch(text.replace("_", ""))
-    return 0 if found is None else max(0, len(found[1]) - int(found[2] or 0))
+    """Return the decimals of a written number, reduced by the exponent; 0 for other texts."""
+    match = _DECIMALS_PATTERN.fullmatch(text.replace("_", ""))
+    return 0 if match is None else max(0, len(match[1]) - int(match[2] or 0))

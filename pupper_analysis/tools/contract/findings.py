@@ -1,4 +1,4 @@
-"""What differs between sources: reads facts alone, and says nothing of how they were read."""
+"""Disagreements between sources, derived from facts only, independent of the file formats."""
 
 from __future__ import annotations
 
@@ -28,43 +28,48 @@ from pupper_analysis.tools.contract.orders import (
     list_observations,
 )
 
-_SAME = 2e-6
-"""Relative: what single precision and seven printed digits leave of a number."""
+_NUMBER_RTOL = 2e-6
+"""Relative tolerance of equal numbers: rounding of single precision and of seven printed digits."""
 
-_TOLERANCES = {
+_KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
 }
+"""Relative tolerance of quantities that `crosscheck` defines."""
 
-_LIMITS = ("lower limit", "upper limit")
+_LIMIT_QUANTITIES = ("lower limit", "upper limit")
+"""Position limits, compared with the absolute tolerance of `crosscheck`."""
 
-_FINE = 5
-"""Digits after the point from which on a number was worked out: others may be rounded from it."""
+_MIN_COMPUTED_DECIMALS = 5
+"""Decimals from which a number counts as computed: another source may state the same number
+rounded. Chosen."""
 
-_ROUNDED = 0.1
-"""Greatest share of a number that rounding it takes away or adds: 0.07 for 0.0745."""
+_MAX_ROUNDING_FRACTION = 0.1
+"""Largest change by rounding, relative to the number, that counts as the same number. Example: 0.07
+for 0.0745."""
 
-_UNITS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
-"""{unit: how many of it are one of ours}."""
+_UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
+"""{unit: factor from the SI unit to this unit}."""
 
-_UNIT_TOLERANCE = 5e-3
-"""Relative: degrees are written to three digits."""
+_UNIT_RTOL = 5e-3
+"""Relative tolerance of a ratio that indicates a wrong unit: degrees are written with three digits.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Disagreement(Result):
-    """One thing in which sources differ, or in which one contradicts itself.
+    """Difference between two sources, or a contradiction within a source.
 
     Attributes:
-        kind: The quantity; order, or observations.
-        slip: Which slip it looks like: ``sign``, ``unit``, ``order``, ``mirror``, or "".
-        joints: The joints that it is of.
-        sources: The sources' names, the one that is held to be meant first.
-        values: Of the first joint, in both; None where it is no number.
-        unit: Their unit.
-        severity: How bad it is.
-        diagnostic: What it is.
-        places: Where each value stands, ``file:line``.
-        effects: What it does.
+        kind: Quantity, ``order`` or ``observations``.
+        slip: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
+        joints: Joints concerned.
+        sources: Names of both sources; the first is the reference.
+        values: Values of the first joint in both sources; None if there is no number.
+        unit: Unit of the values.
+        severity: Severity.
+        diagnostic: Message without the effects.
+        places: ``file:line`` of each value.
+        effects: Effects on the robot.
     """
 
     kind: str
@@ -82,22 +87,23 @@ class Disagreement(Result):
 
     @property
     def message(self) -> str:
-        """It in one sentence, with what it does."""
+        """Message with the effects, in a sentence."""
         return "; ".join(map(str, (self.diagnostic, *self.effects)))
 
 
 @dataclass(frozen=True, eq=False)
 class Pose(Result):
-    """How a robot stands in the default pose of a source.
+    """Stand of a robot in the default pose of a source.
 
     Attributes:
-        source: The source's name.
-        height: Of the base over the feet in that pose (m).
-        sag: By how much the base sinks with the source's gains (m); None if not known.
-        utilisation: The greatest share of a motor's limit; None likewise.
-        stays: Whether it stays up in simulation with these gains and no feed-forward; None if
-            that was not simulated.
-        problem: Why something is not known; None if nothing.
+        source: Name of the source.
+        height: Height of the base above the mean of the feet's lowest points in this pose [m].
+        sag: Loss of base height with the gains of the source [m]; None if not computed.
+        utilisation: Largest ratio of motor torque to limit; None if not computed, or without
+            limits.
+        stays: Whether the robot keeps standing in simulation with the gains of the source and no
+            feed-forward; None if this was not simulated.
+        problem: Reason for a missing value; None if there is no error.
     """
 
     source: str
@@ -111,76 +117,94 @@ class Pose(Result):
 def find_disagreements(
     placed: Sequence[PlacedSource], model: RobotJoints
 ) -> tuple[Disagreement, ...]:
-    """Returns what differs, the worst first.
+    """List all disagreements, the most severe first.
 
     Args:
-        placed: The sources, in the order in which one is held against another.
-        model: The robot's joints.
+        placed: Sources, sorted by role.
+        model: Joints of the robot.
     """
-    found = [*_orders(placed), *_observations(placed)]
-    every = [*QUANTITIES, *(what for one in placed for what, _ in one.facts)]
-    for quantity in dict.fromkeys(every):
+    disagreements = [*_compare_orders(placed), *_compare_observations(placed)]
+    quantities = [
+        *QUANTITIES,
+        *(what for placed_source in placed for what, _ in placed_source.facts),
+    ]
+    for quantity in dict.fromkeys(quantities):
         kind = find_quantity_kind(quantity)
         if kind.severity is not None:
-            found += _of_quantity(quantity, kind, placed, ("", *model.order))
+            disagreements += _compare_quantity(quantity, kind, placed, ("", *model.order))
             if kind.mirrored:
-                found += _mirrored(quantity, kind, placed, model)
-    offsets = {one.joints for one in found if one.kind == "default angle"}
-    kept = [one for one in found if one.kind != "action offset" or one.joints not in offsets]
+                disagreements += _compare_sides(quantity, kind, placed, model)
+    offsets = {finding.joints for finding in disagreements if finding.kind == "default angle"}
+    kept = [
+        finding
+        for finding in disagreements
+        if finding.kind != "action offset" or finding.joints not in offsets
+    ]
     return tuple(sorted(kept, key=lambda one: one.severity.rank))
 
 
-def facts_agree(one: Fact, two: Fact) -> bool:
-    """Whether two numbers are one: the same, or the one rounded from the other, worked out.
+def facts_agree(first: Fact, second: Fact) -> bool:
+    """Return True if two numbers agree within tolerances, or after rounding.
 
-    What models state is held as near as ``crosscheck`` holds them.
+    The tolerances of effort, velocity, damping, friction and position limits are those of
+    `crosscheck`.
     """
-    a, b = one.number, two.number
-    apart = abs(a - b)
-    if a == b or apart <= _TOLERANCES.get(one.quantity, _SAME) * max(abs(a), abs(b)):
+    a, b = first.number, second.number
+    difference = abs(a - b)
+    if a == b or difference <= _KIND_TOLERANCES.get(first.quantity, _NUMBER_RTOL) * max(
+        abs(a), abs(b)
+    ):
         return True
-    if one.quantity in _LIMITS and apart <= Tolerances().limit:
+    if first.quantity in _LIMIT_QUANTITIES and difference <= Tolerances().limit:
         return True
-    for rounded, fine in ((one, two), (two, one)):
-        written = fine.decimals is None or fine.decimals >= _FINE
-        if rounded.decimals is not None and written:
+    for rounded, computed in ((first, second), (second, first)):
+        is_computed = computed.decimals is None or computed.decimals >= _MIN_COMPUTED_DECIMALS
+        if rounded.decimals is not None and is_computed:
             step = 0.5 * 10.0**-rounded.decimals * (1 + 1e-9)
-            if apart <= min(step, _ROUNDED * abs(fine.number)) or apart < 1e-9:
+            if (
+                difference <= min(step, _MAX_ROUNDING_FRACTION * abs(computed.number))
+                or difference < 1e-9
+            ):
                 return True
     return False
 
 
 FactPair = tuple[Fact, Fact]
-"""What two sources state; the first is held to be meant."""
+"""Facts of two sources; the first is the reference."""
 
 
-def _of_quantity(
+def _compare_quantity(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
-    """Yields in what each source differs from the first that states a joint's number."""
+    """Yield differences of each source from the first source that states a number for the joint."""
     pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
-        stated = ((one.source.role, one.facts.get((quantity, joint))) for one in placed)
-        stating = [(role, said) for role, said in stated if said and said.value is not None]
-        for role, two in stating[1:]:
-            first, one = stating[0]
-            bounded = quantity != "effort" or math.isfinite(max(one.number, two.number))
-            if bounded and not facts_agree(one, two):
-                key = (first, role, one.source, two.source)
-                pairs.setdefault(key, {})[joint] = (one, two)
+        stated = (
+            (placed_source.source.role, placed_source.facts.get((quantity, joint)))
+            for placed_source in placed
+        )
+        stating = [(role, fact) for role, fact in stated if fact and fact.value is not None]
+        for role, fact in stating[1:]:
+            first, first_fact = stating[0]
+            bounded = quantity != "effort" or math.isfinite(max(first_fact.number, fact.number))
+            if bounded and not facts_agree(first_fact, fact):
+                key = (first, role, first_fact.source, fact.source)
+                pairs.setdefault(key, {})[joint] = (first_fact, fact)
     for (first, other, *_), differing in pairs.items():
-        # What asks for less than the model allows may be meant.
-        asks = (first, other).count(Role.MODEL) == 1 and quantity in _LIMITS
-        yield from _grouped(quantity, kind, differing, asks)
+        # A source may restrict the range of the model on purpose.
+        is_range_difference = (first, other).count(
+            Role.MODEL
+        ) == 1 and quantity in _LIMIT_QUANTITIES
+        yield from _group_by_values(quantity, kind, differing, is_range_difference)
 
 
-def _grouped(
-    quantity: str, kind: QuantityKind, differing: dict[str, FactPair], asks: bool
+def _group_by_values(
+    quantity: str, kind: QuantityKind, differing: dict[str, FactPair], is_range_difference: bool
 ) -> Iterator[Disagreement]:
-    """Yields findings of two sources: one of an order, or one for each pair of values."""
+    """Yield an exchanged order as a single disagreement, otherwise the disagreements."""
     joints = list(differing)
-    one, two = differing[joints[0]]
-    swapped = _exchange(differing)
+    first_fact, second_fact = differing[joints[0]]
+    swapped = _find_exchange(differing)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
         message = diagnose(
@@ -188,89 +212,107 @@ def _grouped(
             what=Term(quantity),
             joints=tuple(joints),
             pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
-            file=two.source,
-            other=one.source,
+            file=second_fact.source,
+            other=first_fact.source,
         )
-        yield _finding(quantity, message, (one, two), kind, joints=joints, slip="order")
+        yield _make_disagreement(
+            quantity, message, (first_fact, second_fact), kind, joints=joints, slip="order"
+        )
         return
     groups: dict[tuple[float, float], list[str]] = {}
-    for joint, (one, two) in differing.items():
-        signs = (1 if one.number >= 0 else -1) if quantity in _ANGLES else 1
-        pair = (round(signs * one.number, 9), round(signs * two.number, 9))
+    for joint, (first_fact, second_fact) in differing.items():
+        signs = (1 if first_fact.number >= 0 else -1) if quantity in _ANGLE_QUANTITIES else 1
+        pair = (round(signs * first_fact.number, 9), round(signs * second_fact.number, 9))
         groups.setdefault(pair, []).append(joint)
     lower = -1 if quantity == "lower limit" else 1
     for (a, b), members in groups.items():
         head = members[0]
-        one, two = differing[head]
-        slip, unit = _slip(quantity, a, b)
-        null = a == 0 and quantity in ("effort", "velocity")  # a motor that does nothing
-        meant = asks and not null and lower * a <= lower * b + 1e-6
-        near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
+        first_fact, second_fact = differing[head]
+        slip, unit = _classify_slip(quantity, a, b)
+        is_powerless = a == 0 and quantity in ("effort", "velocity")
+        meant = is_range_difference and not is_powerless and lower * a <= lower * b + 1e-6
+        near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR_LIMIT_RTOL * max(
+            abs(a), abs(b)
+        )
         what = Term(quantity) if quantity in QUANTITIES else quantity
         message = diagnose(
             "contract-differs",
             subject=("joint", head) if head else None,
             what=what,
             others=tuple(members[1:]),
-            one=Quantity(one.number, kind.unit),
-            two=Quantity(two.number, kind.unit),
-            first=one.source,
-            second=two.source,
+            one=Quantity(first_fact.number, kind.unit),
+            two=Quantity(second_fact.number, kind.unit),
+            first=first_fact.source,
+            second=second_fact.source,
             sign=slip == "sign" or None,
             unit=unit or None,
         )
-        yield _finding(
+        yield _make_disagreement(
             quantity,
             message,
-            (one, two),
+            (first_fact, second_fact),
             kind._replace(severity=None) if meant or near else kind,
             joints=members,
             slip=slip,
-            effects=_effects(quantity, a, b),
+            effects=_describe_effects(quantity, a, b),
         )
 
 
-_NEAR = 0.02
-"""Relative difference of limits of motors that is no more than how a data sheet is rounded."""
+_NEAR_LIMIT_RTOL = 0.02
+"""Relative difference of motor limits that data sheets explain by rounding. Chosen."""
 
-_ANGLES = ("default angle", "action offset")
+_ANGLE_QUANTITIES = ("default angle", "action offset")
+"""Quantities that are joint angles: values of opposite sign form one group."""
 
 
-def _exchange(differing: dict[str, FactPair]) -> dict[str, str]:
-    """Returns {joint: whose number it has}, if all that differs is whose each number is."""
-    a, b = (Counter(round(both[side].number, 6) for both in differing.values()) for side in (0, 1))
-    # If each number is the other's, with the other sign, signs are exchanged, and not sides.
-    opposite = all(abs(one.number + two.number) < 1e-9 for one, two in differing.values())
+def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
+    """Return {joint: joint with this reference value} if values are permuted; otherwise {}."""
+    a, b = (
+        Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
+    )
+    # If each number is the negative of the other source's, signs are exchanged, not joints.
+    opposite = all(
+        abs(first_fact.number + second_fact.number) < 1e-9
+        for first_fact, second_fact in differing.values()
+    )
     half = len(differing) / 2
     if half < 1 or a != b or any(count > half for count in a.values()) or opposite:
         return {}
-    left, found = list(differing), {}
-    for joint, (one, two) in differing.items():
-        fits = [each for each in left if each != joint and facts_agree(differing[each][0], two)]
-        # Those that changed places with each other before all others.
-        both = [each for each in fits if facts_agree(differing[each][1], one)]
-        if not fits:
+    candidates, exchanged = list(differing), {}
+    for joint, (first_fact, second_fact) in differing.items():
+        matching = [
+            joint_name
+            for joint_name in candidates
+            if joint_name != joint and facts_agree(differing[joint_name][0], second_fact)
+        ]
+        # Pairs that exchanged values with each other come first.
+        mutual = [
+            joint_name
+            for joint_name in matching
+            if facts_agree(differing[joint_name][1], first_fact)
+        ]
+        if not matching:
             return {}
-        found[joint] = (both or fits)[0]
-        left.remove(found[joint])
-    return found
+        exchanged[joint] = (mutual or matching)[0]
+        candidates.remove(exchanged[joint])
+    return exchanged
 
 
-def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
-    """Returns which slip would make the one number of the other, and the unit, if it is that."""
-    if a and abs(a + b) <= _SAME * abs(a):
+def _classify_slip(quantity: str, a: float, b: float) -> tuple[str, str]:
+    """Return the mistake (sign or unit) between two numbers, and the unit."""
+    if a and abs(a + b) <= _NUMBER_RTOL * abs(a):
         return "sign", ""
     ratios = (b / a, a / b) if a and b else ()
-    for unit, size in _UNITS.items():
-        near = any(abs(ratio / size - 1) < _UNIT_TOLERANCE for ratio in ratios)
+    for unit, size in _UNIT_FACTORS.items():
+        near = any(abs(ratio / size - 1) < _UNIT_RTOL for ratio in ratios)
         if near and (unit != "mm" or quantity == "action scale"):
             return "unit", unit
     return "", ""
 
 
-def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
-    """Returns what a difference does, as far as the numbers alone tell."""
-    if quantity in _ANGLES:
+def _describe_effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
+    """Return the effects of a difference that follow from both numbers alone."""
+    if quantity in _ANGLE_QUANTITIES:
         return (diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad")),)
     if not (a and b and math.isfinite(a * b)):
         return ()
@@ -285,8 +327,8 @@ def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
     return ()
 
 
-def _finding(
-    what: str,
+def _make_disagreement(
+    kind_name: str,
     message: Diagnostic,
     sides: FactPair,
     kind: QuantityKind,
@@ -295,9 +337,11 @@ def _finding(
     slip: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
-    names, values, places = zip(*((one.source, one.value, one.place) for one in sides), strict=True)
+    names, values, places = zip(
+        *((fact.source, fact.value, fact.place) for fact in sides), strict=True
+    )
     return Disagreement(
-        what,
+        kind_name,
         slip,
         tuple(filter(None, joints)),
         names,
@@ -310,105 +354,122 @@ def _finding(
     )
 
 
-def _mirrored(
+def _compare_sides(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], model: RobotJoints
 ) -> Iterator[Disagreement]:
-    """Yields where a source has another number left than right: it contradicts itself."""
+    """Yield contradictions between the left and the right joint within a source."""
     for source, pair in product(placed, find_mirror_pairs(model.order)):
-        both = [source.facts.get((quantity, each)) for each in pair]
-        one, two = (None if said is None or said.value is None else said for said in both)
-        if one is None or two is None or (one.implied and two.implied):
+        facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]
+        first, second = (None if fact is None or fact.value is None else fact for fact in facts)
+        if first is None or second is None or (first.implied and second.implied):
             continue
         sign = model.mirrored_sign(*pair) if kind.mirrored < 0 else 1
-        if not is_mirror_image(one.value, two.value, sign):
+        if not is_mirror_image(first.value, second.value, sign):
             message = diagnose(
                 "contract-mirror",
                 subject=("joint", pair[0]),
                 what=Term(quantity),
                 mirror=pair[1],
-                one=Quantity(one.number, kind.unit),
-                two=Quantity(two.number, kind.unit),
-                file=one.source,
-                wanted=Quantity(sign * one.number, kind.unit),
+                one=Quantity(first.number, kind.unit),
+                two=Quantity(second.number, kind.unit),
+                file=first.source,
+                wanted=Quantity(sign * first.number, kind.unit),
             )
-            yield _finding(
+            yield _make_disagreement(
                 quantity,
                 message,
-                (one, two),
+                (first, second),
                 kind._replace(severity=Severity.WARNING),
                 joints=pair,
                 slip="mirror",
             )
 
 
-def _orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yields where what feeds a policy has its joints in another order than another that does."""
-    # What was assumed is nobody's; what says which motor each joint is may have any order.
+def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
+    """Yield differences between the joint orders of sources that feed a policy.
+
+    Models, assumed orders, and two sources that both map joints to motors are not compared.
+    """
+    # Assumed orders prove nothing; a source with a motor map may use any order.
     feeding = [
-        one
-        for one in placed
-        if one.source.role is not Role.MODEL
-        and one.order
-        and one.how != "assumed"
-        and (one.facts or one.source.motors)
+        placed_source
+        for placed_source in placed
+        if placed_source.source.role is not Role.MODEL
+        and placed_source.order
+        and placed_source.how != "assumed"
+        and (placed_source.facts or placed_source.source.motors)
     ]
-    for first, other in ((feeding[0], one) for one in feeding[1:]):
-        moved = {
-            one: f"{first.order.index(one)} → {other.order.index(one)} ({one})"
-            for one, two in zip(first.order, other.order, strict=False)
-            if one != two and one in other.order
+    for first, second in ((feeding[0], one) for one in feeding[1:]):
+        moved_joints = {
+            one: f"{first.order.index(one)} → {second.order.index(one)} ({one})"
+            for one, two in zip(first.order, second.order, strict=False)
+            if one != two and one in second.order
         }
-        mapped = first.source.motors and other.source.motors
-        if moved and not mapped and set(first.order) == set(other.order):
+        mapped = first.source.motors and second.source.motors
+        if moved_joints and not mapped and set(first.order) == set(second.order):
             message = diagnose(
                 "contract-order",
                 first=first.source.name,
-                second=other.source.name,
-                count=len(moved),
-                moved=tuple(moved.values())[:6],
-                more=max(0, len(moved) - 6) or None,
+                second=second.source.name,
+                count=len(moved_joints),
+                moved=tuple(moved_joints.values())[:6],
+                more=max(0, len(moved_joints) - 6) or None,
             )
             sides = [
-                one.fact(Statement("order", None, one.order_place or Place(one.path)))
-                for one in (first.source, other.source)
+                source.fact(Statement("order", None, source.order_place or Place(source.path)))
+                for source in (first.source, second.source)
             ]
-            yield _finding(
-                "order", message, (sides[0], sides[1]), _ORDER, joints=moved, slip="order"
+            yield _make_disagreement(
+                "order",
+                message,
+                (sides[0], sides[1]),
+                _ORDER_KIND,
+                joints=moved_joints,
+                slip="order",
             )
 
 
-def _observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yields where two sources observe the same things in another order."""
-    stating = [one.source for one in placed if one.source.observations]
-    for first, other in ((stating[0], one) for one in stating[1:]):
-        mine, theirs = list_observations(first), list_observations(other)
-        here = tuple(name for name in mine if name in theirs)
-        there = tuple(name for name in theirs if name in mine)
-        if here != there:
+def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
+    """Yield differences between the orders of observations that two sources have in common."""
+    stating = [
+        placed_source.source for placed_source in placed if placed_source.source.observations
+    ]
+    for first, second in ((stating[0], one) for one in stating[1:]):
+        first_terms, second_terms = list_observations(first), list_observations(second)
+        first_common = tuple(name for name in first_terms if name in second_terms)
+        second_common = tuple(name for name in second_terms if name in first_terms)
+        if first_common != second_common:
             message = diagnose(
-                "contract-observed-order", one=here, two=there, first=first.name, second=other.name
+                "contract-observed-order",
+                one=first_common,
+                two=second_common,
+                first=first.name,
+                second=second.name,
             )
             sides = [
-                one.fact(Statement("observations", None, one.observations[0][2]))
-                for one in (first, other)
+                source.fact(Statement("observations", None, source.observations[0][2]))
+                for source in (first, second)
             ]
-            yield _finding("observations", message, (sides[0], sides[1]), _ORDER, slip="order")
+            yield _make_disagreement(
+                "observations", message, (sides[0], sides[1]), _ORDER_KIND, slip="order"
+            )
 
 
-_ORDER = QuantityKind("", Severity.ERROR, 0, is_setting=True)
+_ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
+"""Severity of a difference in order."""
 
 
 def add_height_effects(
     findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
 ) -> tuple[Disagreement, ...]:
-    """Adds to findings of default angles how far apart the robot stands in both."""
+    """Add the difference in base height to disagreements about default angles."""
     heights = {pose.source: pose.height for pose in poses}
     done = []
-    for one in findings:
-        both = {heights[name] for name in one.sources if name in heights}
-        if one.kind == "default angle" and len(both) == 2:
+    for finding in findings:
+        both = {heights[name] for name in finding.sources if name in heights}
+        if finding.kind == "default angle" and len(both) == 2:
             apart = Quantity(max(both) - min(both), "m")
             message = diagnose("contract-effect-height", height=apart)
-            one = replace(one, effects=(*one.effects, message))
-        done.append(one)
+            finding = replace(finding, effects=(*finding.effects, message))
+        done.append(finding)
     return tuple(done)

@@ -1,4 +1,4 @@
-"""What `check` asks for a pair's key ``contract``, which names its sources."""
+"""Hook of `check`: compares the files listed under a pair's key ``contract`` with the models."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from pupper_analysis.tools.contract.findings import Disagreement
 def guard(
     models: Sequence[Path], sources: Sequence[Path], names: Mapping[str, str]
 ) -> tuple[Disagreement, ...]:
-    """Returns in what sources differ from each other and from the models; nobody stands.
+    """Compare sources with each other and with the models. No stand is computed.
 
     Args:
         models: URDF, MJCF, or both.
-        sources: Files, or ``FILE:NAME``, or folders.
-        names: {a name of a joint: the MJCF's}.
+        sources: Files, ``FILE:NAME``, or folders.
+        names: {joint name in a source: joint name in the MJCF}.
+
+    Returns:
+        Disagreements, the most severe first.
     """
     return read_contract(*models, *sources, names=names, stand=False).findings

@@ -1,4 +1,4 @@
-"""Which joint each statement of a source is of: by name, by pattern, or by its place in a list."""
+"""Assignment of the statements of a source to joints: by name, pattern, or index in a list."""
 
 from __future__ import annotations
 
@@ -25,16 +25,18 @@ from pupper_analysis.tools.contract.facts import (
 
 @dataclass(frozen=True, eq=False)
 class PlacedSource:
-    """A source whose statements are each of a joint of the robot.
+    """Source whose statements are assigned to joints of the robot.
 
     Attributes:
-        source: What was read.
-        facts: {(quantity, joint): what is stated of it}; the joint is "" of a setting.
-        order: The robot's joints in the order in which a policy has them; empty if not known.
-        how: How that is known: ``named``, ``motors``, ``policy``, ``assumed``, or "" if it is not.
-        names: {the source's name: the joint}.
-        unknown: Names that are of no joint of the robot.
-        notes: What was assumed.
+        source: Content of the source.
+        facts: {(quantity, joint): fact}; the joint is "" for a setting.
+        order: Joints of the robot in the order of the policy's arrays, "" for a name without match;
+            empty if the order is not known.
+        how: How the order is known: ``named``, ``motors``, ``policy`` or ``assumed``; "" if it is
+            not.
+        names: {name in the source: joint}.
+        unknown: Names that match no joint of the robot.
+        notes: Assumptions.
     """
 
     source: Source
@@ -48,12 +50,12 @@ class PlacedSource:
 
 @dataclass(frozen=True)
 class RobotJoints:
-    """The joints by which all is ordered.
+    """Joints of the model that defines the order.
 
     Attributes:
-        model: The robot.
-        order: Its joints, in the order of its file.
-        user_names: {a source's name: joint}, as the user says.
+        model: Model of the robot.
+        order: Names of the joints, in the order of the file.
+        user_names: {name in a source: joint}, passed by the user.
     """
 
     model: RobotModel
@@ -62,92 +64,102 @@ class RobotJoints:
 
     @property
     def by_depth(self) -> tuple[str, ...]:
-        """The joints by their depth in the tree, as Isaac Lab has them."""
-        above = {
-            name: list(self.model.ancestors(one.child)) for name, one in self.model.joints.items()
+        """Joints sorted by depth in the tree, the order of Isaac Lab."""
+        ancestors = {
+            name: list(self.model.ancestors(joint.child))
+            for name, joint in self.model.joints.items()
         }
-        return tuple(sorted(list_depth_first(self.model), key=lambda name: len(above[name])))
+        return tuple(sorted(list_depth_first(self.model), key=lambda name: len(ancestors[name])))
 
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
-        """Returns {a source's name: the joint it means}: as given, the same, or but for affixes."""
+        """Return {name in a source: joint}: passed by the user, equal, or equal without affixes."""
         pairs = {
             name: self.user_names[name] for name in names if self.user_names.get(name) in self.order
         }
         pairs |= {name: name for name in names if name in self.order and name not in pairs}
         return {**pairs, **match_without_affixes(names, self.order, pairs)}
 
-    def mirrored_sign(self, one: str, two: str) -> int:
-        """Returns 1 if mirrored postures have the same angle at two joints, -1 if the opposite one.
+    def mirrored_sign(self, first_name: str, second_name: str) -> int:
+        """Return the sign between the angles of two joints in mirrored postures.
 
-        A turn about an axis a is in a mirror (of the plane of x and z) one about (-a_x, a_y, -a_z).
+        A rotation about the axis a, mirrored at the xz plane, is a rotation about (-a_x, a_y,
+        -a_z).
 
         Returns:
-            0 if the axes are no mirror images.
+            1 if mirrored postures have equal angles, -1 if opposite angles, 0 if the axes are no
+            mirror images or a joint is not a hinge.
         """
-        first, second = (self.model.joints[name] for name in (one, two))
-        along = float(np.dot(np.multiply(first.axis, (-1, 1, -1)), second.axis))
-        turn = first.kind == second.kind == "hinge" and abs(along) >= _PARALLEL
-        return 0 if not turn else 1 if along > 0 else -1
+        first, second = (self.model.joints[name] for name in (first_name, second_name))
+        cosine = float(np.dot(np.multiply(first.axis, (-1, 1, -1)), second.axis))
+        are_mirrored_hinges = (
+            first.kind == second.kind == "hinge" and abs(cosine) >= _MIN_MIRROR_COSINE
+        )
+        return 0 if not are_mirrored_hinges else 1 if cosine > 0 else -1
 
 
-_PARALLEL = 0.95
-"""Least |cosine| between an axis and the mirrored one of the other side."""
+_MIN_MIRROR_COSINE = 0.95
+r"""Smallest \|cosine\| between an axis and the mirrored axis of the other side. Chosen."""
 
 
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
-    """Returns a model's joints limb by limb, as MuJoCo and Isaac Gym have them."""
+    """List the moving joints limb by limb, the order of MuJoCo and Isaac Gym."""
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
     return tuple(joint.name for link in links for joint in link.joints if joint.moves)
 
 
 def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
-    """Returns of which joint each statement is.
+    """Assign the statements of a source to joints of the robot.
 
     Args:
-        source: What was read.
-        model: The robot's joints.
-        others: All sources: what one leaves open another may say.
+        source: Source.
+        model: Joints of the robot.
+        others: Other sources, which may define the order of the lists in this source.
     """
-    asked = dict.fromkeys(one.joint for one in source.statements if one.joint)
-    plain = [one for one in asked if _PLAIN.fullmatch(one) or not is_pattern(one)]
-    names = list(dict.fromkeys((*source.order, *plain)))
-    known = model.match_names(names)
-    order, how, assumed = _order(source, model, others, known)
-    reverse = {joint: name for name, joint in known.items()}
-    seen = {
+    patterns = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
+    plain_names = [
+        pattern for pattern in patterns if _PLAIN_NAME.fullmatch(pattern) or not is_pattern(pattern)
+    ]
+    names = list(dict.fromkeys((*source.order, *plain_names)))
+    matched = model.match_names(names)
+    order, how, assumed = _determine_order(source, model, others, matched)
+    reverse = {joint: name for name, joint in matched.items()}
+    observation_scales = {
         f"observation {OBSERVATION_ALIASES.get(name, name)}": (scale, place)
         for name, scale, place in source.observations
         if scale is not None
     }
-    facts = {(what, ""): source.fact(Statement(what, *said)) for what, said in seen.items()}
+    facts = {
+        (quantity, ""): source.fact(Statement(quantity, *scale_and_place))
+        for quantity, scale_and_place in observation_scales.items()
+    }
     unread: dict[str, int] = {}
-    for one in source.statements:
-        if one.index is not None:
-            # Of a list of another length nobody knows whose they are: of the first ones, or all?
-            theirs = list(filter(None, order[one.index : one.index + 1]))
-            if one.count != len(order):
-                unread[one.quantity], theirs = one.count, []
-        elif one.joint in known or not one.joint:
-            theirs = [known.get(one.joint, "")]
+    for statement in source.statements:
+        if statement.index is not None:
+            # A list of another length cannot be assigned to joints.
+            assigned = list(filter(None, order[statement.index : statement.index + 1]))
+            if statement.count != len(order):
+                unread[statement.quantity], assigned = statement.count, []
+        elif statement.joint in matched or not statement.joint:
+            assigned = [matched.get(statement.joint, "")]
         else:
-            theirs = [
+            assigned = [
                 joint
                 for joint in model.order
-                if matches_name(one.joint, joint)
-                or matches_name(one.joint, reverse.get(joint, joint))
+                if matches_name(statement.joint, joint)
+                or matches_name(statement.joint, reverse.get(joint, joint))
             ]
-        facts |= {(one.quantity, joint): source.fact(one, joint) for joint in theirs}
-    step, many = (facts.get((what, "")) for what in ("time step", "decimation"))
-    if step and many and step.number * many.number:
-        many = replace(
-            many,
+        facts |= {(statement.quantity, joint): source.fact(statement, joint) for joint in assigned}
+    time_step, decimation = (facts.get((quantity, "")) for quantity in ("time step", "decimation"))
+    if time_step and decimation and time_step.number * decimation.number:
+        decimation = replace(
+            decimation,
             quantity="policy step",
-            unit=step.unit,
+            unit=time_step.unit,
             decimals=None,
-            value=step.number * many.number,
+            value=time_step.number * decimation.number,
         )
-        facts.setdefault(("policy step", ""), many)
+        facts.setdefault(("policy step", ""), decimation)
     notes = [
         diagnose(
             "contract-list-unread",
@@ -158,45 +170,52 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         )
         for quantity, count in unread.items()
     ]
-    unknown = tuple(name for name in names if name not in known)
-    return PlacedSource(source, facts, order, how, known, unknown, (*assumed, *notes))
+    unknown = tuple(name for name in names if name not in matched)
+    return PlacedSource(source, facts, order, how, matched, unknown, (*assumed, *notes))
 
 
 def list_observations(source: Source) -> list[str]:
-    """Returns what a policy observes, in order, by one library's names."""
+    """List the observations of a policy, in order, by common names."""
     return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 
-_PLAIN = re.compile(r"[\w/\- ]+")
-"""A name, and no pattern."""
+_PLAIN_NAME = re.compile(r"[\w/\- ]+")
+"""Text that is a name, not a pattern."""
 
 
-def _order(
-    source: Source, model: RobotJoints, others: Sequence[Source], known: Mapping[str, str]
+def _determine_order(
+    source: Source, model: RobotJoints, others: Sequence[Source], matched: Mapping[str, str]
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
-    """Returns the joints in the order of a source's lists, how that is known, and notes."""
+    """Return the joints in the order of a source's lists, how the order is known, and notes."""
     if source.order:
-        return tuple(known.get(name, "") for name in source.order), "named", []
-    lists = {one.count for one in source.statements if one.index is not None}
+        return tuple(matched.get(name, "") for name in source.order), "named", []
+    lists = {statement.count for statement in source.statements if statement.index is not None}
     sizes = {len(source.motors)} if source.motors else lists
-    motors = next(filter(None, map(_motor_names, others)), {})
+    motors = next(filter(None, map(_get_motor_names, others)), {})
     if source.motors and set(source.motors) <= set(motors):
         names = model.match_names(list(motors.values()))
-        return tuple(names.get(motors[one], "") for one in source.motors), "motors", []
-    policies = [one for one in others if one.role is Role.POLICY and len(one.order) in sizes]
-    if policies and source.role is Role.DEPLOYMENT:  # it runs that policy
+        return tuple(names.get(motors[motor], "") for motor in source.motors), "motors", []
+    policies = [
+        other_source
+        for other_source in others
+        if other_source.role is Role.POLICY and len(other_source.order) in sizes
+    ]
+    if policies and source.role is Role.DEPLOYMENT:  # a deployment runs the policy
         names = model.match_names(policies[0].order)
         return tuple(names.get(name, "") for name in policies[0].order), "policy", []
     if len(model.order) not in sizes:
         return (), "", []
-    trainers = [one for one in others if one.role is Role.TRAINER]
-    kept = [model.by_depth, model.order]
-    if trainers and all(one.breadth_first for one in trainers):
-        kept.reverse()
-    # That in which left and right are least unlike: a list in another order is like no mirror.
-    wrong = {one: _unlike(one, source, model) for one in dict.fromkeys(kept[::-1])}
-    order = min(wrong, key=wrong.__getitem__)
-    if wrong[order] > MAX_UNLIKE_FRACTION:
+    trainers = [other_source for other_source in others if other_source.role is Role.TRAINER]
+    candidates = [model.by_depth, model.order]
+    if trainers and all(trainer.breadth_first for trainer in trainers):
+        candidates.reverse()
+    # Select the order with the best left-right symmetry: a wrong order violates the symmetry.
+    unlike_fractions = {
+        candidate: _compute_unlike_fraction(candidate, source, model)
+        for candidate in dict.fromkeys(candidates[::-1])
+    }
+    order = min(unlike_fractions, key=unlike_fractions.__getitem__)
+    if unlike_fractions[order] > MAX_UNLIKE_FRACTION:
         return (), "", []
     of_file = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     by_depth = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
@@ -204,43 +223,43 @@ def _order(
 
 
 MAX_UNLIKE_FRACTION = 1 / 3
-"""Share of the pairs of left and right whose numbers may be unlike in an order that is assumed."""
+"""Largest fraction of left-right pairs with unlike numbers in an order that is assumed. Chosen."""
 
 
-def _unlike(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:
-    """Returns the share of pairs of left and right that a source's lists contradict in an order."""
-    said = {
-        (one.quantity, order[one.index]): one.value
-        for one in source.statements
-        if one.index is not None and one.count == len(order)
+def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:
+    """Return the fraction of left-right pairs whose numbers are no mirror images in an order."""
+    values = {
+        (statement.quantity, order[statement.index]): statement.value
+        for statement in source.statements
+        if statement.index is not None and statement.count == len(order)
     }
     signs = {pair: (1, model.mirrored_sign(*pair)) for pair in find_mirror_pairs(order)}
-    alike = [
-        is_mirror_image(said[what, one], said[what, two], sign[kind.mirrored < 0])
-        for what, kind in QUANTITIES.items()
+    agreements = [
+        is_mirror_image(values[quantity, first], values[quantity, second], sign[kind.mirrored < 0])
+        for quantity, kind in QUANTITIES.items()
         if kind.mirrored
-        for (one, two), sign in signs.items()
-        if (what, one) in said
+        for (first, second), sign in signs.items()
+        if (quantity, first) in values
     ]
-    return alike.count(False) / max(1, len(alike))
+    return agreements.count(False) / max(1, len(agreements))
 
 
-def is_mirror_image(one: float | None, two: float | None, sign: int) -> bool:
-    """Whether two numbers are each other's mirror image, or nobody knows."""
-    if one is None or two is None or not sign:
+def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
+    """Return True if two numbers are mirror images, or if a number or the sign is unknown."""
+    if first is None or second is None or not sign:
         return True
-    return abs(one - sign * two) <= 1e-3 * abs(one) + 1e-9
+    return abs(first - sign * second) <= 1e-3 * abs(first) + 1e-9
 
 
-def _motor_names(source: Source) -> dict[int, str]:
-    """Returns {number of a motor: name of its joint}, as a source states them."""
+def _get_motor_names(source: Source) -> dict[int, str]:
+    """Return {index of a motor: joint name}, as stated in a source."""
     if source.order and source.motors:
         return dict(zip(source.motors, source.order, strict=False))
     return dict(enumerate(source.motor_names))
 
 
 def matches_name(pattern: str, name: str) -> bool:
-    """Whether a joint's name is a name, or matches all of a regular expression."""
+    """Return True if a pattern equals a joint name, or matches the complete name."""
     if pattern in (name, ".*"):
         return True
     return is_pattern(pattern) and re.fullmatch(pattern, name) is not None
@@ -248,16 +267,23 @@ def matches_name(pattern: str, name: str) -> bool:
 
 @cache
 def is_pattern(text: str) -> bool:
-    """Whether a text is a regular expression, and none whose time may grow without bound."""
-    often = len(_REPEATED.findall(text))
+    """Return True if a text is a regular expression with bounded matching time."""
+    num_repeats = len(_REPEAT_PATTERN.findall(text))
     try:
-        return often <= _MOST_REPEATED and not _NESTED.search(text) and bool(re.compile(text))
+        return (
+            num_repeats <= _MAX_REPEATS
+            and not _NESTED_REPEAT_PATTERN.search(text)
+            and bool(re.compile(text))
+        )
     except (re.error, RecursionError, OverflowError):
         return False
 
 
-_REPEATED = re.compile(r"[+*{?]")
-_MOST_REPEATED = 5
-"""A name of n letters is tried in some n^5 / 120 ways."""
-_NESTED = re.compile(r"[+*}?)][+*{]")
-"""A repetition of a repetition, or of a group, which may have some, or alternatives."""
+_REPEAT_PATTERN = re.compile(r"[+*{?]")
+"""Repetition in a regular expression."""
+
+_MAX_REPEATS = 5
+"""Largest number of repetitions in an accepted pattern: a name of n letters needs about n^5 / 120
+attempts."""
+_NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
+"""Repetition of a repetition, or of a group with possible repetitions or alternatives."""

@@ -1,4 +1,4 @@
-"""How a robot stands in each source's default pose, with that source's gains."""
+"""Stand of a robot in the default pose of each source, with the gains of this source."""
 
 from __future__ import annotations
 
@@ -24,30 +24,38 @@ from pupper_analysis.tools.contract.orders import PlacedSource
 
 Array = NDArray[np.float64]
 
-_PART = 0.5
-"""Least share of a robot's joints whose default angles a source states, to be stood in them."""
+_MIN_STATED_FRACTION = 0.5
+"""Smallest fraction of the joints whose default angles a source must state for a stand. Chosen."""
 
 
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
-    """Returns how the robot stands in each source's default pose, each once; and notes.
+    """Compute the stand of the robot in each source's default pose; equal poses are computed once.
 
     Args:
-        models: The robot's files.
-        placed: The sources.
-        joints: The joints by which they are ordered.
+        models: Files of the robot.
+        placed: Sources.
+        joints: Names of the robot's joints.
+
+    Returns:
+        Poses, and notes. No poses if no source states enough angles, the robot cannot be loaded,
+        its base is fixed, or it has no feet.
     """
-    stating = {
-        one: {
-            joint: said.number
-            for (what, joint), said in one.facts.items()
-            if what == "default angle" and said.value is not None
+    stated_angles = {
+        placed_source: {
+            joint: fact.number
+            for (what, joint), fact in placed_source.facts.items()
+            if what == "default angle" and fact.value is not None
         }
-        for one in placed
+        for placed_source in placed
     }
-    whole = {one: angles for one, angles in stating.items() if len(angles) >= _PART * len(joints)}
-    if not whole:
+    complete = {
+        placed_source: angles
+        for placed_source, angles in stated_angles.items()
+        if len(angles) >= _MIN_STATED_FRACTION * len(joints)
+    }
+    if not complete:
         return (), []
     kinds = {path.suffix.lower() == ".urdf": path for path in models}
     try:
@@ -56,29 +64,39 @@ def stand_poses(
         return (), [diagnose("contract-not-stood", why=error.diagnostic)]
     if not robot.floating or not robot.feet:
         return (), []
-    limits = [each for one in placed if (each := _stated(one, "effort", robot))]
+    limits = [
+        each
+        for placed_source in placed
+        if (each := _get_stated_values(placed_source, "effort", robot))
+    ]
     limits.append(robot.effort_limits.tolist())
-    found: dict[str, Pose] = {}
+    poses_by_key: dict[str, Pose] = {}
     poses = []
-    for one, angles in whole.items():
-        kp, kd, efforts = (_stated(one, what, robot) for what in ("kp", "kd", "effort"))
-        asked = (angles, kp, kd, efforts or limits[0])
-        key = str([sorted((joint, round(angle, 6)) for joint, angle in angles.items()), *asked[1:]])
-        if key not in found:
-            found[key] = _stood(robot, one.source.name, *asked)
-        poses.append(replace(found[key], source=one.source.name))
+    for placed_source, angles in complete.items():
+        kp, kd, efforts = (
+            _get_stated_values(placed_source, what, robot) for what in ("kp", "kd", "effort")
+        )
+        arguments = (angles, kp, kd, efforts or limits[0])
+        key = str(
+            [sorted((joint, round(angle, 6)) for joint, angle in angles.items()), *arguments[1:]]
+        )
+        if key not in poses_by_key:
+            poses_by_key[key] = _stand_in_pose(robot, placed_source.source.name, *arguments)
+        poses.append(replace(poses_by_key[key], source=placed_source.source.name))
     return tuple(poses), []
 
 
-def _stated(one: PlacedSource, quantity: str, robot: Robot) -> list[float] | None:
-    """Returns a source's gains or limits (nu,), if it states them of all joints."""
-    stated = [one.facts.get((quantity, joint)) for joint in robot.joint_names]
-    values = [None if said is None else said.value for said in stated]
-    known = [value for value in values if value is not None and value > 0]
-    return known if len(known) == len(values) else None
+def _get_stated_values(
+    placed_source: PlacedSource, quantity: str, robot: Robot
+) -> list[float] | None:
+    """Return a source's gains or limits, shape (nu,); None unless all are stated and positive."""
+    facts = [placed_source.facts.get((quantity, joint)) for joint in robot.joint_names]
+    values = [None if fact is None else fact.value for fact in facts]
+    positive = [value for value in values if value is not None and value > 0]
+    return positive if len(positive) == len(values) else None
 
 
-def _stood(
+def _stand_in_pose(
     robot: Robot,
     name: str,
     angles: dict[str, float],
@@ -86,12 +104,13 @@ def _stood(
     kd: list[float] | None,
     efforts: list[float],
 ) -> Pose:
-    mine = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
-    pose = np.array([angles.get(joint, mine[joint]) for joint in robot.joint_names])
-    there = Configuration(robot, robot.posed(pose))
+    """Compute a stand and the torques; if the source states gains, also the verdict and the sag."""
+    home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
+    pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])
+    config = Configuration(robot, robot.posed(pose))
     lowest = [
         min(
-            float(there.foot_positions()[point][2]) - robot.contact_radius[point]
+            float(config.foot_positions()[point][2]) - robot.contact_radius[point]
             for point in points
         )
         for points in robot.feet.values()
@@ -99,17 +118,19 @@ def _stood(
     height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)
-    found = Pose(name, height, None, None, None, None)
+    result = Pose(name, height, None, None, None, None)
     try:
         stand = solve_stand(posed)
-        held = solve_stand_as_simulated(posed, stand)
-        torques = np.abs(stand_statics(posed, held).joint_torques)
-        use = float(np.max(torques / np.array(efforts))) or None  # without limits, nothing
-        found = replace(found, utilisation=use)
-        if kp is not None and kd is not None:  # those of the model are none of this source
+        simulated_stand = solve_stand_as_simulated(posed, stand)
+        torques = np.abs(stand_statics(posed, simulated_stand).joint_torques)
+        utilisation = (
+            float(np.max(torques / np.array(efforts))) or None
+        )  # infinite limits give 0, reported as None
+        result = replace(result, utilisation=utilisation)
+        if kp is not None and kd is not None:  # gains of the model are not gains of this source
             verdict = judge_stand(posed, stand, kp=kp, kd=kd)
-            found = replace(found, stays=verdict.commands_alone == Ending.HOLDS)
-            found = replace(found, sag=steady_state(posed, held, kp=kp).height_loss)
+            result = replace(result, stays=verdict.commands_alone == Ending.HOLDS)
+            result = replace(result, sag=steady_state(posed, simulated_stand, kp=kp).height_loss)
     except PupperAnalysisError as error:
-        return replace(found, problem=error.diagnostic)
-    return found
+        return replace(result, problem=error.diagnostic)
+    return result

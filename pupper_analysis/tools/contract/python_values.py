@@ -1,9 +1,9 @@
-"""What a Python file states, worked out from its syntax: nothing of it is imported or run.
+"""Evaluation of a Python file from its syntax tree: no code is imported or executed.
 
-Constants, names, lists, tables, dataclasses, classes of settings with their bases, arithmetic,
-loops over what is known, and functions that take nothing that is not known; modules within the
-folders that were given. All else is an ``UnknownValue`` with the text of the
-expression, as is each variable that an unsupported statement would change.
+Supported are constants, names, lists, tables, dataclasses, configuration classes with bases,
+arithmetic, comparisons, loops over known values, and calls of functions in files below the allowed
+folders. Every other expression becomes an ``UnknownValue`` with the text. If a statement cannot be
+evaluated, all variables assigned by the statement become unknown.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MAX_VALUES, Node, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
-"""Of a whole number: others grow without bound where they are multiplied in a loop."""
+"""Largest size of an integer [bit]. Larger integers would grow without bound in a loop."""
 
 MAX_CALL_DEPTH: Final = 40
-"""Calls within calls; Python's own limit is some 200 of ours."""
+"""Largest depth of nested calls. Python's own recursion limit corresponds to about 200."""
 
 
 @dataclass(eq=False)
 class NamedValue:
-    """What is no plain value, and has a name: an instance's copy has the same ones."""
+    """Value with a name that is not plain data. Deep copies share the same object."""
 
     name: str
 
@@ -47,12 +47,12 @@ class NamedValue:
 
 
 class UnknownValue(NamedValue):
-    """What is no constant: an expression, or a name that is imported from elsewhere."""
+    """Expression that is not constant, or a name from a module that was not read."""
 
 
 @dataclass(eq=False)
 class FunctionValue(NamedValue):
-    """A function, with the names that it knows besides its own; a method with whose it is."""
+    """Function with the enclosing scope; for a method also the bound object."""
 
     node: ast.FunctionDef | ast.Lambda
     around: Scope
@@ -61,7 +61,7 @@ class FunctionValue(NamedValue):
 
 @dataclass(eq=False)
 class ClassValue(NamedValue):
-    """A class; ``fields`` are its own and its bases', ``ordered`` the names of its annotations."""
+    """Class. ``fields`` includes the fields of bases; ``ordered`` lists the annotated names."""
 
     bases: list[ClassValue]
     fields: dict[str, Node]
@@ -70,12 +70,12 @@ class ClassValue(NamedValue):
 
 @dataclass(eq=False)
 class InstanceValue:
-    """What a call of a class makes.
+    """Result of calling a class.
 
     Attributes:
-        kind: The class's name.
+        kind: Name of the class.
         fields: {name: value}.
-        of: The class, if its module was read.
+        of: Class, if the module was read.
     """
 
     kind: str
@@ -87,7 +87,7 @@ class InstanceValue:
 
 
 class ModuleNames(UserDict[str, Node]):
-    """The names of a module, which fill as it is read."""
+    """Names of a module. Contains the names defined so far while the module is evaluated."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
         super().__init__({"__name__": Node(path.stem, Place(path))})
@@ -96,39 +96,41 @@ class ModuleNames(UserDict[str, Node]):
 
 
 Scope = ChainMap[str, Node]
-"""The names that are known at a place, innermost first; the last are its module's."""
+"""Visible names, innermost scope first; the last map is the `ModuleNames` of the module."""
 
 
 def get_module(scope: Scope) -> ModuleNames:
-    """Returns the module that a place is in."""
+    """Return the module of a scope."""
     return cast(ModuleNames, scope.maps[-1])
 
 
 class NotConstantError(Exception):
-    """What an expression comes to is not known."""
+    """The value of an expression is not known."""
 
 
-class _Return(Exception):  # noqa: N818
+class _ReturnSignal(Exception):  # noqa: N818
+    """Control flow: ``return``."""
+
     def __init__(self, node: Node) -> None:
         self.node = node
 
 
-class _Leave(Exception):  # noqa: N818
-    """Of a loop, or of a function that raises."""
+class _LeaveSignal(Exception):  # noqa: N818
+    """Control flow: ``break``, or ``raise`` in a function."""
 
 
-class _Next(Exception):  # noqa: N818
-    """Round of a loop."""
+class _NextSignal(Exception):  # noqa: N818
+    """Control flow: ``continue``."""
 
 
-_OPERATORS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
+_OPERATOR_FUNCTIONS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
     ast.FloorDiv: operator.floordiv,
     ast.Mod: operator.mod,
-    # As floats where whole numbers could grow without bound.
+    # Powers are computed as floats, since integers could grow without bound.
     ast.Pow: lambda a, b: float(a) ** b,
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
@@ -141,7 +143,9 @@ _OPERATORS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
     ast.In: lambda a, b: a in b,
     ast.NotIn: lambda a, b: a not in b,
 }
-_PURE: Final[Mapping[str, Callable[..., Any]]] = {
+"""Functions of binary operators and comparisons."""
+
+_PURE_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     **{
         name: getattr(math, name)
         for name in (
@@ -171,29 +175,48 @@ _PURE: Final[Mapping[str, Callable[..., Any]]] = {
     "range": range,
     "sorted": sorted,
 }
-"""Functions of plain values."""
-_ROWS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
-"""Functions of lists, whatever these hold."""
-_METHODS: Final[Mapping[type, Sequence[str]]] = {
+"""{name: function} of functions of plain values."""
+_LIST_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
+"""{name: function} of functions of lists of any content."""
+_ALLOWED_METHODS: Final[Mapping[type, Sequence[str]]] = {
     dict: ("get", "pop", "setdefault", "update", "keys", "values", "items", "copy", "clear"),
     list: ("append", "extend", "insert", "pop", "reverse", "copy", "clear"),
 }
-_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
+"""{type: names of the methods that are called}."""
+
+_NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
+"""Constants of numeric modules."""
+
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
-_LISTS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
-"""Calls that give back the values that they are given, in another list."""
-_TABLES: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
-"""Calls that give back the tables that they are given, and what they are given by name."""
-_COPIES: Final = ("copy", "deepcopy", "replace")
-_TYPES: Final = {"dict": dict, "list": list, "tuple": list, "str": str, "float": float, "int": int}
-_PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
+"""Names of modules with known constants."""
+
+_LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
+"""Calls that return the argument as a list."""
+_TABLE_CONSTRUCTORS: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
+"""Calls that merge tables and keyword arguments into one table."""
+_COPY_FUNCTIONS: Final = ("copy", "deepcopy", "replace")
+"""Functions that return a copy of the first argument."""
+
+_BUILTIN_TYPES: Final = {
+    "dict": dict,
+    "list": list,
+    "tuple": list,
+    "str": str,
+    "float": float,
+    "int": int,
+}
+"""{name: type} for ``isinstance`` and ``default_factory``."""
+
+_PROJECT_MARKERS: Final = ("setup.py", "pyproject.toml", ".git")
+"""Files or folders that mark the top folder of a project."""
 
 
 class Evaluator:
-    """Works out modules.
+    """Evaluator of modules.
 
     Args:
-        folders: Where modules are looked for, besides beside the file that imports them.
+        folders: Folders in which imported modules are searched, after the folders above the
+            importing file.
     """
 
     def __init__(self, folders: tuple[Path, ...] = ()) -> None:
@@ -203,13 +226,16 @@ class Evaluator:
         self.steps, self.depth = 0, 0
 
     def module(self, path: Path) -> ModuleNames:
-        """Returns a module; one that is being read is as far as it is: imports may go in circles.
+        """Evaluate a module.
+
+        In a circular import, the module is returned as evaluated so far.
 
         Raises:
-            InputError: If it cannot be read.
-            ModelError: If it does not parse; the error has the line.
+            InputError: If the file cannot be read.
+            ModelError: If the file cannot be parsed (with the line), or more than `MAX_VALUES`
+                steps are needed.
         """
-        if not path.is_absolute():  # what is asked for so is shown so, and what it imports
+        if not path.is_absolute():  # show relative paths if the request was relative
             self.shown = Path.cwd()
             path = path.absolute()
         if path in self.modules:
@@ -222,122 +248,159 @@ class Evaluator:
             raise make_file_error(Place(path, error.lineno), message) from error
         except (MemoryError, ValueError) as error:
             raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
-        made = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
-        with suppress(_Leave, _Next, _Return):
-            self.run(tree.body, Scope(made))
-        return made
+        result = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
+        with suppress(_LeaveSignal, _NextSignal, _ReturnSignal):
+            self.run(tree.body, Scope(result))
+        return result
 
     # Statements.
 
     def run(self, body: list[ast.stmt], scope: Scope) -> None:
-        """Works out statements, one after the other; what one changes that is not known is lost."""
-        for one in body:
-            self._count(one, scope)
-            try:
-                getattr(self, f"_do_{type(one).__name__.lower()}", self._lose)(one, scope)
-            except NotConstantError:
-                self._forget(one, scope)
+        """Evaluate statements in order.
 
-    def _count(self, node: ast.AST, scope: Scope) -> None:
+        The targets of a statement that cannot be evaluated become unknown.
+        """
+        for statement in body:
+            self._count_step(statement, scope)
+            try:
+                getattr(self, f"_run_{type(statement).__name__.lower()}", self._raise_not_constant)(
+                    statement, scope
+                )
+            except NotConstantError:
+                self._invalidate_targets(statement, scope)
+
+    def _count_step(self, node: ast.AST, scope: Scope) -> None:
         self.steps += 1
         if self.steps > MAX_VALUES:
-            place = self._place(node, scope)
+            place = self._make_place(node, scope)
             raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
 
-    def _lose(self, *_: object) -> None:
+    def _raise_not_constant(self, *_: object) -> None:
         raise NotConstantError
 
-    def _do_assign(self, one: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
-        if one.value is not None:
-            value = self.value(one.value, scope)
-            for target in one.targets if isinstance(one, ast.Assign) else [one.target]:
-                self._put(target, value, scope)
+    def _run_assign(self, statement: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
+        if statement.value is not None:
+            value = self.value(statement.value, scope)
+            for target in (
+                statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            ):
+                self._assign_target(target, value, scope)
 
-    _do_annassign = _do_assign
+    _run_annassign = _run_assign
 
-    def _do_augassign(self, one: ast.AugAssign, scope: Scope) -> None:
-        read = ast.copy_location(ast.BinOp(one.target, one.op, one.value), one)
-        self._put(one.target, self.value(read, scope), scope)
+    def _run_augassign(self, statement: ast.AugAssign, scope: Scope) -> None:
+        read = ast.copy_location(
+            ast.BinOp(statement.target, statement.op, statement.value), statement
+        )
+        self._assign_target(statement.target, self.value(read, scope), scope)
 
-    def _do_expr(self, one: ast.Expr, scope: Scope) -> None:
-        self.value(one.value, scope)
+    def _run_expr(self, statement: ast.Expr, scope: Scope) -> None:
+        self.value(statement.value, scope)
 
-    def _do_return(self, one: ast.Return, scope: Scope) -> None:
-        raise _Return(self.value(one.value or ast.copy_location(ast.Constant(None), one), scope))
+    def _run_return(self, statement: ast.Return, scope: Scope) -> None:
+        raise _ReturnSignal(
+            self.value(statement.value or ast.copy_location(ast.Constant(None), statement), scope)
+        )
 
-    def _do_raise(self, *_: object) -> None:
-        raise _Leave
+    def _run_raise(self, *_: object) -> None:
+        raise _LeaveSignal
 
-    _do_break = _do_raise
+    _run_break = _run_raise
 
-    def _do_continue(self, *_: object) -> None:
-        raise _Next
+    def _run_continue(self, *_: object) -> None:
+        raise _NextSignal
 
-    def _do_if(self, one: ast.If, scope: Scope) -> None:
-        self.run(one.body if self._truth(self.value(one.test, scope)) else one.orelse, scope)
+    def _run_if(self, statement: ast.If, scope: Scope) -> None:
+        self.run(
+            statement.body
+            if self._is_true(self.value(statement.test, scope))
+            else statement.orelse,
+            scope,
+        )
 
-    def _do_for(self, one: ast.For, scope: Scope) -> None:
-        with suppress(_Leave):
-            for each in self._listed(self.value(one.iter, scope)):
-                self._put(one.target, each, scope)
-                with suppress(_Next):
-                    self.run(one.body, scope)
+    def _run_for(self, statement: ast.For, scope: Scope) -> None:
+        with suppress(_LeaveSignal):
+            for item in self._list_items(self.value(statement.iter, scope)):
+                self._assign_target(statement.target, item, scope)
+                with suppress(_NextSignal):
+                    self.run(statement.body, scope)
 
-    def _do_try(self, one: ast.Try | ast.With, scope: Scope) -> None:
-        self.run([*one.body, *getattr(one, "orelse", ()), *getattr(one, "finalbody", ())], scope)
+    def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
+        self.run(
+            [
+                *statement.body,
+                *getattr(statement, "orelse", ()),
+                *getattr(statement, "finalbody", ()),
+            ],
+            scope,
+        )
 
-    _do_with = _do_try
+    _run_with = _run_try
 
-    def _do_functiondef(self, one: ast.FunctionDef, scope: Scope) -> None:
-        # What a method names is not its class's.
+    def _run_functiondef(self, statement: ast.FunctionDef, scope: Scope) -> None:
+        # Names in a class body are not visible in its methods.
         of = scope.get("__class__")
         method = of is not None and scope.maps[0] is of.value.fields
         around = scope.parents if method else scope
-        scope[one.name] = self._node(FunctionValue(one.name, one, around), one, scope)
+        scope[statement.name] = self._make_node(
+            FunctionValue(statement.name, statement, around), statement, scope
+        )
 
-    def _do_classdef(self, one: ast.ClassDef, scope: Scope) -> None:
-        bases = [self.value(base, scope).value for base in one.bases]
+    def _run_classdef(self, statement: ast.ClassDef, scope: Scope) -> None:
+        bases = [self.value(base, scope).value for base in statement.bases]
         known = [base for base in bases if isinstance(base, ClassValue)]
         theirs = dict(ChainMap(*(base.fields for base in known)))
-        made = ClassValue(
-            one.name, known, theirs, [name for base in known for name in base.ordered]
+        result = ClassValue(
+            statement.name, known, theirs, [name for base in known for name in base.ordered]
         )
-        node = self._node(made, one, scope)
-        self.run(one.body, scope.new_child({"__class__": node}).new_child(made.fields))
-        for each in one.body:
-            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
-                made.ordered.append(each.target.id)
-        scope[one.name] = node
+        node = self._make_node(result, statement, scope)
+        self.run(statement.body, scope.new_child({"__class__": node}).new_child(result.fields))
+        for class_statement in statement.body:
+            if isinstance(class_statement, ast.AnnAssign) and isinstance(
+                class_statement.target, ast.Name
+            ):
+                result.ordered.append(class_statement.target.id)
+        scope[statement.name] = node
 
-    def _do_import(self, one: ast.Import, scope: Scope) -> None:
-        for name in one.names:
+    def _run_import(self, statement: ast.Import, scope: Scope) -> None:
+        for name in statement.names:
             shown = name.asname or name.name.split(".")[0]
-            found = self._find(scope, name.name if name.asname else shown, 0)
-            self._import({shown: self._node(found or UnknownValue(shown), one, scope)}, scope)
+            result = self._find_module(scope, name.name if name.asname else shown, 0)
+            self._add_imports(
+                {shown: self._make_node(result or UnknownValue(shown), statement, scope)}, scope
+            )
 
-    def _do_importfrom(self, one: ast.ImportFrom, scope: Scope) -> None:
-        home: Mapping[str, Node] = self._find(scope, one.module or "", one.level) or {}
-        for name in one.names:
+    def _run_importfrom(self, statement: ast.ImportFrom, scope: Scope) -> None:
+        home: Mapping[str, Node] = (
+            self._find_module(scope, statement.module or "", statement.level) or {}
+        )
+        for name in statement.names:
             if name.name == "*":
-                self._import(home, scope)
+                self._add_imports(home, scope)
                 continue
             below = (
                 None
                 if name.name in home
-                else self._find(scope, f"{one.module or ''}.{name.name}", one.level)
+                else self._find_module(
+                    scope, f"{statement.module or ''}.{name.name}", statement.level
+                )
             )
-            lost = self._node(below or UnknownValue(name.name), one, scope)
-            self._import({name.asname or name.name: home.get(name.name, lost)}, scope)
+            lost = self._make_node(below or UnknownValue(name.name), statement, scope)
+            self._add_imports({name.asname or name.name: home.get(name.name, lost)}, scope)
 
-    def _import(self, names: Mapping[str, Node], scope: Scope) -> None:
+    def _add_imports(self, names: Mapping[str, Node], scope: Scope) -> None:
         scope.update(names)
         get_module(scope).imported.update(names)
 
-    def _find(self, scope: Scope, dotted: str, level: int) -> ModuleNames | None:
-        """Returns an imported module, if it lies in a folder that may be read."""
+    def _find_module(self, scope: Scope, dotted: str, level: int) -> ModuleNames | None:
+        """Return an imported module; None if no file in the search folders contains it."""
         path = get_module(scope).path
         parts = [part for part in dotted.split(".") if part]
-        tops = path.parents[level - 1 : level] if level else (*_tops(path), *self.folders)
+        tops = (
+            path.parents[level - 1 : level]
+            if level
+            else (*_list_search_folders(path), *self.folders)
+        )
         for top in tops:
             base = top.joinpath(*parts)
             for file in (base.with_suffix(".py") if parts else base, base / "__init__.py"):
@@ -345,360 +408,420 @@ class Evaluator:
                     return self.module(file)
         return None
 
-    def _forget(self, one: ast.stmt, scope: Scope) -> None:
-        """What may be changed by what may not happen is not known."""
-        within = (each for each in ast.walk(one) if isinstance(each, ast.stmt))
-        for said, node in ((each, node) for each in within for node in ast.walk(each)):
+    def _invalidate_targets(self, statement: ast.stmt, scope: Scope) -> None:
+        """Set all variables that a statement may assign to unknown values."""
+        within = (node for node in ast.walk(statement) if isinstance(node, ast.stmt))
+        for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
             if stored and isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
                 shown = ast.unparse(said).partition("\n")[0][:80]
-                lost = self._node(UnknownValue(shown), node, scope)
+                lost = self._make_node(UnknownValue(shown), node, scope)
                 with suppress(NotConstantError):
-                    self._put(cast(ast.expr, node), lost, scope)
+                    self._assign_target(cast(ast.expr, node), lost, scope)
 
-    def _put(self, to: ast.expr, value: Node, scope: Scope) -> None:
+    def _assign_target(self, to: ast.expr, value: Node, scope: Scope) -> None:
         match to:
             case ast.Name():
                 scope[to.id] = value
             case ast.Tuple() | ast.List():
-                for each, part in self._apply(zip, to.elts, self._listed(value), strict=True):
-                    self._put(each, part, scope)
+                for target, part in self._apply_function(
+                    zip, to.elts, self._list_items(value), strict=True
+                ):
+                    self._assign_target(target, part, scope)
             case ast.Attribute():
-                self._owner(to.value, scope)[to.attr] = value
+                self._get_owner_fields(to.value, scope)[to.attr] = value
             case ast.Subscript():
-                held = self.value(to.value, scope).value
-                if isinstance(held, list | dict):
-                    self._apply(operator.setitem, held, self._key(to.slice, scope), value)
+                content = self.value(to.value, scope).value
+                if isinstance(content, list | dict):
+                    self._apply_function(
+                        operator.setitem, content, self._make_key(to.slice, scope), value
+                    )
             case _:
                 raise NotConstantError
 
-    def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
-        """Returns the fields that an assignment to an attribute goes to."""
-        held = self.value(node, scope).value
-        made = held if isinstance(held, InstanceValue | ClassValue) else InstanceValue("")
-        if isinstance(node, ast.Attribute) and isinstance(held, UnknownValue):
-            # A field of a base that was not read.
-            self._owner(node.value, scope)[node.attr] = self._node(made, node, scope)
-        return made.fields
+    def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
+        """Return the fields that an assignment to an attribute changes."""
+        owner = self.value(node, scope).value
+        result = owner if isinstance(owner, InstanceValue | ClassValue) else InstanceValue("")
+        if isinstance(node, ast.Attribute) and isinstance(owner, UnknownValue):
+            # Field of a base class that was not read.
+            self._get_owner_fields(node.value, scope)[node.attr] = self._make_node(
+                result, node, scope
+            )
+        return result.fields
 
     # Expressions.
 
-    def value(self, one: ast.expr, scope: Scope) -> Node:
-        """Returns what an expression is, at its own place."""
-        self._count(one, scope)
+    def value(self, expression: ast.expr, scope: Scope) -> Node:
+        """Evaluate an expression; the result has the place of the expression."""
+        self._count_step(expression, scope)
         try:
-            found = getattr(self, f"_of_{type(one).__name__.lower()}", self._lose)(one, scope)
+            result = getattr(
+                self, f"_evaluate_{type(expression).__name__.lower()}", self._raise_not_constant
+            )(expression, scope)
         except NotConstantError:
-            found = UnknownValue(ast.unparse(one)[:80])
-        return self._node(found, one, scope)
+            result = UnknownValue(ast.unparse(expression)[:80])
+        return self._make_node(result, expression, scope)
 
-    def _node(self, value: Any, one: ast.AST, scope: Scope) -> Node:
-        """Returns a value at a place; what it holds is there too, if it has none of its own."""
+    def _make_node(self, value: Any, expression: ast.AST, scope: Scope) -> Node:
+        """Make a node at the place of an expression, with plain list elements at the same place."""
         if isinstance(value, list | tuple):
             value = [
-                part if isinstance(part, Node) else self._node(part, one, scope) for part in value
+                part if isinstance(part, Node) else self._make_node(part, expression, scope)
+                for part in value
             ]
         known = value if isinstance(value, Node) else Node(value, Place(Path()))
-        return replace(known, place=self._place(one, scope))
+        return replace(known, place=self._make_place(expression, scope))
 
-    def _place(self, one: ast.AST, scope: Scope) -> Place:
+    def _make_place(self, expression: ast.AST, scope: Scope) -> Place:
         path = get_module(scope).path
         near = self.shown != Path() and path.is_relative_to(self.shown)
-        return Place(path.relative_to(self.shown) if near else path, getattr(one, "lineno", None))
+        return Place(
+            path.relative_to(self.shown) if near else path, getattr(expression, "lineno", None)
+        )
 
-    def _apply(self, work: Callable[..., Any], *given: Any, **named: Any) -> Any:
-        """Returns what a function of Python's makes of known values."""
+    def _apply_function(self, work: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
+        """Call a Python function with known values.
+
+        Raises:
+            NotConstantError: If the function fails, or the result is too large or complex.
+        """
         try:
-            made = work(*given, **named)
-            if isinstance(made, Iterable) and not isinstance(made, str | dict):
-                made = list(islice(made, MAX_VALUES + 1))
+            result = work(*arguments, **keywords)
+            if isinstance(result, Iterable) and not isinstance(result, str | dict):
+                result = list(islice(result, MAX_VALUES + 1))
         except (ArithmeticError, ValueError, TypeError, LookupError) as error:
             raise NotConstantError from error
-        sizes = [len(one) for one in (made, *given) if isinstance(one, str | list | dict)]
+        sizes = [
+            len(value) for value in (result, *arguments) if isinstance(value, str | list | dict)
+        ]
         self.steps += sum(sizes)
-        large = isinstance(made, int) and made.bit_length() > MAX_INTEGER_BITS
-        if large or isinstance(made, complex) or max(sizes, default=0) > MAX_VALUES:
+        large = isinstance(result, int) and result.bit_length() > MAX_INTEGER_BITS
+        if large or isinstance(result, complex) or max(sizes, default=0) > MAX_VALUES:
             raise NotConstantError
-        return made
+        return result
 
-    def _truth(self, node: Node) -> bool:
+    def _is_true(self, node: Node) -> bool:
         if isinstance(node.value, NamedValue | ModuleNames):
             raise NotConstantError
         return bool(node.value)
 
-    def _listed(self, node: Node) -> list[Node]:
+    def _list_items(self, node: Node) -> list[Node]:
         if isinstance(node.value, dict):
             return [Node(key, value.place) for key, value in node.value.items()]
         if not isinstance(node.value, list):
             raise NotConstantError
         return node.value
 
-    def _plain(self, node: Node) -> Any:
-        """Returns a value with none of its places."""
+    def _to_plain(self, node: Node) -> Any:
+        """Return a value without places."""
         self.steps += 1
         if isinstance(node.value, UnknownValue) or self.steps > MAX_VALUES:
             raise NotConstantError
         many = isinstance(node.value, list)
-        return [self._plain(one) for one in node.value] if many else node.value
+        return [self._to_plain(item) for item in node.value] if many else node.value
 
-    def _several(self, every: list[ast.expr], scope: Scope) -> list[Node]:
-        """Returns what some expressions are, of which a starred one is as many as it holds."""
+    def _evaluate_starred(self, every: list[ast.expr], scope: Scope) -> list[Node]:
+        """Evaluate expressions; a starred expression yields all items."""
         return [
             part
-            for one in every
+            for expression in every
             for part in (
-                self._listed(self.value(one.value, scope))
-                if isinstance(one, ast.Starred)
-                else [self.value(one, scope)]
+                self._list_items(self.value(expression.value, scope))
+                if isinstance(expression, ast.Starred)
+                else [self.value(expression, scope)]
             )
         ]
 
-    def _key(self, one: ast.expr, scope: Scope) -> Any:
-        """Returns a key of a table; of what is not known, what stands there."""
-        value = self.value(one, scope).value
+    def _make_key(self, expression: ast.expr, scope: Scope) -> Any:
+        """Return a key of a table; for an unknown value, the text of the expression."""
+        value = self.value(expression, scope).value
         if not isinstance(value, str | int | float | bool | UnknownValue):
             raise NotConstantError
         return str(value) if isinstance(value, UnknownValue) else value
 
-    def _of_constant(self, one: ast.Constant, scope: Scope) -> Node:
+    def _evaluate_constant(self, expression: ast.Constant, scope: Scope) -> Node:
         digits = None
-        if isinstance(one.value, int | float) and not isinstance(one.value, bool):
-            row = get_module(scope).lines[one.lineno - 1].encode()
+        if isinstance(expression.value, int | float) and not isinstance(expression.value, bool):
+            row = get_module(scope).lines[expression.lineno - 1].encode()
             digits = count_decimals(
-                row[one.col_offset : one.end_col_offset].decode(errors="replace")
+                row[expression.col_offset : expression.end_col_offset].decode(errors="replace")
             )
-        return Node(one.value, self._place(one, scope), digits)
+        return Node(expression.value, self._make_place(expression, scope), digits)
 
-    def _of_name(self, one: ast.Name, scope: Scope) -> Any:
-        return scope.get(one.id) or UnknownValue(one.id)
+    def _evaluate_name(self, expression: ast.Name, scope: Scope) -> Any:
+        return scope.get(expression.id) or UnknownValue(expression.id)
 
-    def _of_attribute(self, one: ast.Attribute, scope: Scope) -> Any:
-        if isinstance(one.value, ast.Call) and ast.unparse(one.value.func) == "super":
+    def _evaluate_attribute(self, expression: ast.Attribute, scope: Scope) -> Any:
+        if isinstance(expression.value, ast.Call) and ast.unparse(expression.value.func) == "super":
             owner, node = scope["__class__"], scope["self"]
             names: Any = ChainMap(*(base.fields for base in owner.value.bases))
         else:
-            node = self.value(one.value, scope)
-            names = node.table or (_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
-        found = self._apply(operator.getitem, names, one.attr)
-        method = isinstance(found, Node) and isinstance(found.value, FunctionValue)
+            node = self.value(expression.value, scope)
+            names = node.table or (_NAMED_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
+        result = self._apply_function(operator.getitem, names, expression.attr)
+        method = isinstance(result, Node) and isinstance(result.value, FunctionValue)
         if method and isinstance(node.value, InstanceValue | ClassValue):
-            return replace(found.value, own=node)
-        return found
+            return replace(result.value, own=node)
+        return result
 
-    def _of_tuple(self, one: ast.Tuple, scope: Scope) -> list[Node]:
-        return self._several(one.elts, scope)
+    def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[Node]:
+        return self._evaluate_starred(expression.elts, scope)
 
-    _of_list = _of_set = _of_tuple
+    _evaluate_list = _evaluate_set = _evaluate_tuple
 
-    def _of_dict(self, one: ast.Dict, scope: Scope) -> dict[Any, Node]:
-        found: dict[Any, Node] = {}
-        for key, value in zip(one.keys, one.values, strict=True):
-            held = self.value(value, scope)
-            found |= held.table if key is None else {self._key(key, scope): held}
-        return found
+    def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, Node]:
+        result: dict[Any, Node] = {}
+        for key, value in zip(expression.keys, expression.values, strict=True):
+            content = self.value(value, scope)
+            result |= content.table if key is None else {self._make_key(key, scope): content}
+        return result
 
-    def _of_subscript(self, one: ast.Subscript, scope: Scope) -> Any:
-        held = self.value(one.value, scope).value
-        if not isinstance(held, list | dict):
+    def _evaluate_subscript(self, expression: ast.Subscript, scope: Scope) -> Any:
+        owner = self.value(expression.value, scope).value
+        if not isinstance(owner, list | dict):
             raise NotConstantError
-        if not isinstance(one.slice, ast.Slice):
-            return self._apply(operator.getitem, held, self._key(one.slice, scope))
-        ends = (one.slice.lower, one.slice.upper, one.slice.step)
-        part = slice(*(end and self._plain(self.value(end, scope)) for end in ends))
-        return self._apply(operator.getitem, held, part)
+        if not isinstance(expression.slice, ast.Slice):
+            return self._apply_function(
+                operator.getitem, owner, self._make_key(expression.slice, scope)
+            )
+        ends = (expression.slice.lower, expression.slice.upper, expression.slice.step)
+        part = slice(*(end and self._to_plain(self.value(end, scope)) for end in ends))
+        return self._apply_function(operator.getitem, owner, part)
 
-    def _of_binop(self, one: ast.BinOp, scope: Scope) -> Any:
-        left, right = (self.value(each, scope).value for each in (one.left, one.right))
-        added = isinstance(one.op, ast.Add) and type(left) is type(right)
+    def _evaluate_binop(self, expression: ast.BinOp, scope: Scope) -> Any:
+        left, right = (
+            self.value(operand, scope).value for operand in (expression.left, expression.right)
+        )
+        added = isinstance(expression.op, ast.Add) and type(left) is type(right)
         joined = added and isinstance(left, list | str)
-        repeated = isinstance(one.op, ast.Mult) and isinstance(left, list) and _number(right)
-        numbers = _number(left) and _number(right)
+        repeated = (
+            isinstance(expression.op, ast.Mult) and isinstance(left, list) and _is_number(right)
+        )
+        numbers = _is_number(left) and _is_number(right)
         if not (numbers or joined or (repeated and len(left) * right <= MAX_VALUES)):
             raise NotConstantError
-        return self._apply(_OPERATORS.get(type(one.op), self._lose), left, right)
-
-    def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
-        if isinstance(one.op, ast.Not):
-            return not self._truth(self.value(one.operand, scope))
-        held = self.value(one.operand, scope)
-        if not _number(held.value) or isinstance(one.op, ast.Invert):
-            raise NotConstantError
-        sign = -1 if isinstance(one.op, ast.USub) else 1
-        return Node(sign * held.value, held.place, held.decimals)
-
-    def _of_boolop(self, one: ast.BoolOp, scope: Scope) -> Node:
-        for each in one.values:
-            held = self.value(each, scope)
-            if self._truth(held) is isinstance(one.op, ast.Or):
-                break
-        return held
-
-    def _of_compare(self, one: ast.Compare, scope: Scope) -> Any:
-        if len(one.ops) > 1:
-            raise NotConstantError
-        both = (self._plain(self.value(each, scope)) for each in (one.left, *one.comparators))
-        return self._apply(_OPERATORS[type(one.ops[0])], *both)
-
-    def _of_ifexp(self, one: ast.IfExp, scope: Scope) -> Node:
-        return self.value(
-            one.body if self._truth(self.value(one.test, scope)) else one.orelse, scope
+        return self._apply_function(
+            _OPERATOR_FUNCTIONS.get(type(expression.op), self._raise_not_constant), left, right
         )
 
-    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> FunctionValue:
-        return FunctionValue("lambda", one, scope)
+    def _evaluate_unaryop(self, expression: ast.UnaryOp, scope: Scope) -> Any:
+        if isinstance(expression.op, ast.Not):
+            return not self._is_true(self.value(expression.operand, scope))
+        operand = self.value(expression.operand, scope)
+        if not _is_number(operand.value) or isinstance(expression.op, ast.Invert):
+            raise NotConstantError
+        sign = -1 if isinstance(expression.op, ast.USub) else 1
+        return Node(sign * operand.value, operand.place, operand.decimals)
 
-    def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> list[Node]:
-        return [self.value(one.elt, each) for each in self._rounds(one.generators, scope)]
+    def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> Node:
+        for operand in expression.values:
+            result = self.value(operand, scope)
+            if self._is_true(result) is isinstance(expression.op, ast.Or):
+                break
+        return result
 
-    _of_generatorexp = _of_listcomp
+    def _evaluate_compare(self, expression: ast.Compare, scope: Scope) -> Any:
+        if len(expression.ops) > 1:
+            raise NotConstantError
+        both = (
+            self._to_plain(self.value(operand, scope))
+            for operand in (expression.left, *expression.comparators)
+        )
+        return self._apply_function(_OPERATOR_FUNCTIONS[type(expression.ops[0])], *both)
 
-    def _of_dictcomp(self, one: ast.DictComp, scope: Scope) -> dict[Any, Node]:
+    def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> Node:
+        return self.value(
+            expression.body
+            if self._is_true(self.value(expression.test, scope))
+            else expression.orelse,
+            scope,
+        )
+
+    def _evaluate_lambda(self, expression: ast.Lambda, scope: Scope) -> FunctionValue:
+        return FunctionValue("lambda", expression, scope)
+
+    def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[Node]:
+        return [
+            self.value(expression.elt, inner)
+            for inner in self._iterate_loops(expression.generators, scope)
+        ]
+
+    _evaluate_generatorexp = _evaluate_listcomp
+
+    def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, Node]:
         return {
-            self._key(one.key, each): self.value(one.value, each)
-            for each in self._rounds(one.generators, scope)
+            self._make_key(expression.key, inner): self.value(expression.value, inner)
+            for inner in self._iterate_loops(expression.generators, scope)
         }
 
-    def _rounds(self, loops: list[ast.comprehension], scope: Scope) -> Iterator[Scope]:
-        """Yields the names of each round of loops within loops."""
+    def _iterate_loops(self, loops: list[ast.comprehension], scope: Scope) -> Iterator[Scope]:
+        """Yield the scope of each iteration of nested comprehension loops."""
         if not loops:
             yield scope
             return
-        for each in self._listed(self.value(loops[0].iter, scope)):
+        for item in self._list_items(self.value(loops[0].iter, scope)):
             here = scope.new_child()
-            self._put(loops[0].target, each, here)
-            if all(self._truth(self.value(test, here)) for test in loops[0].ifs):
-                yield from self._rounds(loops[1:], here)
+            self._assign_target(loops[0].target, item, here)
+            if all(self._is_true(self.value(test, here)) for test in loops[0].ifs):
+                yield from self._iterate_loops(loops[1:], here)
 
     # Calls.
 
-    def _of_call(self, one: ast.Call, scope: Scope) -> Any:
-        given = self._several(one.args, scope)
-        named: dict[str, Node] = {}
-        for keyword in one.keywords:
-            held = self.value(keyword.value, scope)
+    def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
+        arguments = self._evaluate_starred(expression.args, scope)
+        keywords: dict[str, Node] = {}
+        for keyword in expression.keywords:
+            content = self.value(keyword.value, scope)
             if keyword.arg is not None:
-                named[keyword.arg] = replace(held, place=self._place(keyword, scope))
+                keywords[keyword.arg] = replace(content, place=self._make_place(keyword, scope))
             else:
-                named.update({str(key): value for key, value in held.table.items()})
-        called = self.value(one.func, scope).value
+                keywords.update({str(key): value for key, value in content.table.items()})
+        called = self.value(expression.func, scope).value
         if isinstance(called, FunctionValue | ClassValue):
-            return self.call(called, given, named)
-        if isinstance(one.func, ast.Attribute):
-            held, name = self.value(one.func.value, scope), one.func.attr
-            if name in _METHODS.get(type(held.value), ()):
-                return self._method(held.value, name, given, named)
-            if isinstance(held.value, list | InstanceValue) and name.islower():
-                given.insert(0, held)
-        return self._elsewhere(ast.unparse(one.func), given, named)
+            return self.call(called, arguments, keywords)
+        if isinstance(expression.func, ast.Attribute):
+            content, name = self.value(expression.func.value, scope), expression.func.attr
+            if name in _ALLOWED_METHODS.get(type(content.value), ()):
+                return self._call_method(content.value, name, arguments, keywords)
+            if isinstance(content.value, list | InstanceValue) and name.islower():
+                arguments.insert(0, content)
+        return self._call_library(ast.unparse(expression.func), arguments, keywords)
 
-    def _elsewhere(self, called: str, given: list[Node], named: dict[str, Node]) -> Any:
-        """Returns what a call of a library's comes to."""
+    def _call_library(self, called: str, arguments: list[Node], keywords: dict[str, Node]) -> Any:
+        """Evaluate a call of a library function or an unread class."""
         name = called.rpartition(".")[2]
-        if name in (*_PURE, *_ROWS) and given:
-            plain: Callable[[Node], Any] = self._plain if name in _PURE else self._listed
-            said = {key: self._plain(value) for key, value in named.items()}
-            return self._apply({**_PURE, **_ROWS}[name], *map(plain, given), **said)
-        if name == "isinstance" and str(given[-1].value) in _TYPES:
-            return isinstance(self._plain(given[0]), _TYPES[str(given[-1].value)])
-        if name in _COPIES and given:
-            return self._copied(given[0].value, named)
-        if called in _TABLES and all(isinstance(one.value, dict) for one in given):
+        if name in (*_PURE_FUNCTIONS, *_LIST_FUNCTIONS) and arguments:
+            plain: Callable[[Node], Any] = (
+                self._to_plain if name in _PURE_FUNCTIONS else self._list_items
+            )
+            said = {key: self._to_plain(value) for key, value in keywords.items()}
+            return self._apply_function(
+                {**_PURE_FUNCTIONS, **_LIST_FUNCTIONS}[name], *map(plain, arguments), **said
+            )
+        if name == "isinstance" and str(arguments[-1].value) in _BUILTIN_TYPES:
+            return isinstance(
+                self._to_plain(arguments[0]), _BUILTIN_TYPES[str(arguments[-1].value)]
+            )
+        if name in _COPY_FUNCTIONS and arguments:
+            return self._copy_value(arguments[0].value, keywords)
+        if called in _TABLE_CONSTRUCTORS and all(
+            isinstance(argument.value, dict) for argument in arguments
+        ):
             return {
-                key: held
-                for part in (*(one.value for one in given), named)
-                for key, held in part.items()
+                key: content
+                for part in (*(argument.value for argument in arguments), keywords)
+                for key, content in part.items()
             }
-        if name in _LISTS and given:
-            many = isinstance(given[0].value, list | dict)
-            return [*self._listed(given[0])] if many else given[0]
+        if name in _LIST_CONSTRUCTORS and arguments:
+            many = isinstance(arguments[0].value, list | dict)
+            return [*self._list_items(arguments[0])] if many else arguments[0]
         if name == "field":
-            return self._made(named)
+            return self._make_field_default(keywords)
         if not name[:1].isupper():
             raise NotConstantError
-        more = {"args": Node(given, given[0].place)} if given else {}
-        return InstanceValue(name, {**named, **more})
+        more = {"args": Node(arguments, arguments[0].place)} if arguments else {}
+        return InstanceValue(name, {**keywords, **more})
 
-    def _made(self, named: dict[str, Node]) -> Any:
-        """Returns what a dataclass's field is by default."""
-        if "default_factory" not in named:
-            return self._apply(operator.getitem, named, "default")
-        factory = named["default_factory"].value
+    def _make_field_default(self, keywords: dict[str, Node]) -> Any:
+        """Return the default value of a dataclass field."""
+        if "default_factory" not in keywords:
+            return self._apply_function(operator.getitem, keywords, "default")
+        factory = keywords["default_factory"].value
         if isinstance(factory, FunctionValue | ClassValue):
             return self.call(factory, [], {})
-        return _TYPES[str(factory)]() if str(factory) in _TYPES else InstanceValue(str(factory))
+        return (
+            _BUILTIN_TYPES[str(factory)]()
+            if str(factory) in _BUILTIN_TYPES
+            else InstanceValue(str(factory))
+        )
 
-    def _method(self, value: Any, name: str, given: list[Node], named: dict[str, Node]) -> Any:
-        """Returns what a call of a table's or a list's method comes to."""
-        own: list[Any] = list(given)
+    def _call_method(
+        self, value: Any, name: str, arguments: list[Node], keywords: dict[str, Node]
+    ) -> Any:
+        """Call an allowed method of a table or a list."""
+        own: list[Any] = list(arguments)
         if name in ("get", "pop", "setdefault", "insert"):
-            own[:1] = map(self._plain, given[:1])
+            own[:1] = map(self._to_plain, arguments[:1])
         elif name == "extend":
-            own = [self._listed(one) for one in given]
+            own = [self._list_items(argument) for argument in arguments]
         elif name == "update":
-            own = [one.value for one in given]
-        return self._apply(getattr(value, name), *own, **named)
+            own = [argument.value for argument in arguments]
+        return self._apply_function(getattr(value, name), *own, **keywords)
 
     def call(
-        self, called: FunctionValue | ClassValue, given: list[Node], named: dict[str, Node]
+        self, called: FunctionValue | ClassValue, arguments: list[Node], keywords: dict[str, Node]
     ) -> Node:
-        """Returns what a function returns, or an instance of a class."""
+        """Call a function or a class.
+
+        Raises:
+            NotConstantError: If calls are nested deeper than `MAX_CALL_DEPTH`, or the function
+                raises.
+        """
         if isinstance(called, ClassValue):
-            return self._instance(called, given, named)
+            return self._make_instance(called, arguments, keywords)
         if self.depth >= MAX_CALL_DEPTH:
             raise NotConstantError
         node, around = called.node, called.around
-        first = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
-        names = [*first, *(each.arg for each in node.args.kwonlyargs)]
+        first = [argument.arg for argument in (*node.args.posonlyargs, *node.args.args)]
+        names = [*first, *(argument.arg for argument in node.args.kwonlyargs)]
         scope = around.new_child(
-            {name: self._node(UnknownValue(name), node, around) for name in names}
+            {name: self._make_node(UnknownValue(name), node, around) for name in names}
         )
         defaults = [*node.args.defaults, *node.args.kw_defaults]
         for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
             if default is not None:
                 scope[name] = self.value(default, around)
-        given = given if called.own is None else [called.own, *given]
-        others = {key: named[key] for key in named if key not in names}
-        scope.update(zip(first, given, strict=False))
-        scope.update({key: named[key] for key in named if key in names})
-        for rest, held in ((node.args.vararg, given[len(first) :]), (node.args.kwarg, others)):
+        arguments = arguments if called.own is None else [called.own, *arguments]
+        others = {key: keywords[key] for key in keywords if key not in names}
+        scope.update(zip(first, arguments, strict=False))
+        scope.update({key: keywords[key] for key in keywords if key in names})
+        for rest, content in (
+            (node.args.vararg, arguments[len(first) :]),
+            (node.args.kwarg, others),
+        ):
             if rest is not None:
-                scope[rest.arg] = self._node(held, node, around)
+                scope[rest.arg] = self._make_node(content, node, around)
         self.depth += 1
         try:
             if isinstance(node, ast.Lambda):
                 return self.value(node.body, scope)
             self.run(node.body, scope)
-        except _Return as done:
+        except _ReturnSignal as done:
             return done.node
-        except (_Leave, _Next) as error:
+        except (_LeaveSignal, _NextSignal) as error:
             raise NotConstantError from error
         finally:
             self.depth -= 1
-        return self._node(None, node, scope)
+        return self._make_node(None, node, scope)
 
-    def _instance(self, of: ClassValue, given: list[Node], named: dict[str, Node]) -> Node:
-        """Returns an instance of a class, its fields' defaults made anew."""
-        made: InstanceValue = self._copied(InstanceValue(of.name, of.fields, of), {})
-        made.fields.update(zip(dict.fromkeys(of.ordered), given, strict=False), **named)
-        own = Node(made, Place(Path()))
+    def _make_instance(
+        self, of: ClassValue, arguments: list[Node], keywords: dict[str, Node]
+    ) -> Node:
+        """Make an instance of a class with fresh copies of the default values."""
+        result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
+        result.fields.update(zip(dict.fromkeys(of.ordered), arguments, strict=False), **keywords)
+        own = Node(result, Place(Path()))
         after = of.fields.get("__post_init__")
         if after is not None and isinstance(after.value, FunctionValue):
             with suppress(NotConstantError):
                 self.call(after.value, [own], {})
         return own
 
-    def _copied(self, value: Any, named: dict[str, Node]) -> Any:
+    def _copy_value(self, value: Any, keywords: dict[str, Node]) -> Any:
         memo: dict[int, Any] = {}
         fresh = deepcopy(value, memo)
         self.steps += len(memo)
-        getattr(fresh, "fields", {}).update(named)
+        getattr(fresh, "fields", {}).update(keywords)
         return fresh
 
 
-def _tops(path: Path) -> Iterator[Path]:
-    """Yields the folders above a file up to that of its project, or of its package."""
+def _list_search_folders(path: Path) -> Iterator[Path]:
+    """Yield the folders above a file up to the top folder of the project or package."""
     project = [
-        folder for folder in path.parents if any((folder / mark).exists() for mark in _PROJECT)
+        folder
+        for folder in path.parents
+        if any((folder / mark).exists() for mark in _PROJECT_MARKERS)
     ]
     for folder in path.parents:
         yield folder
@@ -707,5 +830,5 @@ def _tops(path: Path) -> Iterator[Path]:
             return
 
 
-def _number(value: Any) -> bool:
+def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)

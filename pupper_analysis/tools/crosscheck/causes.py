@@ -639,7 +639,7 @@ def _is_it(
     if "inertia" in taken:
         scale[4:] = math.inf
     extra = extra if float(extra[0] * apart[0]) >= 0 else -extra
-    left, whole = (float(np.linalg.norm(each / scale)) for each in (apart - extra, apart))
+    left, whole = (float(np.linalg.norm(moments / scale)) for moments in (apart - extra, apart))
     return left <= _MOST_RESIDUAL * whole
 
 
@@ -822,7 +822,7 @@ def find_causes(
     if len(differences) < 2:
         return ()
     first, raw = kinematic_trees(robot)
-    keys = [(each.kind, each.element) for each in differences]
+    keys = [(difference.kind, difference.element) for difference in differences]
     bodies = any(kind in INERTIAL_KINDS for kind, _ in keys)
     urdf = list_urdf_links(robot) if bodies else {}
     mjcf = list_mjcf_links(robot, raw, second) if bodies else {}
@@ -831,13 +831,13 @@ def find_causes(
     found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
-        for each in look(replace(case, explained={keys[n] for n in taken})):
+        for finding in look(replace(case, explained={keys[n] for n in taken})):
             numbers = tuple(
-                n for n, key in enumerate(keys) if key in each.explained and n not in taken
+                n for n, key in enumerate(keys) if key in finding.explained and n not in taken
             )
             if len(numbers) > 1:
                 taken |= set(numbers)
-                found.append(PatternCause(each.kind, each.diagnostic, numbers))
+                found.append(PatternCause(finding.kind, finding.diagnostic, numbers))
     return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
 
 

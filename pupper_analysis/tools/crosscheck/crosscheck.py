@@ -151,9 +151,13 @@ def compare_models(
         seed=seed,
         mimics=compared.matched.mimics,
     )
-    own = {one.name: getattr(compared.result, one.name) for one in fields(compared.result)}
+    own = {
+        field_info.name: getattr(compared.result, field_info.name)
+        for field_info in fields(compared.result)
+    }
     own["differences"] = tuple(
-        replace(one, made_of=list_mass_shares(one, *compared.sources)) for one in own["differences"]
+        replace(difference, made_of=list_mass_shares(difference, *compared.sources))
+        for difference in own["differences"]
     )
     return Comparison(**own, check=check, engines=_engines(check, compared.explanation))
 

@@ -84,13 +84,23 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
         found.append(
             _remark("cause", "cause", cause.diagnostic, first.urdf_place, first.mjcf_place)
         )
-    for one in comparison.differences:
-        title = f"{one.kind} of {one.element}"
-        found.append(_remark(one.kind, title, one.diagnostic, one.urdf_place, one.mjcf_place))
+    for difference in comparison.differences:
+        title = f"{difference.kind} of {difference.element}"
+        found.append(
+            _remark(
+                difference.kind,
+                title,
+                difference.diagnostic,
+                difference.urdf_place,
+                difference.mjcf_place,
+            )
+        )
     found += [
         _remark("joint", f"joint {name}", one, file) for name, one, file in _left_over(comparison)
     ]
-    found += [_remark("agreement", "agreement", one, mjcf) for one in comparison.objections]
+    found += [
+        _remark("agreement", "agreement", objection, mjcf) for objection in comparison.objections
+    ]
     if comparison.guessed:
         guess = _remark("guess", "guessed joints", _guessed(comparison), urdf)
         found.append(replace(guess, level="warning"))

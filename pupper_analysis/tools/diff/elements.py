@@ -363,7 +363,11 @@ def _most_alike(
     left = list(here)
     for test in (is_alike, is_of_one_shape, touches_alike):
         for key in there:
-            near = (each for each in left if key not in found and test(old[each], new[key]))
+            near = (
+                candidate
+                for candidate in left
+                if key not in found and test(old[candidate], new[key])
+            )
             if (match := next(near, None)) is not None:
                 found[key] = match
                 left.remove(match)

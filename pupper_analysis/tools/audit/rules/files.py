@@ -39,14 +39,14 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
     among: dict[tuple[bool, bool, str, str], list[_Missing]] = {}
-    for one in _missing(robot):
-        package, there, _ = one.name.removeprefix("package://").partition("/")
-        package = package if there and one.name.startswith("package://") else ""
-        folder = "" if package else one.name.rpartition("/")[0]
-        touches = (one.touches or refused) and not package
-        among.setdefault((one.pointer, touches, package, folder), []).append(one)
+    for missing in _missing(robot):
+        package, there, _ = missing.name.removeprefix("package://").partition("/")
+        package = package if there and missing.name.startswith("package://") else ""
+        folder = "" if package else missing.name.rpartition("/")[0]
+        touches = (missing.touches or refused) and not package
+        among.setdefault((missing.pointer, touches, package, folder), []).append(missing)
     for (pointer, touches, package, _), several in among.items():
-        names = tuple(dict.fromkeys(one.name for one in several))
+        names = tuple(dict.fromkeys(missing.name for missing in several))
         if pointer:
             message = diagnose("mesh-is-lfs-pointer", meshes=names)
         else:

@@ -73,7 +73,9 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
-        carried = sum(other.mass for other in robot.descendants(body.name)) + body.mass - mass
+        carried = (
+            sum(descendant.mass for descendant in robot.descendants(body.name)) + body.mass - mass
+        )
         if body.moving and 0 < mass < MIN_MASS_FRACTION * carried:
             message = diagnose(
                 "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
@@ -139,7 +141,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 def _reach(robot: RobotModel, name: str) -> float:
     """Returns how far a link is from its root along the joints (m)."""
-    chain = [robot.links[one].pose.position for one in (name, *robot.ancestors(name))]
+    chain = [robot.links[link_name].pose.position for link_name in (name, *robot.ancestors(name))]
     return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 
 

@@ -373,7 +373,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
                 np.array([np.ravel(getattr(contact, word)) for contact in side])
                 for side in (own, its)
             ]
-            a, b = (each[np.lexsort(each.T[::-1])] for each in values)
+            a, b = (rows[np.lexsort(rows.T[::-1])] for rows in values)
             for place in np.flatnonzero(~np.isclose(a, b).all(axis=1))[:1]:
                 message = diagnose(
                     "mirror-contacts",

@@ -34,11 +34,12 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     first coefficient is looked at, which is what counts at small speeds.
     """
     for joint in robot.joints.values():
-        for one in JOINT_ATTRIBUTES:
-            value = joint.stated.get(one.kind, 0.0)
-            by_another_rule = isinstance(robot, UrdfModel) and one.kind in ("effort", "velocity")
-            if value < 0 and not one.signed and not by_another_rule:  # rule effort-negative
-                word, child = robot.words(one)
+        for joint_attribute in JOINT_ATTRIBUTES:
+            value = joint.stated.get(joint_attribute.kind, 0.0)
+            is_limit = joint_attribute.kind in ("effort", "velocity")
+            by_another_rule = isinstance(robot, UrdfModel) and is_limit
+            if value < 0 and not joint_attribute.signed and not by_another_rule:  # effort-negative
+                word, child = robot.words(joint_attribute)
                 message = diagnose("value-impossible", attribute=word, value=value)
                 yield CheckFinding("joint", joint.name, message, child)
     if isinstance(robot, UrdfModel):

@@ -1,4 +1,4 @@
-"""Readers of sources, each a module with ``SUFFIXES`` and ``read``; found by their files."""
+"""Readers of source formats. A module in this folder with ``SUFFIXES`` and ``read`` is a reader."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

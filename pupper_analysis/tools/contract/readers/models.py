@@ -1,4 +1,4 @@
-"""URDF, MJCF and USD, by the readers that the package has."""
+"""Reader of URDF, MJCF and USD files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields what a model file states of its joints, which are in the file's order."""
+    """Yield the joint numbers in a model file; the joint order is that of the file."""
     model = read_model_file(request.path)
     if isinstance(model, MjcfModel) and model.refusal is not None:
         problem, place = model.refusal
@@ -34,20 +34,26 @@ def read(request: Request) -> Iterator[Source]:
     ids = {} if compiled is None else group_actuators_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
     statements = [
-        one
+        statement
         for joint in model.joints.values()
         if joint.moves
-        for one in _of_joint(model, joint, drives.get(joint.name, []))
+        for statement in _list_joint_statements(model, joint, drives.get(joint.name, []))
     ]
     if isinstance(model, MjcfModel) and compiled is not None:
         for name, driving in drives.items():
-            statements += [one for drive in driving for one in _servo(model, drive, name)]
+            statements += [
+                statement
+                for drive in driving
+                for statement in _list_servo_statements(model, drive, name)
+            ]
     order = list_depth_first(model)
     if order:
         yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
 
 
-def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[Statement]:
+def _list_joint_statements(
+    model: RobotModel, joint: Joint, drives: list[int]
+) -> Iterator[Statement]:
     for attribute in TREE_ATTRIBUTES:
         kind, value = attribute.kind, joint.stated.get(attribute.kind)
         if value is None or kind not in QUANTITIES:
@@ -57,15 +63,19 @@ def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[St
         if isinstance(model, MjcfModel):
             there = model.file.stated("joint", joint.name, attribute.mjcf)
             driven = drives[-1:] if kind == "effort" and not there else []
-            place = there or next((_of_actuator(model, one, _RANGES) for one in driven), place)
+            place = there or next(
+                (_find_actuator_place(model, actuator, _RANGE_ATTRIBUTES) for actuator in driven),
+                place,
+            )
         yield Statement(kind, float(value), place, joint.name)
 
 
-_RANGES = ("ctrlrange", "forcerange")
+_RANGE_ATTRIBUTES = ("ctrlrange", "forcerange")
+"""Attributes of an actuator that limit the torque."""
 
 
 def read_model_file(path: Path) -> RobotModel:
-    """Returns the robot that a model file states."""
+    """Read the model of a robot from a URDF, MJCF or another registered format."""
     reader = reader_of(path)
     with silence_mujoco():
         if reader is not None:
@@ -74,22 +84,22 @@ def read_model_file(path: Path) -> RobotModel:
         return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _servo(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yield the gains of a position servo at its joint, including a stated stiffness of zero."""
+def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
+    """Yield the gains of a position servo at the joint, including a stated stiffness of zero."""
     kp, kd = read_actuator_law(model.mj_model, drive).at_joint
-    place = _of_actuator(model, drive, ("kp", "kv", "biasprm", "gainprm"))
+    place = _find_actuator_place(model, drive, ("kp", "kv", "biasprm", "gainprm"))
     actuator = model.mj_model.actuator(drive).name if model.mj_model else ""
     states_kp = bool(actuator) and model.file.stated("actuator", actuator, ("kp",)) is not None
     if kp or states_kp:
         yield Statement("kp", kp, place, joint)
     if kp > 0 and kd > 0:
-        # Of a damping ratio MuJoCo makes what the inertia there asks for.
+        # From a damping ratio MuJoCo computes kv with the inertia at the joint.
         name = model.mj_model.actuator(drive).name if model.mj_model else ""
         ratio = bool(name) and model.file.stated("actuator", name, ("dampratio",)) is not None
         yield Statement("kd", kd, place, joint, implied=ratio)
 
 
-def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
+def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
         return model.file.numbered("actuator", number)
@@ -99,40 +109,52 @@ def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place
 def match_joint_names(
     models: Sequence[Source], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
-    """Returns {a model's name of a joint: the first one's} where these differ, and notes.
-
-    As ``crosscheck`` matches them: by name, by link, and by where they are.
+    """Match the joints of all models as `crosscheck` does: by name, link and position.
 
     Args:
-        models: The models; a USD stands for a URDF or an MJCF.
-        given: {name: joint of the first}, as the user says; it counts over what is found.
+        models: Sources of models; a USD counts as a URDF or an MJCF.
+        given: {name: joint of the first model}, passed by the user; takes precedence.
+
+    Returns:
+        {joint name in another model: joint name in the first model} of names that differ; and
+        notes.
     """
-    found, notes = dict[str, str](), list[Diagnostic]()
-    for other in (each for each in models if set(each.order) != set(models[0].order)):
-        # That which can be read as a URDF, then that which can be read as an MJCF; a USD as either.
-        one, two = sorted(
-            (models[0].path, other.path),
+    matched, notes = dict[str, str](), list[Diagnostic]()
+    for model_source in (
+        model_source for model_source in models if set(model_source.order) != set(models[0].order)
+    ):
+        # First the file readable as a URDF, then the one readable as an MJCF; a USD is both.
+        urdf_path, mjcf_path = sorted(
+            (models[0].path, model_source.path),
             key=lambda path: 0 if reader_of(path) else 1 if kind_of(path) == "mjcf" else -1,
         )
-        known = {
-            old: new for old, new in given.items() if old in other.order and new in models[0].order
+        user_pairs = {
+            old: new
+            for old, new in given.items()
+            if old in model_source.order and new in models[0].order
         }
-        turned = one == models[0].path
+        first_is_urdf = urdf_path == models[0].path
         try:
             with silence_mujoco():
-                first, second = reader_of(one), reader_of(two)
+                urdf_reader, mjcf_reader = reader_of(urdf_path), reader_of(mjcf_path)
                 match = match_models(
-                    read_urdf(one) if first is None else first.read_as_urdf(one),
-                    read_mjcf(two) if second is None else second.read_as_mjcf(two),
-                    names={new: old for old, new in known.items()} if turned else known,
+                    read_urdf(urdf_path)
+                    if urdf_reader is None
+                    else urdf_reader.read_as_urdf(urdf_path),
+                    read_mjcf(mjcf_path)
+                    if mjcf_reader is None
+                    else mjcf_reader.read_as_mjcf(mjcf_path),
+                    names={new: old for old, new in user_pairs.items()}
+                    if first_is_urdf
+                    else user_pairs,
                 )
         except PupperAnalysisError as error:
             notes.append(diagnose("contract-unmatched", why=error.diagnostic))
             continue
-        pairs = [(a, b) if turned else (b, a) for a, b in match.urdf_joint.items() if a != b]
-        found |= pairs
-        notes += [one for one in match.notes if one.code == "joint-matches-several"]
+        pairs = [(a, b) if first_is_urdf else (b, a) for a, b in match.urdf_joint.items() if a != b]
+        matched |= pairs
+        notes += [note for note in match.notes if note.code == "joint-matches-several"]
         if pairs:
-            said = [f"{old} = {new}" for old, new in pairs[:6]]
-            notes.append(diagnose("contract-matched", pairs=said, count=len(pairs)))
-    return {**found, **given}, notes
+            pair_texts = [f"{old} = {new}" for old, new in pairs[:6]]
+            notes.append(diagnose("contract-matched", pairs=pair_texts, count=len(pairs)))
+    return {**matched, **given}, notes

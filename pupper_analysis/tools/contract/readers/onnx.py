@@ -1,4 +1,4 @@
-"""What an exported policy says of itself: the metadata that Isaac Lab and mjlab write into ONNX."""
+"""Reader of the metadata that Isaac Lab and mjlab write into an exported ONNX policy."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from pupper_analysis.tools.contract.readers.tables import read_table
 SUFFIXES = (".onnx",)
 
 ProtobufMessage = dict[int, list["int | memoryview"]]
-"""A message of Protocol Buffers: {number of a field: its values, in order}."""
+"""Message of Protocol Buffers: {field number: values, in order}."""
 
 # Fields are numbered as in onnx.proto (ONNX 1.16).
-_GRAPH, _METADATA = 7, 14
-_INPUTS, _OUTPUTS, _CONSTANTS = 11, 12, 5
+_GRAPH_FIELD, _METADATA_FIELD = 7, 14
+_INPUTS_FIELD, _OUTPUTS_FIELD, _CONSTANTS_FIELD = 11, 12, 5
 
 
 @dataclass(frozen=True, eq=False)
 class OnnxFile:
-    """An ONNX file; nothing of it is executed.
+    """Content of an ONNX file. The network is not executed.
 
     Attributes:
-        metadata: {key: text} that its exporter wrote.
-        graph: Its graph, a ``GraphProto``; empty if it has none.
-        inputs: {input: its sizes, 1 where a size is a symbol}; constants are none.
-        outputs: Likewise.
+        metadata: {key: text} of the exporter.
+        graph: Message ``GraphProto``; empty if the file has none.
+        inputs: {input: sizes, 1 for a symbolic size}, without constants.
+        outputs: {output: sizes, 1 for a symbolic size}.
     """
 
     metadata: dict[str, str]
@@ -48,31 +48,37 @@ class OnnxFile:
 
 
 def read_onnx(path: Path) -> OnnxFile:
-    """Reads an ONNX file's metadata and its graph's shape.
+    """Read the metadata and the tensor shapes of an ONNX file.
 
     Raises:
-        ModelError: If it cannot be read, or is no ONNX file.
+        ModelError: If the file cannot be read, or is not an ONNX file.
     """
     try:
         model = gather_fields(memoryview(read_input(path, MAX_FILE_BYTES)))
-        entries = [gather_fields(one) for one in model.get(_METADATA, ())]
-        metadata = {get_text(one, 1): get_text(one, 2) for one in entries}
-        graph = gather_fields(model[_GRAPH][0]) if _GRAPH in model else {}
-        constants = {get_text(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
-        ends = [dict(map(_named_sizes, graph.get(which, ()))) for which in (_INPUTS, _OUTPUTS)]
+        entries = [gather_fields(entry) for entry in model.get(_METADATA_FIELD, ())]
+        metadata = {get_text(entry, 1): get_text(entry, 2) for entry in entries}
+        graph = gather_fields(model[_GRAPH_FIELD][0]) if _GRAPH_FIELD in model else {}
+        constants = {
+            get_text(gather_fields(constant), 8) for constant in graph.get(_CONSTANTS_FIELD, ())
+        }
+        shapes = [
+            dict(map(_read_tensor_shape, graph.get(field, ())))
+            for field in (_INPUTS_FIELD, _OUTPUTS_FIELD)
+        ]
     except InputError as error:
         raise make_input_error(path, error) from error
     except (IndexError, KeyError, ValueError, TypeError) as error:
         raise ModelError(path, diagnose("contract-no-onnx")) from error
-    inputs = {name: sizes for name, sizes in ends[0].items() if name not in constants}
-    return OnnxFile(metadata, graph, inputs, ends[1])
+    inputs = {name: sizes for name, sizes in shapes[0].items() if name not in constants}
+    return OnnxFile(metadata, graph, inputs, shapes[1])
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields what a policy says of itself, if it does."""
+    """Yield the metadata of a policy as a source, if there are statements about joints."""
     file = read_onnx(request.path)
     table = {
-        key: _parts(text, Place(request.path, element=key)) for key, text in file.metadata.items()
+        key: _split_list(text, Place(request.path, element=key))
+        for key, text in file.metadata.items()
     }
     ends = {"actions": file.outputs, "observed numbers": file.inputs}
     sizes = [
@@ -85,59 +91,65 @@ def read(request: Request) -> Iterator[Source]:
     yield from read_table(request, request.path.name, whole, Role.POLICY, sizes)
 
 
-def _parts(text: str, place: Place) -> Node:
-    """Returns what a list in metadata holds, with its brackets and quotes or without."""
-    parts = (part for one in text.strip("[]() ").split(",") if (part := one.strip(" \"'")))
+def _split_list(text: str, place: Place) -> Node:
+    """Parse a list in the metadata, with or without brackets and quotes."""
+    parts = (
+        part for part_text in text.strip("[]() ").split(",") if (part := part_text.strip(" \"'"))
+    )
     return Node([parse_scalar(part, place) for part in parts], place)
 
 
 def gather_fields(data: int | memoryview) -> ProtobufMessage:
-    """Returns the fields of a message in the wire format of Protocol Buffers.
+    """Decode the fields of a message in the wire format of Protocol Buffers.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If the data is not such a message.
     """
     if isinstance(data, int):
         raise ValueError(data)
-    at, found = 0, ProtobufMessage()
-    while at < len(data):
-        tag, at = _varint(data, at)
-        kind = tag & 7
+    position, message = 0, ProtobufMessage()
+    while position < len(data):
+        tag, position = _decode_varint(data, position)
+        wire_type = tag & 7
         value: int | memoryview
-        if kind == 0:
-            value, at = _varint(data, at)
+        if wire_type == 0:
+            value, position = _decode_varint(data, position)
         else:
-            size, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, -1), at)
-            if size < 0 or at + size > len(data):
-                raise ValueError(kind)
-            value, at = data[at : at + size], at + size
-        found.setdefault(tag >> 3, []).append(value)
-    return found
+            size, position = (
+                _decode_varint(data, position)
+                if wire_type == 2
+                else ({1: 8, 5: 4}.get(wire_type, -1), position)
+            )
+            if size < 0 or position + size > len(data):
+                raise ValueError(wire_type)
+            value, position = data[position : position + size], position + size
+        message.setdefault(tag >> 3, []).append(value)
+    return message
 
 
 def get_text(message: ProtobufMessage, number: int, index: int = 0) -> str:
-    """Returns a field of a message as a text; "" if it is not there."""
+    """Return a field of a message as text; "" if the field is missing or an integer."""
     values = message.get(number, ())
-    held = values[index] if len(values) > index else b""
-    return "" if isinstance(held, int) else bytes(held).decode(errors="replace")
+    content = values[index] if len(values) > index else b""
+    return "" if isinstance(content, int) else bytes(content).decode(errors="replace")
 
 
 def decode_integers(values: Sequence[int | memoryview]) -> list[int]:
-    """Returns signed integers that are packed, or stand one by one."""
+    """Decode signed integers, packed or single."""
     flat: list[int] = []
     for value in values:
         if isinstance(value, int):
             flat.append(value)
             continue
-        at = 0
-        while at < len(value):
-            one, at = _varint(value, at)
-            flat.append(one)
+        position = 0
+        while position < len(value):
+            integer, position = _decode_varint(value, position)
+            flat.append(integer)
     return [value - (1 << 64) if value >> 63 else value for value in flat]
 
 
-def _named_sizes(data: int | memoryview) -> tuple[str, list[int]]:
-    """Returns the name and the sizes of an input or output; 1 where a size is a symbol."""
+def _read_tensor_shape(data: int | memoryview) -> tuple[str, list[int]]:
+    """Return the name and the sizes of a tensor; 1 for a symbolic size."""
     value = gather_fields(data)
     kind = gather_fields(gather_fields(value[2][0])[1][0])
     shape = gather_fields(kind[2][0]) if 2 in kind else {}
@@ -145,11 +157,11 @@ def _named_sizes(data: int | memoryview) -> tuple[str, list[int]]:
     return get_text(value, 1), dims
 
 
-def _varint(data: memoryview, at: int) -> tuple[int, int]:
+def _decode_varint(data: memoryview, position: int) -> tuple[int, int]:
     value = 0
-    for shift in range(0, 70, 7):  # ten bytes are the longest
-        value |= (data[at] & 0x7F) << shift
-        at += 1
-        if not data[at - 1] & 0x80:
-            return value, at
-    raise ValueError(at)
+    for shift in range(0, 70, 7):  # at most ten bytes
+        value |= (data[position] & 0x7F) << shift
+        position += 1
+        if not data[position - 1] & 0x80:
+            return value, position
+    raise ValueError(position)

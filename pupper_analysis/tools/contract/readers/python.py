@@ -1,4 +1,4 @@
-"""Trainers in Python: mjlab, Isaac Lab, and the classes of settings of legged_gym and its kin."""
+"""Reader of Python trainers: mjlab, Isaac Lab, and configuration classes of legged_gym."""
 
 from __future__ import annotations
 
@@ -22,81 +22,87 @@ from pupper_analysis.tools.contract.readers import tables
 
 SUFFIXES = (".py",)
 
-_OF_ACTUATORS = FORMAT_KEYS["actuator"]
+_ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
+"""{field of an actuator configuration: quantity}."""
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields the configurations of a Python file; a flat table that a function makes, if none."""
+    """Yield the configurations in a Python file; without any, the flat tables."""
     evaluator = py.Evaluator(request.folders)
     module = evaluator.module(request.path)
-    own = {
+    own_names = {
         name: node
         for name, node in module.items()
         if name not in module.imported and request.name in ("", name)
     }
-    roots, flat = list[tuple[Node, Source]](), list[Source]()
-    for name, node in own.items():
-        root, shown = _made(evaluator, node), f"{request.path.name}:{name}"
+    roots, flat_sources = list[tuple[Node, Source]](), list[Source]()
+    for name, node in own_names.items():
+        root, shown = _resolve_value(evaluator, node), f"{request.path.name}:{name}"
         if isinstance(root.value, py.InstanceValue):
-            roots += [(root, one) for one in _of_root(shown, request.path, root)]
+            roots += [(root, source) for source in _read_root(shown, request.path, root)]
         elif isinstance(root.value, dict):
-            flat += tables.read_table(request, shown, root, Role.TRAINER)
-    # What another one is made of is no configuration of its own.
+            flat_sources += tables.read_table(request, shown, root, Role.TRAINER)
+    # A configuration that is part of another one is not a source.
     parts = {
-        one.value.kind
+        instance.value.kind
         for root, _ in roots
-        for one in _walk(root, set())
-        if one.value.kind != root.value.kind
+        for instance in _iterate_instances(root, set())
+        if instance.value.kind != root.value.kind
     }
-    found = [
+    selected = [
         source
         for root, source in roots
         if request.name or not root.value.of or root.value.kind not in parts
     ]
     scales = [
-        one
-        for name, node in own.items()
+        statement
+        for name, node in own_names.items()
         if "action_scale" in name.lower()
-        for one in node.make_statements("action scale")
+        for statement in node.make_statements("action scale")
         if not request.name
     ]
-    for source in found or flat:
-        has = {one.quantity for one in source.statements}
-        more = scales if "action scale" not in has and "kp" in has else []
-        yield replace(source, statements=(*source.statements, *more))
+    for source in selected or flat_sources:
+        stated = {statement.quantity for statement in source.statements}
+        added_scales = scales if "action scale" not in stated and "kp" in stated else []
+        yield replace(source, statements=(*source.statements, *added_scales))
 
 
-def _made(evaluator: py.Evaluator, node: Node) -> Node:
-    """Returns what a name of a module makes: itself, an instance, or what its function returns."""
+def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
+    """Evaluate a name of a module: the value, an instance of a class, or a function's result."""
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):
         return node if isinstance(value, py.InstanceValue) else replace(node, value=None)
-    given: list[Node] = []
+    arguments: list[Node] = []
     try:
         if isinstance(value, py.FunctionValue):
             free = value.node.args.args[: -len(value.node.args.defaults) or None]
-            given = [_made(evaluator, _class_of(evaluator, each, value)) for each in free]
-        made = replace(node, value=evaluator.call(value, given, {}).value)
+            arguments = [
+                _resolve_value(evaluator, _find_annotated_class(evaluator, argument, value))
+                for argument in free
+            ]
+        result = replace(node, value=evaluator.call(value, arguments, {}).value)
     except py.NotConstantError:
         return replace(node, value=None)
-    # A function may fill in the settings that it is given.
-    return given[0] if given and made.value is None else made
+    # A function may modify its argument and return None.
+    return arguments[0] if arguments and result.value is None else result
 
 
-def _class_of(evaluator: py.Evaluator, argument: ast.arg, function: py.FunctionValue) -> Node:
-    """Returns the class that an argument is annotated with, or the first of several."""
-    for one in [] if argument.annotation is None else ast.walk(argument.annotation):
-        found = evaluator.value(one, function.around) if isinstance(one, ast.Name) else None
-        if found is not None and isinstance(found.value, py.ClassValue):
-            return found
+def _find_annotated_class(
+    evaluator: py.Evaluator, argument: ast.arg, function: py.FunctionValue
+) -> Node:
+    """Return the first class in the annotation of an argument."""
+    for child in [] if argument.annotation is None else ast.walk(argument.annotation):
+        node = evaluator.value(child, function.around) if isinstance(child, ast.Name) else None
+        if node is not None and isinstance(node.value, py.ClassValue):
+            return node
     raise py.NotConstantError
 
 
-# mjlab and Isaac Lab: dataclasses within dataclasses.
+# mjlab and Isaac Lab: nested dataclasses.
 
 
-def _walk(node: Node, seen: set[int]) -> Iterator[Node]:
-    """Yields the instances below a value."""
+def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
+    """Yield all instances in a value, each once."""
     value = node.value
     if id(value) in seen or not isinstance(value, py.InstanceValue | dict | list):
         return
@@ -105,32 +111,37 @@ def _walk(node: Node, seen: set[int]) -> Iterator[Node]:
         yield node
     held: Any = getattr(value, "fields", value)
     for part in held.values() if isinstance(held, dict) else held:
-        yield from _walk(part, seen)
+        yield from _iterate_instances(part, seen)
 
 
-def _of_root(name: str, path: Path, root: Node) -> Iterator[Source]:
+def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
+    """Yield the source of a top-level configuration that contains a robot, actions or settings."""
     settings = tuple(tables.read_settings(root))
     if tables.is_trainer_config(root):
         yield Source(name, path, Role.TRAINER, settings)
         return
-    instances = list(_walk(root, set()))
-    robots = [one for one in instances if _actuators(one)]
+    instances = list(_iterate_instances(root, set()))
+    robots = [instance for instance in instances if _list_actuators(instance)]
     if len(robots) > 1:
         named = root.find_first("robot")
-        robots = [named] if _actuators(named) else robots[:1]
-    statements = [one for robot in robots for one in _of_robot(robot)]
-    angles = [one for one in statements if one.quantity == "default angle"]
+        robots = [named] if _list_actuators(named) else robots[:1]
+    statements = [statement for robot in robots for statement in _list_robot_statements(robot)]
+    angles = [statement for statement in statements if statement.quantity == "default angle"]
     actions = [
-        one for one in instances if one.value.kind.removesuffix("Cfg") in KEY_ALIASES["actions"]
+        instance
+        for instance in instances
+        if instance.value.kind.removesuffix("Cfg") in KEY_ALIASES["actions"]
     ]
-    statements += [one for action in actions for one in _of_action(action, angles)]
+    statements += [
+        statement for action in actions for statement in _list_action_statements(action, angles)
+    ]
     motors = robots[0].get("joint_sdk_names").texts if robots else ()
-    # Isaac Lab's articulations are in the order of depth, MuJoCo's as they are written.
+    # Isaac Lab sorts joints by depth, MuJoCo keeps the order of the file.
     mjlab = any(
-        one.value.kind == "EntityCfg" or "target_names_expr" in one.value.fields
-        for one in instances
+        instance.value.kind == "EntityCfg" or "target_names_expr" in instance.value.fields
+        for instance in instances
     )
-    seen = tuple(tables.list_observation_terms(root.find_first("observations")))
+    observations = tuple(tables.list_observation_terms(root.find_first("observations")))
     if robots or actions:
         yield Source(
             name,
@@ -139,48 +150,48 @@ def _of_root(name: str, path: Path, root: Node) -> Iterator[Source]:
             (*statements, *settings),
             motor_names=motors,
             breadth_first=not mjlab,
-            observations=seen,
+            observations=observations,
         )
 
 
-def _actuators(node: Node) -> list[Node]:
-    """Returns the actuators of an articulation or an entity; none of what is neither."""
-    held = node.find_first("actuators")
-    parts = list(held.value.values()) if isinstance(held.value, dict) else held.items
+def _list_actuators(node: Node) -> list[Node]:
+    """Return the actuators of an articulation or entity; empty for another value."""
+    actuators = node.find_first("actuators")
+    parts = list(actuators.value.values()) if isinstance(actuators.value, dict) else actuators.items
     return [
-        one
-        for one in parts
+        part
+        for part in parts
         if node.get("init_state").is_present
-        and (one.find_first("patterns").is_present or one.get("base_cfg").is_present)
+        and (part.find_first("patterns").is_present or part.get("base_cfg").is_present)
     ]
 
 
-def _of_robot(robot: Node) -> Iterator[Statement]:
+def _list_robot_statements(robot: Node) -> Iterator[Statement]:
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
     if isinstance(angles.value, dict):
         yield Statement("default angle", 0.0, angles.place, ".*", implied=True)
         entries = list(angles.value.items())
         for pattern, node in reversed(entries) if first_wins else entries:
-            # mjlab takes the first pattern that begins a name, Isaac Lab the one that is all of it.
+            # mjlab uses the first pattern that matches the start of a name, Isaac Lab full matches.
             whole = f"{pattern}.*" if first_wins and not pattern.endswith((".*", "$")) else pattern
             yield node.make_statement("default angle", whole)
-    for actuator in _actuators(robot):
+    for actuator in _list_actuators(robot):
         base = actuator.get("base_cfg")
         inner = base if base.is_present else actuator
-        for word, quantity in _OF_ACTUATORS.items():
+        for word, quantity in _ACTUATOR_QUANTITIES.items():
             node = inner.get(word)
             if quantity == "friction" and not first_wins and node.number:
                 quantity = "friction coefficient"
-            if isinstance(node.value, list):  # whose each is is not known
+            if isinstance(node.value, list):  # the joint of each element is not known
                 node = replace(node, value=py.UnknownValue("[...]"))
             yield from node.make_statements(quantity, inner.find_first("patterns").texts)
 
 
-def _of_action(action: Node, angles: list[Statement]) -> Iterator[Statement]:
+def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[Statement]:
     patterns = action.find_first("patterns").texts
     yield from action.get("scale").make_statements("action scale", patterns)
     if action.get("use_default_offset").value in (None, True):
-        yield from (replace(one, quantity="action offset", implied=True) for one in angles)
+        yield from (replace(angle, quantity="action offset", implied=True) for angle in angles)
     else:
         yield from action.get("offset").make_statements("action offset", patterns)

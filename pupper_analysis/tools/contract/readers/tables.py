@@ -1,4 +1,4 @@
-"""YAML and JSON of deployments: Unitree's, ROS 2's controllers, MoveIt's limits; RTNeural's."""
+"""Reader of YAML and JSON: deployments of Unitree robots, ROS 2 controllers, MoveIt, RTNeural."""
 
 from __future__ import annotations
 
@@ -25,126 +25,150 @@ from pupper_analysis.tools.contract.facts import (
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
-_KEYS = {
+_TABLE_KEYS = {
     **FORMAT_KEYS["table"],
     **{f"{name}_scale": f"observation {name}" for name in KEY_ALIASES["scales"]},
 }
+"""{key in a table: quantity}, including scales of observations."""
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields what a YAML or a JSON holds: a configuration, or one for each controller or robot."""
+    """Yield the sources in a YAML or JSON file, for example one per controller or robot."""
     documents = read_yaml_nodes(request.path, read_text(request.path))
-    for document in (one for one in documents if isinstance(one.value, dict)):
+    for document in (document for document in documents if isinstance(document.value, dict)):
         layers = document.get("layers")
         if document.get("joint_limits").is_present:
-            yield from _of_limits(request, document.get("joint_limits"))
-        elif isinstance(layers.value, list):  # RTNeural's: a policy
-            ends = {
-                "actions": [one.get("shape") for one in layers.items[-1:]],
+            yield from _read_limits(request, document.get("joint_limits"))
+        elif isinstance(layers.value, list):  # a policy in RTNeural's format
+            sizes_by_quantity = {
+                "actions": [layer.get("shape") for layer in layers.items[-1:]],
                 "observed numbers": [document.get("in_shape")],
             }
             sizes = [
                 size.make_statement(what)
-                for what, shapes in ends.items()
+                for what, shapes in sizes_by_quantity.items()
                 for shape in shapes
                 for size in shape.items[-1:]
                 if size.number
             ]
             yield from read_table(request, request.path.name, document, Role.POLICY, sizes)
         else:
-            yield from _of_document(request, document)
+            yield from _read_document(request, document)
 
 
-def _of_document(request: Request, document: Node) -> Iterator[Source]:
-    """Yields what a table states, and the tables in it: rl_sar's of a robot, ROS 2's of a node."""
+def _read_document(request: Request, document: Node) -> Iterator[Source]:
+    """Yield the statements of a table and of nested tables: rl_sar's robots, ROS 2's nodes."""
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
-    # What a trainer's settings consist of is no configuration of its own.
+    # Tables inside a trainer's settings are not sources.
     parts = {} if is_trainer_config(document) else document.value
     for key, node in {"": document, **parts}.items():
-        own = node.get("ros__parameters")
-        table, role = (own, Role.DRIVER) if own.is_present else (node, Role.DEPLOYMENT)
+        parameters = node.get("ros__parameters")
+        table, role = (
+            (parameters, Role.DRIVER) if parameters.is_present else (node, Role.DEPLOYMENT)
+        )
         if isinstance(table.value, dict) and request.name in ("", key):
-            more = {"update_rate": rate} if own.is_present and rate.is_present else {}
+            extra_keys = {"update_rate": rate} if parameters.is_present and rate.is_present else {}
             name = f"{request.path.name}:{key}" if key else request.path.name
-            yield from read_table(request, name, Node({**table.value, **more}, table.place), role)
+            yield from read_table(
+                request, name, Node({**table.value, **extra_keys}, table.place), role
+            )
 
 
 def read_table(
     request: Request, name: str, table: Node, role: Role, sizes: Sequence[Statement] = ()
 ) -> Iterator[Source]:
-    """Yields what a flat table states of joints, and what else is known, if that is anything."""
+    """Yield the source of a flat table that contains statements about joints or joint names.
+
+    Args:
+        request: Request with the path of the file.
+        name: Name of the source.
+        table: Table; keys are compared in lower case.
+        role: Role, unless the table is a trainer's configuration.
+        sizes: Statements from elsewhere, such as the sizes of a network.
+    """
     table = Node({str(key).lower(): node for key, node in table.value.items()}, table.place)
-    named, motors = table.find_first("joints"), table.find_first("motors")
-    indices = _numbers(motors)
-    unread = (
+    joint_names, motors = table.find_first("joints"), table.find_first("motors")
+    indices = _read_motor_numbers(motors)
+    notes = (
         [diagnose("contract-motors-unread", file=name)] if motors.is_present and not indices else []
     )
-    up = name.rpartition(":")[2].lower() in KEY_ALIASES["starting"]
-    statements = [*sizes, *_listed(table, named.texts, indices, up)]
-    for action in _below(table.get("actions")):
-        statements += _flat("action scale", action.get("scale"))
-        statements += _flat("action offset", action.get("offset"))
+    is_standing_table = name.rpartition(":")[2].lower() in KEY_ALIASES["starting"]
+    statements = [
+        *sizes,
+        *_list_table_statements(table, joint_names.texts, indices, is_standing_table),
+    ]
+    for action in _list_position_tables(table.get("actions")):
+        statements += _list_flat_statements("action scale", action.get("scale"))
+        statements += _list_flat_statements("action offset", action.get("offset"))
     statements += read_settings(table) if is_trainer_config(table) else ()
     if not (
         sizes
-        or named.texts
-        or any(not find_quantity_kind(one.quantity).is_setting for one in statements)
+        or joint_names.texts
+        or any(not find_quantity_kind(statement.quantity).is_setting for statement in statements)
     ):
         return
-    rate, often = table.get("update_rate"), table.get("repeat_action")
-    if rate.number and often.number:
-        statements.append(Statement("policy step", often.number / rate.number, often.place))
-    seen = table.get("observation_names")
-    names = ((one, None, seen.place) for one in seen.texts)
+    rate, repeat = table.get("update_rate"), table.get("repeat_action")
+    if rate.number and repeat.number:
+        statements.append(Statement("policy step", repeat.number / rate.number, repeat.place))
+    observation_names = table.get("observation_names")
+    named_terms = ((term, None, observation_names.place) for term in observation_names.texts)
     role = Role.TRAINER if is_trainer_config(table) else role
     yield Source(
         name,
         request.path,
         role,
         tuple(statements),
-        order=named.texts,
-        order_place=named.place,
+        order=joint_names.texts,
+        order_place=joint_names.place,
         motors=tuple(indices),
-        observations=(*names, *list_observation_terms(table.get("observations"))),
-        notes=tuple(unread),
+        observations=(*named_terms, *list_observation_terms(table.get("observations"))),
+        notes=tuple(notes),
     )
 
 
-def _numbers(motors: Node) -> list[int]:
-    """Returns the numbers of motors, each another one from 0 on; none if they are not."""
-    numbers = [one.number for one in motors.items]
-    whole = [int(one) for one in numbers if one is not None and one.is_integer() and one >= 0]
+def _read_motor_numbers(motors: Node) -> list[int]:
+    """Return the indices of motors; empty unless all are distinct integers from 0."""
+    numbers = [motor.number for motor in motors.items]
+    whole = [
+        int(number)
+        for number in numbers
+        if number is not None and number.is_integer() and number >= 0
+    ]
     return whole if len(set(whole)) == len(numbers) else []
 
 
-def _listed(table: Node, order: Sequence[str], motors: list[int], up: bool) -> Iterator[Statement]:
-    known = set(order) | {"", ".*"}
-    # By motor, in the robot's own order: see unitree_rl_lab's articulation.h, "sdk order".
-    whole = sorted(motors) == list(range(len(motors)))
-    # Source: rl_sar, ReadYaml: a robot's table is for getting up, a policy's counts over it.
-    to_start = up or (table.get("fixed_kp").is_present and not table.get("rl_kp").is_present)
+def _list_table_statements(
+    table: Node, order: Sequence[str], motors: list[int], is_standing_table: bool
+) -> Iterator[Statement]:
+    valid_names = set(order) | {"", ".*"}
+    # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
+    is_complete = sorted(motors) == list(range(len(motors)))
+    # Source: rl_sar, ReadYaml: the robot's table is for standing up; the policy's table overrides.
+    is_for_standing = is_standing_table or (
+        table.get("fixed_kp").is_present and not table.get("rl_kp").is_present
+    )
     keys = {
         word: quantity
-        for word, quantity in _KEYS.items()
-        if not (to_start and quantity in ("effort", "default angle", "kp", "kd"))
+        for word, quantity in _TABLE_KEYS.items()
+        if not (is_for_standing and quantity in ("effort", "default angle", "kp", "kd"))
     }
     for word, quantity in keys.items():
-        for one in _flat(quantity, table.get(word)):
-            if word in ("stiffness", "damping") and whole and one.index in motors:
-                one = replace(one, index=motors.index(one.index or 0))
-            # A text is a name of a parameter, not an expression: nothing is said of joints.
-            if one.value is not None and (one.joint in known or not order):
-                yield one
+        for statement in _list_flat_statements(quantity, table.get(word)):
+            if word in ("stiffness", "damping") and is_complete and statement.index in motors:
+                statement = replace(statement, index=motors.index(statement.index or 0))
+            # A text is the name of a parameter, not a number of a joint.
+            if statement.value is not None and (statement.joint in valid_names or not order):
+                yield statement
 
 
-def _flat(quantity: str, node: Node) -> Iterable[Statement]:
-    """Returns statements of a list, or of the list that a list of one list is."""
+def _list_flat_statements(quantity: str, node: Node) -> Iterable[Statement]:
+    """Return the statements of a list; a list with a single inner list counts as the inner list."""
     inner = node.items[0] if len(node.items) == 1 else node
     return (inner if isinstance(inner.value, list) else node).make_statements(quantity)
 
 
-def _below(node: Node) -> list[Node]:
-    """Returns the tables in a table that are of joint positions."""
+def _list_position_tables(node: Node) -> list[Node]:
+    """Return the tables in a table, except tables of velocities and efforts."""
     return [
         one
         for key, one in node.table.items()
@@ -153,50 +177,58 @@ def _below(node: Node) -> list[Node]:
 
 
 def list_observation_terms(terms: Node) -> Iterator[tuple[str, float | None, Place]]:
-    """Yields the terms of an observation, in order, by their functions' names where these tell."""
+    """Yield (name, scale, place) of each observation term, in order.
+
+    The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
+    key.
+    """
     for name, term in terms.table.items():
         func, scale = term.get("func"), term.get("scale")
-        called = str(func.value).rpartition(".")[2]
+        function_name = str(func.value).rpartition(".")[2]
         if func.is_present or isinstance(term.value, dict):
             number = scale.items[0].number if scale.items else 1.0 if func.is_present else None
-            yield called if called in OBSERVATION_ALIASES else name, number, term.place
+            yield (
+                function_name if function_name in OBSERVATION_ALIASES else name,
+                number,
+                term.place,
+            )
 
 
-def _of_limits(request: Request, limits: Node) -> Iterator[Source]:
-    """Yields MoveIt's limits, each with the switch that says whether it counts."""
+def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
+    """Yield MoveIt's joint limits. A limit is ignored if the switch is false."""
     words = {
         name: row["limits"] for name, row in FIELD_TABLE["quantities"].items() if "limits" in row
     }
-    found = [
+    statements = [
         one.get(word).make_statement(quantity, joint)
         for joint, one in limits.table.items()
         for quantity, (word, switch) in words.items()
         if one.get(word).is_present and one.get(switch).value is not False
     ]
-    if found:
-        yield Source(request.path.name, request.path, Role.DRIVER, tuple(found))
+    if statements:
+        yield Source(request.path.name, request.path, Role.DRIVER, tuple(statements))
 
 
 def is_trainer_config(root: Node) -> bool:
-    """Whether settings are legged_gym's, or those of its kin: classes, or tables."""
+    """Return True if a table has default joint angles as in legged_gym."""
     return bool(root.get("init_state", "default_joint_angles").table)
 
 
 def read_settings(root: Node) -> Iterator[Statement]:
-    """Yields what a trainer's settings state."""
+    """Yield the statements in a trainer's configuration."""
     for path, quantity in FORMAT_KEYS["settings"].items():
         parts = FIELD_TABLE["quantities"][quantity].get("parts", False)
-        for one in root.get(*path.split(".")).make_statements(quantity):
-            if parts and one.joint != ".*":
-                # A gain is of all joints whose names have its key in them.
-                yield replace(one, joint=f".*{re.escape(one.joint)}.*")
-            elif one.value or quantity != "armature":
-                yield one
+        for statement in root.get(*path.split(".")).make_statements(quantity):
+            if parts and statement.joint != ".*":
+                # A gain applies to all joints whose names contain the key.
+                yield replace(statement, joint=f".*{re.escape(statement.joint)}.*")
+            elif statement.value or quantity != "armature":
+                yield statement
             if quantity == "default angle":
-                yield replace(one, quantity="action offset", implied=True)
+                yield replace(statement, quantity="action offset", implied=True)
     scale, hips = (root.get("control", word) for word in ("action_scale", "hip_scale_reduction"))
     if hips.number is not None and scale.number:
-        # Source: walk-these-ways, LeggedRobot._compute_torques: of each leg's first joint.
+        # Source: walk-these-ways, LeggedRobot._compute_torques: first joint of each leg.
         yield Statement("action scale", scale.number * hips.number, hips.place, r".*hip.*")
     for word, node in root.get("normalization", "obs_scales").table.items():
         yield from node.make_statements(f"observation {word}")
