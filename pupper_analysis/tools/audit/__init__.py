@@ -1,3 +1,3 @@
-"""Find what is wrong in one URDF, MJCF or USD."""
+"""Find physical and practical errors in a URDF, MJCF or USD."""
 
 HEADING = "Files"

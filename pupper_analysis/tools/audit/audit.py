@@ -1,4 +1,4 @@
-"""Audits one model file: what is physically or practically wrong in it."""
+"""Audit of a model file: runs all rules for the format of the file."""
 
 from __future__ import annotations
 
@@ -39,17 +39,21 @@ def audit_model(
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
 ) -> Audit:
-    """Finds what is physically or practically wrong in a model file, of any format.
+    """Find physical and practical errors in a model file of any supported format.
 
     Args:
-        path: The file.
-        packages: Folders of packages, for a URDF's ``package://``.
-        disabled: The ids of rules that shall not be run.
+        path: Model file.
+        packages: {ROS package: folder}, for ``package://`` paths in a URDF.
+        disabled: Ids of rules that are not run.
+
+    Returns:
+        Findings, sorted by severity.
 
     Raises:
         ModelError: If the file cannot be read.
-        ConfigurationError: If a rule in ``disabled`` is unknown.
-        MissingPackageError: If what reads its format, such as usd-core for a USD, is not installed.
+        ConfigurationError: If a rule in ``disabled`` does not exist.
+        MissingPackageError: If the package that reads the format is not installed, for example
+            usd-core.
     """
     if isinstance(disabled, str):
         disabled = (disabled,)
@@ -60,22 +64,22 @@ def audit_model(
         raise ConfigurationError("disabled", message)
     reader = reader_of(Path(path))
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
-        warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
+        warnings.simplefilter("ignore")  # MuJoCo's warnings are replaced by findings
         if reader is not None:
             read = reader.read_file(Path(path))
-            return _audited(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
+            return _run_rules(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
         file = read_model(path, packages)
-        return _audited(str(path), file, _read(file), unwanted, {})
+        return _run_rules(str(path), file, _read_stated_model(file), unwanted, {})
 
 
-def _audited(
+def _run_rules(
     path: str,
     file: ModelFile,
     robot: RobotModel,
     unwanted: tuple[str, ...],
     theirs: Mapping[str, Check],
 ) -> Audit:
-    """Runs the rules; ``theirs`` are the checks of a format of its own."""
+    """Run all rules that apply to a model; ``theirs`` contains the checks of a further format."""
     findings, run = [], []
     for rule in RULES.values():
         if robot.format not in rule.formats or rule.id in unwanted:
@@ -86,7 +90,7 @@ def _audited(
             for checks_by_rule in (CHECKS, theirs)
             if rule.id in checks_by_rule
         ]
-        findings += [_finding(file, rule, found) for check in checks for found in check(robot)]
+        findings += [_make_finding(file, rule, found) for check in checks for found in check(robot)]
     findings.sort(
         key=lambda finding: (
             finding.severity.rank,
@@ -111,11 +115,12 @@ def _audited(
     )
 
 
-def _read(file: UrdfFile | MjcfFile) -> RobotModel:
+def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
     return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
+def _make_finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
+    """Add place, severity and texts of the rule to the result of a check."""
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)

@@ -1,4 +1,4 @@
-"""``pupper-analysis crosscheck`` and ``audit``: what is wrong in, and between, model files."""
+"""``pupper-analysis audit``: find errors in a model file."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def command(
 
     if list_rules:
         refuse_unused("--list-rules", {"--list-rules": {"list_rules"}})
-        _list_rules()
+        _print_rules()
         return
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
@@ -103,7 +103,7 @@ def command(
         shared.finish_command(json_path, content, passed=passed)
 
 
-def _list_rules() -> None:
+def _print_rules() -> None:
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.tools.audit.document import make_rules_table
 

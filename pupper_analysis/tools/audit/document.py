@@ -1,4 +1,4 @@
-"""The document of an audit: what is wrong in one file, with the line where it stands."""
+"""Document of an audit: the findings in a file, with the lines concerned."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from pupper_analysis.tools.audit.audit import (
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""The emphasis of each severity."""
+"""Emphasis of each severity in a document."""
 
 MAX_SHOWN_GROUPS = 40
-"""Groups of findings in a short view."""
+"""Largest number of groups of findings in the short view. Chosen."""
 
 
 @build_document.register(Audit)
 def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
-    """Returns what is wrong in one file; see ``build``."""
+    """Build the document of an audit; see ``build_document``."""
     counts = [
-        text("count-severity", count=count, severity=word(_plural(severity, count)))
+        text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
         for severity, count in audit.counts.items()
     ]
     rules = text("by-count-rules", count=len(audit.rules_run))
@@ -42,7 +42,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     return doc.Document(
         text("audit"),
         doc.Name(Path(audit.file).name),
-        tuple(_groups(audit)),
+        tuple(_group_findings(audit)),
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
@@ -51,14 +51,14 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     )
 
 
-def _plural(severity: str, count: int) -> str:
+def _pluralise_severity(severity: str, count: int) -> str:
     return severity if count == 1 else f"{severity}s"
 
 
-def _groups(audit: Audit) -> Iterable[doc.FileFinding]:
-    """Yields findings, the worst first, with the line of the first of those that are alike.
+def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
+    """Yield findings with equal messages as groups, the most severe first.
 
-    Why they matter, and what to do, is said once for those of a rule.
+    Reason and repair are shown with the last group of a rule only.
     """
     rules: dict[tuple[str, Severity], dict[str, list[Finding]]] = {}
     for finding in audit.findings:
@@ -69,15 +69,15 @@ def _groups(audit: Audit) -> Iterable[doc.FileFinding]:
         why, todo = get_rule_text(rule, "why"), get_rule_text(rule, "todo")
         advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).with_mark("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
-            sides = _alike(audit, group, advice if place == len(alike) else ())
+            sides = _describe_group(audit, group, advice if place == len(alike) else ())
             yield replace(sides, detail=shown >= MAX_SHOWN_GROUPS)
             shown += 1
 
 
-def _alike(
+def _describe_group(
     audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
 ) -> doc.FileFinding:
-    """Returns findings of which only the element is another."""
+    """Describe findings that differ only in the element, with the line of the first."""
     first, *others = group
     message = doc.diagnostic_text(first.diagnostic)
     said = text("element-message", element=format_element(first.diagnostic), message=message)
@@ -97,26 +97,26 @@ def _alike(
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:
-    """Returns a rule's title, reason or remedy."""
+    """Return the title, reason or repair of a rule in both languages."""
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 
 def format_element(finding: Diagnostic) -> doc.Text:
-    """Returns the element at fault: its kind, and its name if it has one."""
+    """Format kind and name of the element of a finding."""
     subject = finding.subject
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""
     return doc.Text(*(f"{term(subject.kind, language)}{name}" for language in LANGUAGES))
 
 
-def _formats(rule: Rule) -> doc.Cell:
+def _list_formats(rule: Rule) -> doc.Cell:
     return (
         text("all-formats") if rule.formats == MODEL_FORMATS else doc.Name(", ".join(rule.formats))
     )
 
 
 def make_rules_table() -> doc.Table:
-    """Returns all rules."""
+    """Make the table of all rules."""
     return doc.Table(
         text("count-rules-disable-rule-leaves", count=len(RULES)),
         (
@@ -129,7 +129,7 @@ def make_rules_table() -> doc.Table:
             (
                 doc.Name(rule.id),
                 word(str(rule.severity)),
-                _formats(rule),
+                _list_formats(rule),
                 get_rule_text(rule.id, "title"),
             )
             for rule in RULES.values()
@@ -137,14 +137,14 @@ def make_rules_table() -> doc.Table:
     )
 
 
-# The audit of a model file, for machines.
+# Annotations for machines.
 
 ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
-"""Of annotations."""
+"""Level of an annotation for each severity."""
 
 
 def make_audit_annotations(audit: Audit) -> list[Annotation]:
-    """Returns the findings as annotations."""
+    """Make an annotation for each finding."""
     return [
         Annotation(
             ANNOTATION_LEVELS[finding.severity],

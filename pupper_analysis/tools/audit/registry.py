@@ -1,4 +1,8 @@
-"""The register of rules: each has its reasons in the catalogue, and a small function."""
+"""Registry of the audit rules, and the extent of the shapes of a link.
+
+A rule consists of an entry in ``rules/catalogue.toml`` (severity, texts) and a check: a function
+that yields the findings in a robot model. `rule` registers a check under the name of the function.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +22,21 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
 
 MODEL_FORMATS = ("urdf", "mjcf", *formats())
+"""Names of all supported file formats, including formats of other packages."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One thing that can be wrong in a file.
+    """Entry of the catalogue of rules.
 
     Attributes:
-        id: Its name in kebab case.
-        severity: How bad it is, at its worst.
-        title: What is wrong, in a few words.
-        why: Why it matters.
-        todo: What to do.
-        chinese: {``"title"``, ``"why"`` or ``"todo"``: the same in Simplified Chinese}.
-        formats: Which of ``MODEL_FORMATS`` it is for.
+        id: Name in kebab case.
+        severity: Severity of a finding, unless the check states another.
+        title: Error, in a few words.
+        why: Reason for the rule.
+        todo: Recommended repair.
+        chinese: {``"title"``, ``"why"`` or ``"todo"``: text in Simplified Chinese}.
+        formats: Members of `MODEL_FORMATS` to which the rule applies.
     """
 
     id: str
@@ -43,11 +48,8 @@ class Rule:
     formats: tuple[str, ...] = MODEL_FORMATS
 
 
-def _catalogue() -> dict[str, Rule]:
-    """Reads what the rules are called, how bad they are, and their reasons and remedies.
-
-    Those for a format of its own stand in ``rules.toml`` of its folder.
-    """
+def _read_catalogue() -> dict[str, Rule]:
+    """Read all rules: the catalogue, and ``rules.toml`` of each further format."""
     own = Path(__file__).parent / "rules/catalogue.toml"
     entries = tomllib.loads(own.read_text(encoding="utf-8"))
     for format in formats().values():
@@ -56,52 +58,52 @@ def _catalogue() -> dict[str, Rule]:
             entries |= {name: {"formats": [format.name], **entry} for name, entry in theirs.items()}
     rules = {}
     for name, entry in entries.items():
-        words = _words(entry, entries[entry.get("like", name)], " ")
-        chinese = _words(entry.get("zh", {}), entries[entry.get("like", name)]["zh"], "")
+        words = _merge_texts(entry, entries[entry.get("like", name)], " ")
+        chinese = _merge_texts(entry.get("zh", {}), entries[entry.get("like", name)]["zh"], "")
         stated = tuple(entry.get("formats", MODEL_FORMATS))
         severity = Severity(entry["severity"])
         rules[name] = Rule(name, severity, **words, chinese=chinese, formats=stated)
     return rules
 
 
-def _words(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
-    """Returns title, reason and remedy in one language; what is not its own is the model's."""
+def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
+    """Combine title, reason and repair of a rule with the texts of the rule named by ``like``."""
     why = space.join([model["why"], *([own["more"]] if "more" in own else [])])
     return {"title": own["title"], "why": why, "todo": model["todo"]}
 
 
-_CHECKS: dict[str, Check] = {}
+_REGISTERED_CHECKS: dict[str, Check] = {}
+"""{rule: check}, filled by `rule`."""
 
-RULES: Mapping[str, Rule] = MappingProxyType(_catalogue())
-"""All rules, by id."""
+RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
+"""{id: rule} of all formats."""
 
-CHECKS: Mapping[str, Check] = MappingProxyType(_CHECKS)
-"""The function of each rule that is not of a format of its own."""
+CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
+"""{id: check} without the checks of further formats."""
 
 
 def rule(check: Check) -> Check:
-    """Registers a check as that of the rule of its name: ``axis_zero`` of ``axis-zero``."""
+    """Register a check for the rule of the same name, ``axis-zero`` for ``axis_zero``."""
     name = check.__name__.replace("_", "-")
     assert name in RULES, f"catalogue.toml has no rule {name}"
-    _CHECKS[name] = check
+    _REGISTERED_CHECKS[name] = check
     return check
 
 
 @dataclass(frozen=True, eq=False)
 class Finding(Result):
-    """One thing that is wrong in a file.
+    """Error in a file.
 
     Attributes:
-        rule: The id of the rule that found it.
-        severity: The rule's, or a lesser one where the case is less bad.
-        file: The file in which it stands (an included one, perhaps).
-        line: Its line, from 1; None where it is nowhere in particular.
-        prim: The path of its prim, in a USD; None in other files.
-        element: ``link 'FL_calf'``.
-        why: Why it matters.
-        todo: What to do.
-        diagnostic: What is wrong, as a code, of which a rule may have several, and numbers with
-            units, of that element and place.
+        rule: Id of the rule.
+        severity: Severity of the rule, unless the check states another.
+        file: File that contains the error, possibly an included file.
+        line: Line from 1; None if the finding has no line.
+        prim: Path of the prim in a USD; None in other files.
+        element: Kind and name of the element, for example ``link 'FL_calf'``.
+        why: Reason for the rule.
+        todo: Recommended repair.
+        diagnostic: Message as code and values with units. A rule may use several codes.
     """
 
     rule: str
@@ -118,12 +120,12 @@ class Finding(Result):
 
     @property
     def message(self) -> str:
-        """One sentence with the numbers."""
+        """Message in one sentence, with the numbers."""
         return str(self.diagnostic)
 
     @property
     def place(self) -> Place:
-        """Where it stands: file and line, or file and prim."""
+        """File and line, or file and prim."""
         return Place(Path(self.file), self.line, self.prim)
 
     def __str__(self) -> str:
@@ -132,17 +134,17 @@ class Finding(Result):
 
 @dataclass(frozen=True, eq=False)
 class Audit(Tabular):
-    """What is wrong in one file.
+    """Result of the audit of a file.
 
     Attributes:
-        file: The file.
-        format: One of ``MODEL_FORMATS``.
-        passed: Whether nothing of severity ERROR was found.
-        counts: How many findings of each severity.
-        findings: The worst first, then by line.
-        rules_run: The ids of the rules that were run.
-        disabled: The ids of those that were not, on demand.
-        notes: What was left out.
+        file: Path of the file.
+        format: Format of the file.
+        passed: True if there is no finding of severity ERROR.
+        counts: Number of findings of each severity.
+        findings: Findings, sorted by severity, file and line.
+        rules_run: Ids of the rules that were run.
+        disabled: Ids of the rules that the caller disabled.
+        notes: Content that was left out.
     """
 
     file: str
@@ -159,39 +161,48 @@ class Audit(Tabular):
         return {name: [getattr(found, name) for found in self.findings] for name in names}
 
 
-# How far shapes reach.
+# Extent of shapes.
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Returns points (n, 3) that span all shapes of some bodies, in the frame of one of them (m).
+    """Return points that span all shapes of some links; None if an extent is not known.
+
+    Args:
+        bodies: Links.
+        frame: Link in whose frame the points are expressed.
 
     Returns:
-        None if they have no shapes, or the extent of one is not known.
+        Points, shape (n, 3) [m]; None if there are no shapes, or the extent of a shape is not
+        known.
     """
-    points, whole = list_known_points(bodies, frame)
-    return points if whole else None
+    points, is_complete = list_known_points(bodies, frame)
+    return points if is_complete else None
 
 
 def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Returns points of those shapes whose extent is known, and whether that is all of them.
+    """Return points that span the shapes of known extent.
 
     Returns:
         Points, shape (n, 3) [m], in the frame of ``frame``; None if no extent is known. True if the
         extents of all shapes are known; False for example if a mesh was not read.
     """
-    to_frame, parts, whole = frame.pose.inverse(), [], True
+    to_frame, parts, is_complete = frame.pose.inverse(), [], True
     for body in bodies:
         for shape in body.shapes:
             points = shape.points
             if points is None:
-                whole = False
+                is_complete = False
             else:
                 parts.append((to_frame * body.pose).point(points))
-    return (np.concatenate(parts) if parts else None), whole
+    return (np.concatenate(parts) if parts else None), is_complete
 
 
 def list_link_points(robot: RobotModel, body: Link) -> Array:
-    """Returns a body's origin, frames and children's origins (n, 3), in its frame (m)."""
+    """Return the origin of a link, its frames and the origins of its children.
+
+    Returns:
+        Points, shape (n, 3) [m], in the frame of the link.
+    """
     to_frame = body.pose.inverse()
     points = [np.zeros(3), *(frame.position for frame in body.frames)]
     points += [to_frame.point(child.pose.position) for child in robot.children(body.name)]
@@ -199,9 +210,15 @@ def list_link_points(robot: RobotModel, body: Link) -> Array:
 
 
 def compute_hull_distance(points: Array, point: Array) -> float:
-    """Returns how far a point is outside the convex hull of others, at least; <= 0 if inside (m).
+    """Compute a lower bound of the distance between a point and the convex hull of points.
 
-    Of points that lie in a plane the bounding box is taken.
+    Args:
+        points: Points, shape (n, 3) [m].
+        point: Point, shape (3,) [m].
+
+    Returns:
+        Distance [m], positive outside. For points without volume, the distance to the bounding box
+        along the coordinate axes.
     """
     from scipy.spatial import ConvexHull, QhullError  # slow to import
 

@@ -82,7 +82,7 @@ class Contract(Result):
         findings: Disagreements, the most severe first.
         poses: Stand of the robot in the default pose of each source, with the gains of the source.
         notes: Assumptions, and content that could not be read.
-    passed: True if every disagreement is less severe than ``fail_on``.
+        passed: True if every disagreement is less severe than ``fail_on``.
     """
 
     model: str
@@ -151,9 +151,8 @@ def read_contract(
     placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses = tuple[Pose, ...]()
     if stand:
-        from pupper_analysis.tools.contract.poses import (
-            stand_poses,
-        )  # imports PlaCo, which a guard may lack
+        # Imported late: this module imports PlaCo, which `check` does not need.
+        from pupper_analysis.tools.contract.poses import stand_poses
 
         paths = list(dict.fromkeys(model.path for model in models))
         poses, unstood = stand_poses(paths, placed, first.order)

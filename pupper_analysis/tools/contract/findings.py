@@ -97,8 +97,8 @@ class Pose(Result):
 
     Attributes:
         source: Name of the source.
-        height: Height of the base above the mean of the feet's lowest points in this pose [m].
-        sag: Loss of base height with the gains of the source [m]; None if not computed.
+        height: Height of the base above the mean of the feet's lowest points in this pose.
+        sag: Loss of base height with the gains of the source; None if not computed.
         utilisation: Largest ratio of motor torque to limit; None if not computed, or without
             limits.
         stays: Whether the robot keeps standing in simulation with the gains of the source and no

@@ -1,4 +1,4 @@
-"""The rules; importing this package registers them."""
+"""Audit rules by topic. Importing this package registers all checks."""
 
 from pupper_analysis.tools.audit.rules import (  # noqa: F401
     actuators,

@@ -1,8 +1,8 @@
 """Rules about actuators on joints.
 
-MuJoCo's actuator gives force = gain ctrl + bias, clipped to forcerange; times gear on the joint. A
-position servo has gain = kp and bias = -kp q - kd qdot. Source: MuJoCo documentation, "Computation:
-Actuation model".
+Force of a MuJoCo actuator: F = gain * ctrl + bias, clipped to ``forcerange``; joint torque: gear *
+F. A position servo has gain = kp and bias = -kp * q - kd * qdot. Source: MuJoCo documentation,
+"Computation: Actuation model".
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from pupper_analysis.tools.audit.registry import rule
 
 @dataclass(frozen=True)
 class ActuatorDrive(ActuatorLaw):
-    """An actuator of constant gain on a hinge or slide.
+    """Actuator with constant gain on a hinge or slide.
 
     Attributes:
-        name: Its own or, if it has none, its joint's.
-        id: Its number.
-        control: The number of its first control.
-        joint: Its joint's number.
-        joint_name: Its joint's name.
+        name: Name of the actuator; without name, that of the joint.
+        id: Index of the actuator.
+        control: Index of the first control.
+        joint: Index of the joint.
+        joint_name: Name of the joint.
     """
 
     name: str
@@ -45,12 +45,12 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def servo(self) -> bool:
-        """Whether it holds a position."""
+        """Whether the force depends on the joint position."""
         return self.stiffness != 0
 
 
 def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
-    """Yields the actuators with a constant gain on hinges and slides."""
+    """Yield the actuators with constant gain on a single hinge or slide."""
     constant = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value
     for actuator in np.flatnonzero(constant).tolist():
         joint = int(model.actuator_trnid[actuator, 0])
@@ -65,7 +65,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
             )
 
 
-def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
+def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
     if robot.mj_model is not None:
         for drive in list_drives(robot.mj_model):
             yield robot.mj_model, drive
@@ -73,8 +73,8 @@ def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds gains and gears of 0."""
-    for _, drive in _drives(robot):
+    """Find gains and gears of 0."""
+    for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
             yield CheckFinding("actuator", drive.name, message)
@@ -82,8 +82,8 @@ def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds forces that grow with the joint's own motion: -dF/dq < 0, or -dF/dqdot < 0."""
-    for _, drive in _drives(robot):
+    """Find forces that grow with the joint's motion: dF/dq > 0 or dF/dqdot > 0."""
+    for _, drive in _list_robot_drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, "N m/rad")
             message = diagnose("servo-drives-away", stiffness=stiffness)
@@ -95,9 +95,9 @@ def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds joints with two position servos or more."""
+    """Find joints with two or more position servos."""
     holding: dict[str, list[ActuatorDrive]] = {}
-    for _, drive in _drives(robot):
+    for _, drive in _list_robot_drives(robot):
         if drive.stiffness > 0:
             holding.setdefault(drive.joint_name, []).append(drive)
     for joint, several in holding.items():
@@ -108,13 +108,14 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Position servos beside which one drive of another kind is a slip."""
+"""Smallest number of position servos for which a single drive of another kind is reported. Chosen.
+"""
 
 
 @rule
 def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds the one drive, of a joint with limits, that is no position servo among 5 or more."""
-    found = list(_drives(robot))
+    """Find the only drive without position feedback, on a limited hinge, among 5 or more servos."""
+    found = list(_list_robot_drives(robot))
     others = [(model, drive) for model, drive in found if not drive.servo]
     if len(others) != 1 or len(found) - 1 < MIN_SERVOS:
         return
@@ -127,8 +128,8 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
-    for model, drive in _drives(robot):
+    """Find drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
+    for model, drive in _list_robot_drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
@@ -139,8 +140,8 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Compares forcerange times gear with actuatorfrcrange, with 1 % of tolerance."""
-    for model, drive in _drives(robot):
+    """Find products of forcerange and gear more than 1 % above actuatorfrcrange."""
+    for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
             continue
         force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)

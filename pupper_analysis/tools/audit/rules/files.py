@@ -1,4 +1,4 @@
-"""Rules about what a file refers to, and whether it hangs together."""
+"""Rules about referenced files, and about models that MuJoCo refuses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pupper_analysis.tools.audit.registry import rule
 
 @rule
 def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Compiles the file."""
+    """Report the error with which MuJoCo refuses to compile the file."""
     if robot.refusal is not None:
         problem, place = robot.refusal
         yield CheckFinding("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
@@ -30,35 +30,43 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
-    """Report each missing mesh file once per package and folder.
+    """Report missing mesh files, grouped by package and folder.
 
-    The severity is ERROR if a link touches with the mesh, and for each missing mesh of an MJCF,
-    which MuJoCo refuses. Files in Git LFS, or in a package that is not found, may be elsewhere:
-    they are a WARNING.
+    The severity is ERROR if a link uses a mesh for collisions, and for each missing mesh of an
+    MJCF, which MuJoCo refuses. Pointers of Git LFS, URLs, and meshes in a package that is not found
+    are a WARNING, because the files may exist elsewhere.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
-    among: dict[tuple[bool, bool, str, str], list[_Missing]] = {}
-    for missing in _missing(robot):
-        package, there, _ = missing.name.removeprefix("package://").partition("/")
-        package = package if there and missing.name.startswith("package://") else ""
+    groups: dict[tuple[bool, bool, str, str], list[_MissingMesh]] = {}
+    for missing in _list_missing_meshes(robot):
+        package, has_path, _ = missing.name.removeprefix("package://").partition("/")
+        package = package if has_path and missing.name.startswith("package://") else ""
         folder = "" if package else missing.name.rpartition("/")[0]
         touches = (missing.touches or refused) and not package
-        among.setdefault((missing.pointer, touches, package, folder), []).append(missing)
-    for (pointer, touches, package, _), several in among.items():
-        names = tuple(dict.fromkeys(missing.name for missing in several))
+        groups.setdefault((missing.pointer, touches, package, folder), []).append(missing)
+    for (pointer, touches, package, _), group in groups.items():
+        names = tuple(dict.fromkeys(missing.name for missing in group))
         if pointer:
             message = diagnose("mesh-is-lfs-pointer", meshes=names)
         else:
             message = diagnose("mesh-missing", meshes=names, package=package or None)
-        gone = touches and not pointer and "://" not in names[0]
-        first, severity = several[0], None if gone else Severity.WARNING
+        is_error = touches and not pointer and "://" not in names[0]
+        first, severity = group[0], None if is_error else Severity.WARNING
         yield CheckFinding(kind, first.owner, message, place=first.place, severity=severity)
 
 
 @dataclass(frozen=True)
-class _Missing:
-    """A mesh that is not there, or in Git LFS alone; whose it is, and whether it touches."""
+class _MissingMesh:
+    """Mesh file that does not exist, or is a pointer of Git LFS.
+
+    Attributes:
+        name: File name, as written.
+        owner: Link of a URDF, or mesh asset of an MJCF.
+        place: File and line.
+        pointer: Whether the file is a pointer of Git LFS.
+        touches: Whether the mesh is used for collisions (URDF), or stops MuJoCo (MJCF).
+    """
 
     name: str
     owner: str
@@ -67,9 +75,9 @@ class _Missing:
     touches: bool = False
 
 
-def _missing(robot: UrdfModel | MjcfModel) -> Iterator[_Missing]:
+def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]:
     if isinstance(robot, MjcfModel):
-        yield from _missing_in_mjcf(robot.file)
+        yield from _list_missing_in_mjcf(robot.file)
         return
     seen: set[str] = set()
     touching = {mesh.get("filename", "") for mesh in robot.file.root.iterfind(".//collision//mesh")}
@@ -79,13 +87,13 @@ def _missing(robot: UrdfModel | MjcfModel) -> Iterator[_Missing]:
             if name not in seen and robot.file.resolve_mesh(name) is None:
                 place = Place(robot.file.path, mesh.sourceline)
                 pointer = is_pointer(robot.file.path.parent / name)
-                yield _Missing(name, owner, place, pointer, name in touching)
+                yield _MissingMesh(name, owner, place, pointer, name in touching)
             seen.add(name)
 
 
 @rule
 def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Opens each STL and OBJ once; see ``find_mesh_problem``."""
+    """Report mesh files with errors, each file once; see `find_mesh_problem`."""
     seen: set[Path] = set()
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
@@ -102,19 +110,22 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def find_mesh_problem(path: Path) -> Diagnostic | None:
-    """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
+    """Return the reason for which a file is not a valid mesh.
 
-    STL and OBJ are read, of COLLADA the start. A file of more than ``MAX_MESH_BYTES`` bytes is not
-    opened.
+    STL and OBJ files are parsed; a COLLADA file must contain the word ``COLLADA`` near the start.
+    Other formats, and files larger than ``MAX_MESH_BYTES`` bytes, are checked by suffix only.
+
+    Returns:
+        Message; None if no error was found.
     """
     ending = path.suffix.lower()
-    if ending not in _FORMATS and find_format(path) is None:
+    if ending not in _MESH_SUFFIXES and find_format(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
     if path.stat().st_size > MAX_MESH_BYTES:
         return None
     if ending == ".dae":
         with path.open("rb") as file:
-            start = file.read(_PROLOGUE)
+            start = file.read(_PROLOGUE_BYTES)
         return None if b"COLLADA" in start else diagnose("mesh-no-collada")
     if ending not in (".stl", ".obj"):
         return None
@@ -122,7 +133,7 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
     return found if isinstance(found, Diagnostic) else None
 
 
-_FORMATS = (
+_MESH_SUFFIXES = (
     ".stl",
     ".obj",
     ".msh",
@@ -137,13 +148,13 @@ _FORMATS = (
     ".wrl",
     ".iv",
 )
-"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake or RViz read; whole formats have theirs."""
+"""Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads."""
 
-_PROLOGUE = 4096
-"""Bytes of an XML before its first element, with comments."""
+_PROLOGUE_BYTES = 4096
+"""Number of bytes in which the root element of a COLLADA file must begin. Chosen."""
 
 
-def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
+def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]
@@ -154,9 +165,9 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
         if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
             pointer = any(map(is_pointer, places))
-            yield _Missing(name, known, place, pointer, name in file.lacking)
+            yield _MissingMesh(name, known, place, pointer, name in file.lacking)
 
 
 def find_first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
-    """Returns the place of the first element of a kind with an attribute, of an MJCF."""
+    """Return the place of the first element with an attribute in an MJCF; None if there is none."""
     return next((place for found, place in file.elements(tag) if attribute in found), None)

@@ -1,4 +1,4 @@
-"""Rules about the axes and the limits of joints."""
+"""Rules about the axes and limits of joints."""
 
 from __future__ import annotations
 
@@ -31,33 +31,48 @@ from pupper_analysis.models.stated.model import (
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
 
-_MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
+_AXIS_MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
+"""Motions about the x, y and z axis."""
 
-_NAMES = (
+_AXIS_NAMES = (
     "haa|abad|abduction|adduction|hip_?roll|hx",
     "hfe|kfe|thigh|knee|calf|shank|hip_?pitch|hy",
     "hip_?yaw",
 )
-_PATTERNS = [re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _NAMES]
-_HIP = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
+"""Parts of joint names that imply a rotation about x, y or z."""
+
+_AXIS_PATTERNS = [
+    re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _AXIS_NAMES
+]
+_HIP_PATTERN = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 
 
 def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
-    """Returns about which axis (0 to 2) a joint turns by its name; None if that says nothing clear.
+    """Return the axis implied by a joint name.
 
-    ``hip`` alone is the abduction where there are a ``thigh`` and a ``calf`` of the same leg.
+    ``hip`` alone implies abduction (x) if the same leg has a ``thigh`` and a ``calf``.
+
+    Args:
+        name: Name of the joint.
+        all_names: Names of all joints.
+
+    Returns:
+        0, 1 or 2 for x, y or z; None if the name implies no axis.
     """
-    for axis, pattern in enumerate(_PATTERNS):
+    for axis, pattern in enumerate(_AXIS_PATTERNS):
         if pattern.search(name):
             return axis
-    if _HIP.search(name) and {_HIP.sub("thigh", name), _HIP.sub("calf", name)} <= all_names:
+    if (
+        _HIP_PATTERN.search(name)
+        and {_HIP_PATTERN.sub("thigh", name), _HIP_PATTERN.sub("calf", name)} <= all_names
+    ):
         return 0
     return None
 
 
 @rule
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
+    """Find axes more than 60 degrees away from the axis implied by the name, at zero angles."""
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
         return  # the base's y is not sideways: roll and pitch are about other axes
@@ -70,16 +85,16 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
             really = int(np.argmax(np.abs(joint.axis)))
             message = diagnose(
                 "axis-contradicts-name",
-                named=_MOTIONS[axis],
+                named=_AXIS_MOTIONS[axis],
                 axis=Vector(tuple(joint.axis), "1"),
-                turns=_MOTIONS[really],
+                turns=_AXIS_MOTIONS[really],
             )
             yield CheckFinding("joint", joint.name, message, "axis")
 
 
 @rule
 def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds axes shorter than 1e-9."""
+    """Find axes shorter than 1e-9."""
     for joint in robot.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
             yield CheckFinding("joint", joint.name, diagnose("axis-zero"), "axis")
@@ -90,10 +105,10 @@ def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds lower >= upper, also where both are left out of a URDF, where they count as 0.
+    """Find ranges with lower >= upper, including URDF limits of which both are missing (0).
 
-    Of an MJCF's ranges that nothing says to be off, also those of actuators: MuJoCo takes an
-    inverted one for none, without a word.
+    In an MJCF, inverted ranges of joints, actuators and tendons are reported too if ``limited`` is
+    "auto": MuJoCo ignores an inverted range silently.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -101,10 +116,11 @@ def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
             message = diagnose("range-empty", lower=lower, upper=upper)
             yield CheckFinding("joint", joint.name, message, "limit")
     if isinstance(robot, MjcfModel) and robot.refusal is None:
-        yield from _inverted(robot)
+        yield from _find_inverted_ranges(robot)
 
 
-def _inverted(robot: MjcfModel) -> Iterator[CheckFinding]:
+def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Yield ranges of an MJCF with lower > upper and ``limited="auto"``."""
     spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
     kinds = (
         ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
@@ -130,7 +146,7 @@ def _inverted(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds joints of type continuous that state limits all the same."""
+    """Find joints of type continuous with limits."""
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
         if joint.moves and math.isinf(joint.lower) and lower < upper:
@@ -141,9 +157,9 @@ def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds limits of 12 to 400 rad, and a file in degrees with none above 2 pi.
+    """Find limits of 12 to 400 rad, and files in degrees without limits above 2 pi.
 
-    Limits of 10 rad are a habit of those who want none.
+    Limits of 10 rad are a common way to specify no limit.
     """
     hinges = [
         j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
@@ -170,9 +186,9 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds one range of half a turn or more either way at all hinges, four or more."""
+    """Find a single symmetric range of half a turn or more for all of four or more hinges."""
     hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
-    if len(hinges) < _HINGES:
+    if len(hinges) < _MIN_HINGES:
         return
     upper = hinges[0].upper
     if upper >= _HALF_TURN and all(j.upper == upper and j.lower == -upper for j in hinges):
@@ -180,30 +196,31 @@ def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
         yield CheckFinding("joint", hinges[0].name, message, "limit")
 
 
-_HINGES, _HALF_TURN = 4, 3.1
-"""Fewer may be alike; 3.1 rad is the least that people write for half a turn."""
+_MIN_HINGES, _HALF_TURN = 4, 3.1
+"""Smallest number of hinges with equal ranges that is reported, and smallest limit that counts as
+half a turn [rad]. Chosen; people write 3.1 and 3.14."""
 
 
 @rule
 def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find limits of effort and velocity that are zero, on joints that move and mimic none.
+    """Find effort and velocity limits of zero on moving joints that mimic no joint.
 
     In an MJCF these are force ranges from 0 to 0, which MuJoCo ignores.
     """
     if isinstance(robot, MjcfModel):
         for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
             if empty.stated == (0.0, 0.0):
-                yield _zero_finding(robot, name, [Term(empty.attribute)])
+                yield _make_zero_finding(robot, name, [Term(empty.attribute)])
         return
-    for name, stated in _stated_limits(robot):
+    for name, stated in _list_stated_limits(robot):
         zero = [Term(what) for what in ("effort", "velocity") if stated.get(what) == 0]
         if zero:
-            yield _zero_finding(robot, name, zero)
+            yield _make_zero_finding(robot, name, zero)
 
 
-def _zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFinding:
-    """Return the finding of limits of zero, with the effort of the mirrored joint."""
-    other = None if what == [Term("velocity")] else _mirrored_effort(robot, name)
+def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFinding:
+    """Make the finding of a zero limit, with the effort of the mirrored joint."""
+    other = None if what == [Term("velocity")] else _find_mirrored_effort(robot, name)
     message = diagnose(
         "effort-or-velocity-zero",
         what=what,
@@ -213,16 +230,16 @@ def _zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFindin
     return CheckFinding("joint", name, message, "limit")
 
 
-def _stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield (joint, stated numbers) of the joints of a URDF that move and mimic none."""
+def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
+    """Yield (joint, stated numbers) for the moving joints of a URDF that mimic no joint."""
     if isinstance(robot, UrdfModel):
         for name, joint in robot.file.tree.joints.items():
             if not joint.is_fixed and joint.mimic is None:
                 yield name, robot.joints[name].stated
 
 
-def _mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
-    """Return the mirrored joint of a joint and its effort (N m); None without a positive one."""
+def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
+    """Return the mirrored joint and its effort [N m]; None without a positive finite effort."""
     for _, first, second in list_joint_pairs(robot):
         for joint, other in ((first, second), (second, first)):
             if joint.name == name and 0 < other.effort < math.inf:
@@ -232,7 +249,7 @@ def _mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
 
 @rule
 def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find limits of effort and velocity below zero."""
+    """Find effort and velocity limits below zero."""
     for name, stated in ((joint.name, joint.stated) for joint in robot.joints.values()):
         for what, unit in (("effort", "N m"), ("velocity", "rad/s")):
             value = stated.get(what, 0.0)
@@ -246,7 +263,7 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds efforts that no motor of that mass, armature or robot gives."""
+    """Find effort limits that do not fit the mass and armature of the motor or the robot."""
     motors = []
     for joint in robot.joints.values():
         if joint.kind == HINGE:
@@ -259,26 +276,29 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
-"""Cosine of axes that count as parallel; and the most that an axis of pitch points up."""
+"""Smallest cosine between parallel axes, and largest z component of the axis of a hip pitch.
+Chosen."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Share of a knee's range in which the foot comes below the hip: of less, limits are looked at."""
+"""Smallest fraction of the knee range with the foot below the hip for which limits are accepted.
+Chosen."""
 
 NUM_KNEE_ANGLES = 61
-"""Angles of a knee over its range."""
+"""Number of angles over the range of a knee."""
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A hip and a knee whose axes are parallel, at zero angles in the base frame.
+    """Hip and knee with parallel axes, at zero angles in the base frame.
 
     Attributes:
-        hip: The joint.
-        knee: The next one.
-        thigh: (3,) from the hip to the knee, across the axis (m).
-        shank: (3,) from the knee to the next joint, or the foot, across the axis (m).
-        axis: (3,) the hip's.
-        knee_sign: 1 if the knee turns the same way round for the same sign, else -1.
+        hip: Joint of the hip.
+        knee: Next joint.
+        thigh: Vector from the hip to the knee, normal to the axis, shape (3,) [m].
+        shank: Vector from the knee to the next joint or the foot, normal to the axis, shape (3,)
+            [m].
+        axis: Axis of the hip, shape (3,).
+        knee_sign: 1 if hip and knee axes point the same way, otherwise -1.
     """
 
     hip: Joint
@@ -291,15 +311,26 @@ class Leg:
     def compute_reached_fraction(
         self, hip: tuple[float, float], knee: tuple[float, float]
     ) -> float:
-        """Returns the share of a knee's range in which the foot can be straight below the hip."""
+        """Compute the fraction of the knee range for which a hip angle puts the foot below the hip.
+
+        Angles at which the leg is folded (foot closer to the hip than 20 % of the leg length) are
+        left out.
+
+        Args:
+            hip: Lower and upper limit of the hip [rad].
+            knee: Lower and upper limit of the knee [rad].
+
+        Returns:
+            Fraction from 0 to 1; 1 if the leg is folded at all angles.
+        """
         down = np.array([0.0, 0.0, -1.0]) - self.axis * -self.axis[2]
         side = np.cross(self.axis, down)
         angles, inside, counted = np.linspace(*knee, NUM_KNEE_ANGLES), 0, 0
         for angle in self.knee_sign * angles:
-            turned = _turn(self.shank, self.axis, angle) + self.thigh
+            turned = _rotate_vector(self.shank, self.axis, angle) + self.thigh
             length = float(np.linalg.norm(self.thigh) + np.linalg.norm(self.shank))
             if np.linalg.norm(turned) < 0.2 * length:
-                continue  # folded: the foot is at the hip, wherever that turns
+                continue  # folded: the foot stays at the hip for all hip angles
             needed = -math.atan2(float(turned @ side), float(turned @ down))
             first = needed + 2 * math.pi * math.ceil((hip[0] - needed) / (2 * math.pi) - 1e-9)
             counted += 1
@@ -307,25 +338,28 @@ class Leg:
         return inside / counted if counted else 1.0
 
 
-def _turn(vector: Array, axis: Array, angle: float) -> Array:
-    """Returns a vector (3,) across an axis turned about it."""
+def _rotate_vector(vector: Array, axis: Array, angle: float) -> Array:
+    """Rotate a vector, shape (3,), about a unit axis normal to the vector, by an angle [rad]."""
     turned: Array = math.cos(angle) * vector + math.sin(angle) * np.cross(axis, vector)
     return turned
 
 
-def _across(vector: Array, axis: Array) -> Array:
+def _project_across(vector: Array, axis: Array) -> Array:
     across: Array = vector - (vector @ axis) * axis
     return across
 
 
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
-    """Yields the limbs that hang down: a hip and a knee that bend in one plane."""
+    """Yield limbs with leg-like names whose hip and knee axes are parallel and nearly horizontal.
+
+    The shorter of thigh and shank must have at least 40 % of the length of the longer.
+    """
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE:
             continue
         knee = link.joints[-1]
         above = robot.links.get(robot.carrier(knee.parent))
-        end = _end(robot, link)
+        end = _find_shank_end(robot, link)
         if above is None or not above.moving or above.joints[-1].kind != HINGE or end is None:
             continue
         hip = above.joints[-1]
@@ -333,16 +367,19 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
         if abs(cosine) < MIN_PARALLEL_COSINE or abs(hip.axis[2]) > MAX_AXIS_SLOPE:
             continue
         thigh, shank = (
-            _across(vector, hip.axis)
+            _project_across(vector, hip.axis)
             for vector in (knee.position - hip.position, end - knee.position)
         )
         lengths = [float(np.linalg.norm(vector)) for vector in (thigh, shank)]
-        if min(lengths) > 0.4 * max(lengths) and _ends_low(robot, link):
+        if min(lengths) > 0.4 * max(lengths) and _is_leg(robot, link):
             yield Leg(hip, knee, thigh, shank, hip.axis, math.copysign(1.0, cosine))
 
 
-def _end(robot: RobotModel, shank: Link) -> Array | None:
-    """Returns where a shank ends: at its next joint, or its foot (3,) in the base frame (m)."""
+def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
+    """Return the end of a shank in the base frame, shape (3,) [m]: the next joint, or the foot.
+
+    None if the shank has several moving children, or no further part.
+    """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]
     if len(moving) == 1:
@@ -356,44 +393,44 @@ def _end(robot: RobotModel, shank: Link) -> Array | None:
     return max(points, key=lambda p: float(np.linalg.norm(p - start)), default=None)
 
 
-def _ends_low(robot: RobotModel, link: Link) -> bool:
-    """Whether a link, or one that it carries, is said to be a foot, a calf or an ankle."""
+def _is_leg(robot: RobotModel, link: Link) -> bool:
+    """Return True if a link, a descendant, or a frame or joint there has a leg-like name."""
     parts = (link, *robot.descendants(link.name))
     names = [part.name for part in parts]
     names += [frame.name for part in parts for frame in part.frames]
     names += [joint.name for part in parts for joint in part.joints]
-    return any(map(_LEGGED.search, names))
+    return any(map(_LEG_PATTERN.search, names))
 
 
-_LEGGED = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IGNORECASE)
-"""In names of what a robot stands on; arms hang down, too, and bend otherwise."""
+_LEG_PATTERN = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IGNORECASE)
+"""Names of the parts of legs. Arms hang down too, but bend in another way."""
 
 
 @rule
 def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds knees that bend away from what their hips allow: the foot does not come below the hip.
+    """Find knees whose range does not let the foot come below the hip.
 
-    In most of the knee's range it can, in robots that stand. Told where it could if the knee's, or
-    the hip's, limits (or its axis) had the other sign.
+    A finding requires that the foot would come below the hip if the limits of the knee, or of the
+    hip, had the opposite sign.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))
         if not all(map(math.isfinite, (*hip, *knee))) or hip[0] >= hip[1] or knee[0] >= knee[1]:
             continue
-        share = leg.compute_reached_fraction(hip, knee)
-        if share >= MIN_REACHED_FRACTION:
+        fraction = leg.compute_reached_fraction(hip, knee)
+        if fraction >= MIN_REACHED_FRACTION:
             continue
-        others = {
+        fractions = {
             leg.knee.name: leg.compute_reached_fraction(hip, (-knee[1], -knee[0])),
             leg.hip.name: leg.compute_reached_fraction((-hip[1], -hip[0]), knee),
         }
-        name = max(others, key=lambda one: others[one])
-        if others[name] > 0.95:
+        name = max(fractions, key=lambda joint_name: fractions[joint_name])
+        if fractions[name] > 0.95:
             message = diagnose(
                 "limits-away-from-stand",
-                share=Quantity(share, "1"),
+                share=Quantity(fraction, "1"),
                 knee=leg.knee.name,
                 turned=name,
-                other=Quantity(others[name], "1"),
+                other=Quantity(fractions[name], "1"),
             )
             yield CheckFinding("joint", leg.knee.name, message, "limit")

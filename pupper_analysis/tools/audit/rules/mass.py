@@ -1,4 +1,4 @@
-"""Rules about masses, centres of mass and moments of inertia."""
+"""Rules about masses, centres of mass (CoM) and moments of inertia."""
 
 from __future__ import annotations
 
@@ -36,18 +36,20 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 MAX_COM_OFFSET = 0.002
-"""How far a com may be outside its shapes (m), plus a share of their greatest extent."""
+"""Largest distance of a CoM from the convex hull of the shapes [m], plus a fraction of the extent.
+"""
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
-"""That share where a link is drawn, and where it has but simple shapes for contacts."""
+"""Fraction of the extent if the link has visual shapes or meshes, and if there are only simple
+collision shapes."""
 
 DEFAULT_DENSITY = 1000.0
-"""MuJoCo's density of a geom for which none is stated (kg/m^3)."""
+"""MuJoCo's default density of a geom [kg/m^3]."""
 
 
 @rule
 def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds masses <= 0; not where nothing is claimed, with an inertia of zero too."""
+    """Find masses <= 0, except a mass of zero with an inertia of zero."""
     for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or inertial.mass > 0:
@@ -65,10 +67,10 @@ def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them.
+    """Find moving links without mass, or lighter than a thousandth of the attached mass.
 
-    So are those that weigh less than a thousandth of what hangs on them: of 1500 links in use none
-    that has mass is lighter than five thousandths of what it carries.
+    Links fixed to the moving link are included. WARNING instead of ERROR if moving links with mass
+    are attached. In 1500 published links with mass, the smallest ratio is five thousandths.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -93,17 +95,18 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Of the mass that hangs on a link: what weighs less is a slip of units, or was forgotten."""
+"""Smallest ratio between the mass of a link and the attached mass. Smaller ratios indicate a wrong
+unit or a missing mass."""
 
 
 @rule
 def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it.
+    """Find a CoM outside the convex hull of shapes and joints, including links fixed to the link.
 
-    That of a body without shapes is compared with the robot: no com is farther from the body's
-    joints than its longest limb is long.
+    Without shapes, the distance to the hull of the link's joints and frames is compared with the
+    length of the longest limb.
     """
-    span = max((_reach(robot, name) for name in robot.links), default=0.0)
+    span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or robot.is_negligible(body):
@@ -139,17 +142,17 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("origin"))
 
 
-def _reach(robot: RobotModel, name: str) -> float:
-    """Returns how far a link is from its root along the joints (m)."""
+def _compute_reach(robot: RobotModel, name: str) -> float:
+    """Compute the distance between a link and the root along the joints, at zero angles [m]."""
     chain = [robot.links[link_name].pose.position for link_name in (name, *robot.ancestors(name))]
     return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 
 
 @rule
 def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the weight, at the longest way between two joints, with all efforts together.
+    """Find a robot whose weight, times the longest lever between two joints, exceeds all efforts.
 
-    No robot on legs could lift itself so. Joints whose effort nobody states, or is 0, say nothing.
+    Robots are skipped if the effort of a hinge is unknown or 0.
     """
     hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE and joint.parent]
     efforts = [joint.effort for joint in hinges]
@@ -178,7 +181,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
+    """Find visual geoms with default mass in bodies whose mass is computed from geoms."""
     compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
     for body in robot.file.spec.bodies:
@@ -211,7 +214,7 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds two legs or more that begin at the world: no body of the robot carries them."""
+    """Find models without free joint in which two or more legs begin at the world."""
     model = robot.mj_model
     if model is None or has_free_joint(model):
         return
@@ -231,20 +234,21 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about moments of inertia.
 
 MAX_INERTIA_FACTOR = 100.0
-"""How far an inertia may be from that of a solid box: units slip by 1000 or more."""
+"""Largest ratio to the moment of a solid box, in both directions. Wrong units change moments by
+1000 or more."""
 
 UNREAD_MESH_FACTOR = 8.0
-"""Times m R^2 that an inertia may be where some mesh is not read, and R is that of the shapes that
-are, and of the joints."""
+"""Largest ratio of a moment to m R^2 if a mesh was not read; R is the radius of the known shapes
+and the joints."""
 
 MIN_GYRATION_SQUARED = 1e-10
-"""What counts as no inertia, per mass (m^2): a radius of gyration of 0.01 mm."""
+"""Moment per mass that counts as zero [m^2]: a radius of gyration of 0.01 mm."""
 
 MIN_REACH = 0.05
-"""How far a link without shapes is taken to reach, at least (m)."""
+"""Smallest radius of a link without shapes [m]."""
 
 
-def _stated(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
+def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
     for body in robot.links.values():
         if body.inertial is not None and body.inertial.stated and body.inertial.mass > 0:
             yield body, body.inertial
@@ -252,8 +256,8 @@ def _stated(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
 
 @rule
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds negative moments; and moments of zero on moving bodies to which nothing is fixed."""
-    for body, inertial in _stated(robot):
+    """Find negative moments, and zero moments of moving links to which nothing is fixed."""
+    for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)
         zero = max(1e-9 * scale, MIN_GYRATION_SQUARED * inertial.mass)
@@ -269,16 +273,16 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the greatest moment with the sum of the others.
+    """Find inertias whose largest moment exceeds the sum of the other moments.
 
-    The tolerance is that of values rounded in their last digit, 1e-5 of the greatest moment at
-    least and 1 % at most. Source: R. Featherstone, "Rigid Link Dynamics Algorithms", 2008, ch. 2.
+    The tolerance is the rounding error of the written digits, at least 1e-5 and at most 1 % of the
+    largest moment. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
     """
-    for body, inertial in _stated(robot):
+    for body, inertial in _list_stated_inertials(robot):
         least, middle, greatest = inertial.moments
         tolerance = min(max(1e-5 * greatest, 3 * inertial.rounding), 0.01 * greatest)
         excess = greatest - least - middle
-        # Of six equal values two moments are 0, but for rounding to either side.
+        # An inertia with six equal entries has two moments of 0, up to rounding.
         positive = least >= -max(1e-9 * greatest, MIN_GYRATION_SQUARED * inertial.mass)
         if positive and excess > max(tolerance, MIN_GYRATION_SQUARED * inertial.mass):
             message = diagnose(
@@ -295,29 +299,28 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the greatest moment with what a body of this mass and size can have.
+    """Find moments that are too large or too small for the mass and the size of the link.
 
-    An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that
-    is allowed, as shapes may be simplified, 8 times where meshes are not read. Without shapes, R is
-    the way to the furthest joint or frame, and 100 times that is allowed. At the lower end,
-    it is compared with that of a solid box of the body's mass around its own shapes,
-    m (a^2 + b^2) / 12.
+    Upper limit: m R^2, with R the largest distance of a point from the CoM, times 2 (shapes may be
+    simplified), 8 if a mesh was not read, or 100 without shapes (R is then the distance to the
+    farthest joint or frame). Lower limit: 1 % of the moment of a solid box around the shapes of the
+    link, m (a^2 + b^2) / 12.
     """
-    for body, inertial in _stated(robot):
+    for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
         if greatest <= 0 or robot.is_negligible(body):
             continue
-        points, whole = list_known_points(robot.fixed_group(body.name), body)
+        points, is_complete = list_known_points(robot.fixed_group(body.name), body)
         shaped = points is not None
-        allowed = (2.0 if whole else UNREAD_MESH_FACTOR) if shaped else MAX_INERTIA_FACTOR
-        if points is None or not whole:
+        allowed = (2.0 if is_complete else UNREAD_MESH_FACTOR) if shaped else MAX_INERTIA_FACTOR
+        if points is None or not is_complete:
             ends = list_link_points(robot, body)
             points = ends if points is None else np.concatenate([points, ends])
         reach = float(np.linalg.norm(points - inertial.com, axis=1).max())
         if not shaped:
             reach = max(reach, MIN_REACH)
-        own, _ = list_known_points([body], body)
-        expected = 0.0 if own is None else _solid_box(own, inertial.mass)
+        own_points, _ = list_known_points([body], body)
+        expected = 0.0 if own_points is None else _compute_box_moment(own_points, inertial.mass)
         if greatest > allowed * inertial.mass * reach**2:
             message = diagnose(
                 "inertia-too-large",
@@ -341,9 +344,9 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds tensors of a ball with a round moment, and one round mass of all moving links.
+    """Find round inertias of a ball on several links, and a round mass shared by all moving links.
 
-    Round is 1, 0.1, 0.01 ...: no body has such a tensor but by a choice, and exporters choose it.
+    Round is a power of ten: 1, 0.1, 0.01, ... Exporters write such values as defaults.
     """
     moving = [
         (body, body.inertial)
@@ -357,32 +360,36 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
         if ball and _is_round(moment) and not robot.is_negligible(body):
             balls.setdefault(moment, []).append(body.name)
     for moment, names in balls.items():
-        if len(names) >= _SEVERAL:
+        if len(names) >= _MIN_REPEATED_LINKS:
             message = diagnose(
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
             yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_part("inertia"))
     masses = {inertial.mass for _, inertial in moving}
-    one = len(moving) > _SEVERAL and len(masses) == 1 and not robot.is_negligible(moving[0][0])
-    if one and _is_round(mass := masses.pop()):
+    is_shared = (
+        len(moving) > _MIN_REPEATED_LINKS
+        and len(masses) == 1
+        and not robot.is_negligible(moving[0][0])
+    )
+    if is_shared and _is_round(mass := masses.pop()):
         message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
         yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_part("mass"))
 
 
-_SEVERAL = 2
-"""One link may have any number by chance."""
+_MIN_REPEATED_LINKS = 2
+"""Smallest number of links with the same placeholder: one link may have the value by chance."""
 
 
 def _is_round(value: float) -> bool:
-    """Whether a number is a power of ten."""
+    """Return True if a number is a power of ten."""
     return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND_LOG_ATOL)
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Of a logarithm: a power of ten, but for the rounding of binary numbers."""
+"""Absolute tolerance of the decimal logarithm of a power of ten, for binary rounding."""
 
 
-def _solid_box(points: Array, mass: float) -> float:
-    """Returns the greatest moment (kg m^2) of a solid box around points (n, 3), in their axes."""
+def _compute_box_moment(points: Array, mass: float) -> float:
+    """Compute the largest moment of a solid box [kg m^2] around points, shape (n, 3) [m]."""
     _, middle, greatest = np.sort(np.ptp(points, axis=0))
     return mass * float(middle**2 + greatest**2) / 12

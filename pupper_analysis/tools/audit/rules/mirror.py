@@ -1,4 +1,4 @@
-"""Rules about left and right, which are compared in the base's axes at zero angles."""
+"""Rules about left-right symmetry, compared in the base frame at zero angles."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from pupper_analysis.tools.audit.registry import list_known_points, rule
 
 @dataclass(frozen=True, eq=False)
 class MirrorPlane:
-    """The plane between left and right, normal to one of the base's axes.
+    """Plane between left and right, normal to an axis of the base.
 
     Attributes:
-        axis: 0, 1 or 2: which; 1 (y) by the usual convention.
-        offset: Where it cuts that axis (m).
+        axis: Index of the normal axis; 1 (y) in the usual convention.
+        offset: Coordinate of the plane along the axis [m].
     """
 
     axis: int
@@ -47,30 +47,34 @@ class MirrorPlane:
 
     @property
     def matrix(self) -> Array:
-        """The reflection S = S^T (3, 3) of vectors."""
+        """Reflection matrix S = S^T, shape (3, 3), for vectors."""
         matrix = np.eye(3)
         matrix[self.axis, self.axis] = -1.0
         return matrix
 
     def reflect_point(self, point: Array) -> Array:
-        """Returns the mirror image of a point (3,) in the base frame (m)."""
+        """Reflect a point, shape (3,) [m], in the base frame."""
         image: Array = self.matrix @ point
         image[self.axis] += 2 * self.offset
         return image
 
 
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
-    """Finds the plane in which most pairs of bodies are mirror images of each other at zero angles.
+    """Find the plane in which most pairs of links are mirror images at zero angles.
+
+    Args:
+        robot: Model of the robot.
+        tolerance: Largest distance between a link and the mirror image [m].
 
     Returns:
-        The plane; None if a third of the pairs, or more, is not explained by any.
+        Plane; None if less than a third of the pairs are mirror images in any plane.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
         return None
     left = np.array([robot.links[name].pose.position for name, _ in pairs])
     right = np.array([robot.links[name].pose.position for _, name in pairs])
-    best, most = None, 0
+    best, max_agreeing = None, 0
     for axis in (1, 0, 2):
         for offset in (0.0, float(np.median(left[:, axis] + right[:, axis])) / 2):
             mirror = MirrorPlane(axis, offset)
@@ -78,9 +82,9 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
             away = np.abs(left[:, axis] - right[:, axis]) > tolerance
             close = np.linalg.norm(images - right, axis=1) < tolerance
             agreeing = int(np.sum(close & away))
-            if agreeing > most:
-                best, most = mirror, agreeing
-    return best if 3 * most >= len(pairs) else None
+            if agreeing > max_agreeing:
+                best, max_agreeing = mirror, agreeing
+    return best if 3 * max_agreeing >= len(pairs) else None
 
 
 POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
@@ -90,104 +94,109 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
     0.1,
     0.02,
 )
-"""Tolerances: m, relative, m, relative, rad or m."""
+"""Tolerances, chosen: positions [m], masses (relative), CoM [m], inertia (relative to the largest
+entry), joint limits [rad or m]."""
 
 
-def _body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
-    """Yields pairs, the one that stands later in the file as the second."""
-    for one, other in find_mirror_pairs(robot.links):
-        yield robot.links[one], robot.links[other]
+def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
+    """Yield left-right pairs of links; the second link is later in the file."""
+    for first_name, second_name in find_mirror_pairs(robot.links):
+        yield robot.links[first_name], robot.links[second_name]
 
 
-def _anchor(body: Link) -> Array:
+def _get_anchor(body: Link) -> Array:
     return body.joints[0].position if body.moving else body.pose.position
 
 
-def _displaced(robot: RobotModel, mirror: MirrorPlane) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Returns all bodies that are not at their mirror image, and the first pair of each chain."""
+def _find_displaced_bodies(
+    robot: RobotModel, mirror: MirrorPlane
+) -> tuple[set[str], list[tuple[Link, Link]]]:
+    """Return all links that are not at the mirror image, and the first pair of each chain."""
     displaced: set[str] = set()
-    first_ones = []
-    for one, other in _body_pairs(robot):
-        if not (one.moving or one.mass or "foot" in one.name.lower()):
-            continue  # a mark on a link
+    first_pairs = []
+    for first, second in _list_body_pairs(robot):
+        if not (first.moving or first.mass or "foot" in first.name.lower()):
+            continue  # a marker, not a part
         if (
-            float(np.linalg.norm(mirror.reflect_point(_anchor(one)) - _anchor(other)))
+            float(np.linalg.norm(mirror.reflect_point(_get_anchor(first)) - _get_anchor(second)))
             > POSITION_TOLERANCE
         ):
-            if not displaced & {*robot.ancestors(one.name), *robot.ancestors(other.name)}:
-                first_ones.append((one, other))
-            displaced |= {one.name, other.name}
-    return displaced, first_ones
+            if not displaced & {*robot.ancestors(first.name), *robot.ancestors(second.name)}:
+                first_pairs.append((first, second))
+            displaced |= {first.name, second.name}
+    return displaced, first_pairs
 
 
-def _in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yields the pairs that are where they should be, with their children."""
+def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
+    """Yield pairs of links whose positions, and those of the children, are mirror images."""
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
-    displaced, _ = _displaced(robot, mirror)
-    for one, other in _body_pairs(robot):
-        names = {one.name, other.name}
-        names |= {child.name for name in (one.name, other.name) for child in robot.children(name)}
-        if not displaced & names and not robot.is_negligible(one):
-            yield mirror, one, other
+    displaced, _ = _find_displaced_bodies(robot, mirror)
+    for first, second in _list_body_pairs(robot):
+        names = {first.name, second.name}
+        names |= {
+            child.name for name in (first.name, second.name) for child in robot.children(name)
+        }
+        if not displaced & names and not robot.is_negligible(first):
+            yield mirror, first, second
 
 
-def _inertials(
+def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
-    """Yields the pairs that are where they should be, with the inertials that both have."""
-    for mirror, one, other in _in_place(robot):
-        if one.inertial is not None and other.inertial is not None:
-            yield mirror, (one, one.inertial), (other, other.inertial)
+    """Yield pairs of links in mirrored positions of which both have an inertial."""
+    for mirror, first, second in _list_pairs_in_place(robot):
+        if first.inertial is not None and second.inertial is not None:
+            yield mirror, (first, first.inertial), (second, second.inertial)
 
 
-def _same_mass(one: Link, other: Link) -> bool:
-    return not abs(one.mass - other.mass) > MASS_RTOL * max(abs(one.mass), abs(other.mass))
+def _masses_agree(first: Link, second: Link) -> bool:
+    return not abs(first.mass - second.mass) > MASS_RTOL * max(abs(first.mass), abs(second.mass))
 
 
 @rule
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the places of joints, or of fixed bodies; once per chain."""
+    """Compare the positions of joints, or of fixed links; report one pair per chain."""
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
-    for one, other in _displaced(robot, mirror)[1]:
-        image, place = mirror.reflect_point(_anchor(one)), _anchor(other)
+    for first, second in _find_displaced_bodies(robot, mirror)[1]:
+        image, place = mirror.reflect_point(_get_anchor(first)), _get_anchor(second)
         gap = float(np.linalg.norm(image - place))
         message = diagnose(
             "mirror-position",
             place=Vector(tuple(place), "m"),
             gap=Quantity(gap, "m"),
             image=Vector(tuple(image), "m"),
-            other=one.name,
+            other=first.name,
         )
-        if robot.format == "urdf" and other.joints:
-            yield CheckFinding("joint", other.joints[0].name, message, "origin")
+        if robot.format == "urdf" and second.joints:
+            yield CheckFinding("joint", second.joints[0].name, message, "origin")
         else:
-            yield CheckFinding(robot.link_tag, other.name, message)
+            yield CheckFinding(robot.link_tag, second.name, message)
 
 
 @rule
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares masses, with 1 % of tolerance."""
-    for one, other in _body_pairs(robot):
-        if not _same_mass(one, other):
+    """Compare masses; tolerance 1 %."""
+    for first, second in _list_body_pairs(robot):
+        if not _masses_agree(first, second):
             message = diagnose(
                 "mirror-mass",
-                mass=Quantity(other.mass, "kg"),
-                other=one.name,
-                its=Quantity(one.mass, "kg"),
+                mass=Quantity(second.mass, "kg"),
+                other=first.name,
+                its=Quantity(first.mass, "kg"),
             )
-            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("mass"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("mass"))
 
 
 @rule
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
-    for mirror, (one, here), (other, there) in _inertials(robot):
-        image = mirror.reflect_point(one.pose.point(here.com))
-        com = other.pose.point(there.com)
+    """Compare CoM positions; tolerance 1 mm plus 1 % of the distance to the base origin."""
+    for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
+        image = mirror.reflect_point(first.pose.point(first_inertial.com))
+        com = second.pose.point(second_inertial.com)
         gap = float(np.linalg.norm(image - com))
         if gap > COM_TOLERANCE + 0.01 * float(np.linalg.norm(com)):
             message = diagnose(
@@ -195,148 +204,157 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
                 com=Vector(tuple(com), "m"),
                 gap=Quantity(gap, "m"),
                 image=Vector(tuple(image), "m"),
-                other=one.name,
+                other=first.name,
             )
-            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("origin"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("origin"))
 
 
 @rule
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
+    """Compare S I S with I', S being the reflection, if the masses agree; tolerance 10 %."""
     names = tuple(INERTIA_ENTRIES)
-    for mirror, (one, here), (other, there) in _inertials(robot):
-        if not _same_mass(one, other):
+    for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
+        if not _masses_agree(first, second):
             continue
-        turned = one.pose.rotation @ here.inertia @ one.pose.rotation.T
-        image = mirror.matrix @ turned @ mirror.matrix
-        tensor = other.pose.rotation @ there.inertia @ other.pose.rotation.T
+        rotated = first.pose.rotation @ first_inertial.inertia @ first.pose.rotation.T
+        image = mirror.matrix @ rotated @ mirror.matrix
+        tensor = second.pose.rotation @ second_inertial.inertia @ second.pose.rotation.T
         scale = max(float(np.abs(image).max()), float(np.abs(tensor).max()))
-        rounding = 2 * max(here.rounding, there.rounding)
-        its, own = inertia_entries(image), inertia_entries(tensor)
-        gap = np.abs(its - own)
+        rounding = 2 * max(first_inertial.rounding, second_inertial.rounding)
+        first_entries, second_entries = inertia_entries(image), inertia_entries(tensor)
+        gap = np.abs(first_entries - second_entries)
         worst = int(np.argmax(gap))
         if gap[worst] > max(INERTIA_RTOL * scale, min(rounding, 0.5 * scale)):
             message = diagnose(
                 "mirror-inertia",
                 entry=names[worst],
-                value=Quantity(own[worst], "kg m^2"),
-                other=one.name,
-                its=Quantity(its[worst], "kg m^2"),
+                value=Quantity(second_entries[worst], "kg m^2"),
+                other=first.name,
+                its=Quantity(first_entries[worst], "kg m^2"),
             )
-            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("inertia"))
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yields the pairs of joints that move alike, if there is a plane between them."""
+    """Yield left-right pairs of joints of the same kind, if there is a mirror plane."""
     mirror, joints = find_mirror_plane(robot), robot.joints
     if mirror is None:
         return
     for pair in find_mirror_pairs(joints):
-        one, other = (joints[name] for name in pair)
-        if one.moves and one.kind == other.kind:
-            yield mirror, one, other
+        first, second = (joints[name] for name in pair)
+        if first.moves and first.kind == second.kind:
+            yield mirror, first, second
 
 
-def _sense(mirror: MirrorPlane, one: Joint, other: Joint) -> float:
-    """Returns the cosine between a joint's axis and its partner's mirrored one.
+def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> float:
+    """Compute the cosine between a joint axis and the mirrored axis of the partner.
 
-    An axis of rotation is a pseudovector: its mirror image is -S a, that of a sliding axis S a.
+    A rotation axis is a pseudovector with mirror image -S a; the image of a sliding axis is S a.
     """
-    image = mirror.matrix @ one.axis * (-1.0 if one.kind == HINGE else 1.0)
-    return float(image @ other.axis)
+    image = mirror.matrix @ first.axis * (-1.0 if first.kind == HINGE else 1.0)
+    return float(image @ second.axis)
 
 
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
-    for mirror, one, other in list_joint_pairs(robot):
-        if one.axis.any() and other.axis.any():
-            cosine = abs(_sense(mirror, one, other))
+    """Compare the directions of axes without sign; tolerance 1 degree."""
+    for mirror, first, second in list_joint_pairs(robot):
+        if first.axis.any() and second.axis.any():
+            cosine = abs(_compute_axis_sense(mirror, first, second))
             if cosine < np.cos(np.deg2rad(1.0)):
                 message = diagnose(
                     "mirror-axis",
-                    axis=Vector(tuple(other.axis), "1"),
+                    axis=Vector(tuple(second.axis), "1"),
                     angle=Quantity(np.arccos(cosine), "rad"),
-                    other=one.name,
-                    image=Vector(tuple(mirror.matrix @ one.axis), "1"),
+                    other=first.name,
+                    image=Vector(tuple(mirror.matrix @ first.axis), "1"),
                 )
-                yield CheckFinding("joint", other.name, message, "axis")
+                yield CheckFinding("joint", second.name, message, "axis")
 
 
 @rule
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
-    for mirror, one, other in list_joint_pairs(robot):
-        sense = _sense(mirror, one, other)
+    """Compare ranges, negated for opposite axis senses (0.02 rad or m), and efforts (1 %)."""
+    for mirror, first, second in list_joint_pairs(robot):
+        sense = _compute_axis_sense(mirror, first, second)
         if abs(sense) < 0.9:
             continue
-        image = (one.lower, one.upper) if sense > 0 else (0.0 - one.upper, 0.0 - one.lower)
-        here = (other.lower, other.upper)
-        gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, here, strict=True))
+        image = (first.lower, first.upper) if sense > 0 else (0.0 - first.upper, 0.0 - first.lower)
+        stated = (second.lower, second.upper)
+        gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, stated, strict=True))
         if gap > LIMIT_TOLERANCE:
             lower, upper, its_lower, its_upper = (
-                Quantity(limit, other.unit) for limit in (*here, *image)
+                Quantity(limit, second.unit) for limit in (*stated, *image)
             )
             message = diagnose(
                 "mirror-limits",
                 lower=lower,
                 upper=upper,
-                other=one.name,
+                other=first.name,
                 same_sense=sense > 0,
                 its_lower=its_lower,
                 its_upper=its_upper,
             )
-        elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
-            unit = "N m" if other.kind == HINGE else "N"
-            effort, its = describe_effort(other.effort, unit), describe_effort(one.effort, unit)
-            message = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
+        elif first.effort != second.effort and not np.isclose(
+            first.effort, second.effort, rtol=0.01
+        ):
+            unit = "N m" if second.kind == HINGE else "N"
+            effort, first_effort = (
+                describe_effort(second.effort, unit),
+                describe_effort(first.effort, unit),
+            )
+            message = diagnose("mirror-effort", effort=effort, other=first.name, its=first_effort)
         else:
             continue
-        yield CheckFinding("joint", other.name, message, "limit")
+        yield CheckFinding("joint", second.name, message, "limit")
 
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares damping, dry friction, armature and springs; see ``unlike_pairs``."""
-    pairs = [(one.name, other.name) for _, one, other in list_joint_pairs(robot)]
+    """Compare damping, dry friction, armature and spring terms; see `find_unlike_pairs`."""
+    pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
             name: value
             for name, joint in robot.joints.items()
             if (value := joint.stated.get(attribute.kind)) is not None
         }
-        for one, other in find_unlike_pairs(pairs, stated):
-            unit = attribute.unit(robot.joints[other].kind != HINGE)
+        for first, second in find_unlike_pairs(pairs, stated):
+            unit = attribute.unit(robot.joints[second].kind != HINGE)
             message = diagnose(
                 "mirror-drive",
                 what=Term(attribute.kind),
-                own=Quantity(stated[other], unit),
-                other=one,
-                its=Quantity(stated[one], unit),
+                own=Quantity(stated[second], unit),
+                other=first,
+                its=Quantity(stated[first], unit),
             )
-            yield CheckFinding("joint", other, message, robot.words(attribute)[1])
+            yield CheckFinding("joint", second, message, robot.words(attribute)[1])
 
 
 SIMPLE_SHAPE_TOLERANCE = 2e-3
-"""m: of simple shapes, whose numbers are typed; the largest gap in use is 1 mm."""
+"""Largest deviation of primitive shapes [m]. Measured on published robots: at most 1 mm."""
 
 SHAPE_TOLERANCE = 0.01
-"""m: of what touches, plus a tenth of its size: left and right meshes are cut otherwise."""
+"""Largest deviation of meshes [m], plus a tenth of the size: left and right meshes are cut
+differently."""
 
 
 @rule
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares what touches: whether there is anything, and how far it reaches."""
-    for mirror, one, other in _in_place(robot):
-        pair = [_touching(robot, link) for link in (one, other)]
+    """Compare collision shapes: presence, and extent in the base axes."""
+    for mirror, first, second in _list_pairs_in_place(robot):
+        pair = [_list_colliding_links(robot, link) for link in (first, second)]
         if not any(pair):
             continue
         if not all(pair):
-            bare, whole = (one, other) if not pair[0] else (other, one)
-            message = diagnose("mirror-without-shapes", other=whole.name)
+            bare, shaped = (first, second) if not pair[0] else (second, first)
+            message = diagnose("mirror-without-shapes", other=shaped.name)
             yield CheckFinding(robot.link_tag, bare.name, message)
             continue
-        extents = [_extent(link, parts) for link, parts in zip((one, other), pair, strict=True)]
+        extents = [
+            _find_extent_points(link, parts)
+            for link, parts in zip((first, second), pair, strict=True)
+        ]
         if extents[0] is None or extents[1] is None:
             continue
         image = np.array([mirror.reflect_point(point) for point in extents[0]])
@@ -349,49 +367,61 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
             shape.kind != "mesh" for parts in pair for part in parts for shape in part.shapes
         )
         if gap > (SIMPLE_SHAPE_TOLERANCE if simple else SHAPE_TOLERANCE + 0.1 * size):
-            message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
-            yield CheckFinding(robot.link_tag, other.name, message)
+            message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=first.name)
+            yield CheckFinding(robot.link_tag, second.name, message)
 
 
 @rule
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Compares the contacts that MuJoCo makes of shapes and ground; of none, that of a scene."""
+    """Compare the contact parameters that MuJoCo computes for shapes and ground.
+
+    Without ground in the file, a ground with MuJoCo's defaults is assumed.
+    """
     model = robot.mj_model
     if model is None:
         return
     ground = ground_geom(model)
-    for _, one, other in _in_place(robot):
-        if not all(_touching(robot, link) for link in (one, other)):
-            continue  # which is another slip
-        its, own = (_contacts(robot, model, link, ground) for link in (one, other))
-        if bool(its) != bool(own):
-            bare, whole = (one, other) if own else (other, one)
-            message = diagnose("mirror-contacts", other=whole.name, word=None, own=None, its=None)
+    for _, first, second in _list_pairs_in_place(robot):
+        if not all(_list_colliding_links(robot, link) for link in (first, second)):
+            continue  # reported by mirror_shapes
+        first_contacts, second_contacts = (
+            _list_contacts(robot, model, link, ground) for link in (first, second)
+        )
+        if bool(first_contacts) != bool(second_contacts):
+            bare, touching = (first, second) if second_contacts else (second, first)
+            message = diagnose(
+                "mirror-contacts", other=touching.name, word=None, own=None, its=None
+            )
             yield CheckFinding(robot.link_tag, bare.name, message)
-        for word in _OF_CONTACTS if own and len(its) == len(own) else ():
+        for word in (
+            _CONTACT_PARAMETERS
+            if second_contacts and len(first_contacts) == len(second_contacts)
+            else ()
+        ):
             values = [
                 np.array([np.ravel(getattr(contact, word)) for contact in side])
-                for side in (own, its)
+                for side in (second_contacts, first_contacts)
             ]
-            a, b = (rows[np.lexsort(rows.T[::-1])] for rows in values)
-            for place in np.flatnonzero(~np.isclose(a, b).all(axis=1))[:1]:
+            second_values, first_values = (rows[np.lexsort(rows.T[::-1])] for rows in values)
+            for place in np.flatnonzero(~np.isclose(second_values, first_values).all(axis=1))[:1]:
                 message = diagnose(
                     "mirror-contacts",
-                    other=one.name,
+                    other=first.name,
                     word=word,
-                    own=Vector(tuple(a[place]), ""),
-                    its=Vector(tuple(b[place]), ""),
+                    own=Vector(tuple(second_values[place]), ""),
+                    its=Vector(tuple(first_values[place]), ""),
                 )
-                yield CheckFinding(robot.link_tag, other.name, message)
+                yield CheckFinding(robot.link_tag, second.name, message)
 
 
-_OF_CONTACTS = ("condim", "friction", "solref", "solimp", "margin")
+_CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
+"""Contact parameters that are compared."""
 
 
-def _contacts(
+def _list_contacts(
     robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
 ) -> list[ContactParameters]:
-    """Returns the contacts with the ground of all shapes that move with a link."""
+    """Return the ground contacts of all shapes that move with a link."""
     bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
     return [
         combine_geoms(model, geom, ground)
@@ -400,8 +430,8 @@ def _contacts(
     ]
 
 
-def _touching(robot: RobotModel, link: Link) -> list[Link]:
-    """Returns a link, and what is fixed to it, with the shapes alone that touch."""
+def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
+    """Return a link and the links fixed to it with collision shapes only; others are left out."""
     parts = [
         replace(part, shapes=tuple(shape for shape in part.shapes if shape.collides))
         for part in robot.fixed_group(link.name)
@@ -409,7 +439,7 @@ def _touching(robot: RobotModel, link: Link) -> list[Link]:
     return [part for part in parts if part.shapes]
 
 
-def _extent(link: Link, parts: list[Link]) -> Array | None:
-    """Returns points (n, 3) of what touches, in the base's axes (m); None if some is not known."""
-    points, whole = list_known_points(parts, link)
-    return link.pose.point(points) if whole and points is not None else None
+def _find_extent_points(link: Link, parts: list[Link]) -> Array | None:
+    """Return points, shape (n, 3) [m], around shapes in base axes; None if an extent is unknown."""
+    points, is_complete = list_known_points(parts, link)
+    return link.pose.point(points) if is_complete and points is not None else None

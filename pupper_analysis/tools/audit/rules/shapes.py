@@ -1,4 +1,4 @@
-"""Rules about where shapes are, and how large: whether numbers are in kg and m at all."""
+"""Rules about the position and the size of shapes, including wrong units of mass and length."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""How exactly shapes are expected at joints and frames (m)."""
+"""Largest deviation of a shape from a joint or frame [m]. Chosen."""
 
 
-def _next_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
-    """Returns where the link ends: its moving children and its feet, in its frame (m)."""
+def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
+    """Return {joint or foot: position} of the ends of a link, in the frame of the link [m]."""
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
     for part in robot.fixed_group(body.name):
@@ -49,8 +49,8 @@ def _is_foot(name: str) -> bool:
     return "foot" in name.lower()
 
 
-def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
-    """Returns direction (3,) and length (m) of a rod that begins at the joint, else None."""
+def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
+    """Return direction, shape (3,), and length [m] of a rod that begins at the joint, or None."""
     if shape.kind not in ("capsule", "cylinder"):
         return None
     radius, half = shape.size
@@ -64,26 +64,26 @@ def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 
 @rule
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares capsules and cylinders that begin at their body's joint with the way to the next.
+    """Find capsules and cylinders that begin at a joint but do not end at the next joint.
 
-    Longer by 2 % or more is reported, shorter by 20 % or more: some shorten a shape on purpose, to
-    keep it clear of its neighbour.
+    Reported are rods longer by 2 % or more, or shorter by 20 % or more. Shapes are often shortened
+    on purpose, to avoid contact with the neighbour.
     """
     for body in robot.links.values():
         if not body.moving:
             continue
-        ends = _next_points(robot, body)
+        ends = _list_end_points(robot, body)
         anchor = body.pose.inverse().point(body.joints[-1].position)
         reported = set()
         for shape in body.shapes:
-            rod = _from_joint(shape, anchor)
+            rod = _measure_rod(shape, anchor)
             if rod is None:
                 continue
             direction, length = rod
             ahead = {
                 name: float((point - anchor) @ direction)
                 for name, point in ends.items()
-                if _on_line(point - anchor, direction, shape.size[0])
+                if _is_on_line(point - anchor, direction, shape.size[0])
             }
             if not ahead:
                 continue
@@ -103,15 +103,16 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
                     gap=Quantity(abs(gap), "m"),
                     beyond=gap > 0,
                 )
-                yield CheckFinding(robot.link_tag, body.name, message, _tag(robot, shape))
+                yield CheckFinding(robot.link_tag, body.name, message, _get_shape_tag(robot, shape))
 
 
 @rule
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares rods and slabs that run along a limb's link with the way from joint to joint.
+    """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Of 119 in use none is off that way by more than 3 % of it beyond its own half width, nor its
-    middle by more than a fifth along it; a tenth and two fifths are allowed.
+    Reported are shapes farther from the line than the half width plus 10 % of the link length, or
+    displaced by more than 40 % along the line. In 119 published shapes the largest values are 3 %
+    and 20 %.
     """
     for body in robot.links.values():
         ends = [
@@ -127,7 +128,7 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
         for shape in body.shapes:
             if not shape.collides or shape.kind not in ("box", "cylinder", "capsule"):
                 continue
-            axis, half, width = _rod(shape)
+            axis, half, width = _measure_long_axis(shape)
             along = 0.6 < 2 * half / max(length, MIN_LINK_LENGTH) < 1.4 and half > 2 * width
             if (
                 length < MIN_LINK_LENGTH
@@ -146,18 +147,19 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
                     ahead=Quantity(abs(ahead), "m"),
                     way=Quantity(length, "m"),
                 )
-                yield CheckFinding(robot.link_tag, body.name, message, _tag(robot, shape))
+                yield CheckFinding(robot.link_tag, body.name, message, _get_shape_tag(robot, shape))
 
 
 MIN_LINK_LENGTH = 0.03
-"""m: of joints that are nearer, no shape shows where a link is."""
+"""Smallest distance between joints [m] for which the position of shapes is compared. Chosen."""
 
 MIN_ALIGNMENT_COSINE = 0.966
-"""Cosine of 15 degrees: what is more inclined does not run along its link."""
+"""Smallest cosine between a shape and the link: 15 degrees. Shapes at larger angles are not
+compared."""
 
 
-def _rod(shape: Shape) -> tuple[Array, float, float]:
-    """Returns the direction (3,) in which a shape is longest, half its length, half its width."""
+def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
+    """Return the direction of the longest side, shape (3,), its half length and half width [m]."""
     if shape.kind == "box":
         order = np.argsort(shape.size)
         direction: Array = shape.pose.rotation[:, order[2]]
@@ -166,13 +168,13 @@ def _rod(shape: Shape) -> tuple[Array, float, float]:
     return shape.pose.rotation[:, 2], half + (radius if shape.kind == "capsule" else 0.0), radius
 
 
-def _tag(robot: RobotModel, shape: Shape) -> str:
+def _get_shape_tag(robot: RobotModel, shape: Shape) -> str:
     if robot.format == "mjcf":
         return "geom"
     return "collision" if shape.collides else "visual"
 
 
-def _on_line(offset: Array, direction: Array, radius: float) -> bool:
+def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
     along = float(offset @ direction)
     across = float(np.linalg.norm(offset - along * direction))
     return along > 2 * radius and across < max(POSITION_TOLERANCE, 0.5 * radius)
@@ -180,10 +182,10 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
 
 @rule
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
+    """Compare the frame of a foot with the nearest collision sphere of the moving group.
 
-    Spheres of the foot, by their name or their link's, come first. NOTE where the frame is inside
-    the sphere: some make a flat sole that way.
+    Spheres with a foot-like name, or on a link with such a name, have precedence. NOTE if the frame
+    is inside the sphere, which some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -220,54 +222,57 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
             )
 
 
-# How large they are.
+# Rules about sizes.
 
 MAX_DENSITY = 20_000.0
-"""Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.
+"""Largest mass per volume of the convex hull [kg/m^3]. Tungsten has 19300.
 
-The hull is the largest volume that a body of these shapes can have. Of 1500 links of robots in use
-the densest has 15600, a wrist whose mesh leaves out what is screwed to it.
-"""
+The hull is the largest volume of a body with these shapes. Of 1500 published links the densest has
+15600: a wrist whose mesh omits attached parts."""
 
 UNREAD_MESH_FACTOR = 5.0
-"""Times that, where some mesh is not read: the shapes that are may be smaller than the link."""
+"""Factor of `MAX_DENSITY` if a mesh was not read, since the known shapes may be smaller than the
+link."""
 
 MIN_DENSITY = 2.0
-"""Likewise below which none is (kg/m^3): air has 1.2, the lightest foam 10; the links, 8.8."""
+"""Smallest mass per volume of the convex hull [kg/m^3]. Air has 1.2, the lightest foam 10, the
+lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Of the robot's mass: what weighs less may have a token of a shape."""
+"""Smallest mass of a link, relative to the robot. Lighter links may have symbolic shapes."""
 
 MIN_SHAPE_FRACTION = 0.5
-"""A shape less than this share of the way to the next joint does not show how large a link is."""
+"""Smallest extent of the shapes, relative to the distance of the joints, from which a density is
+computed."""
 
 MIN_EXTENT = 0.01
-"""Nor does one below this extent (m)."""
+"""Smallest extent of the shapes, or of all joints, from which a size is judged [m]."""
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
-"""Extents between which the joints of a robot are expected (m)."""
+"""Largest and smallest extent of all joints of a robot [m]."""
 
 MAX_SHAPE_RATIO = 20.0
-"""Times the extent of all joints that no link is drawn; of 1500 links the largest has 2.3."""
+"""Largest extent of a link's shapes, relative to the extent of all joints. Of 1500 published links
+the largest ratio is 2.3."""
 
 
 @rule
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares a moving body's mass, with all that is fixed to it, with its shapes' convex hull."""
-    for body in _moving(robot):
+    """Compare the mass of a moving group of fixed links with the convex hull of the shapes."""
+    for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
         if mass < MIN_MASS_FRACTION * robot.total_mass or mass <= 0:
             continue
         points, whole = list_known_points(group, body)
         if points is None or not (whole or body.moving):
-            continue  # of a base, what is not read may be nearly all
+            continue  # unread meshes may be most of a base
         most = MAX_DENSITY if whole else UNREAD_MESH_FACTOR * MAX_DENSITY
         links = list_link_points(robot, body)
-        own, way = _extent(points), _extent(links)
+        own, way = _compute_extent(points), _compute_extent(links)
         if own < max(MIN_EXTENT, MIN_SHAPE_FRACTION * way):
             continue
-        volume = _volume(np.concatenate([points, links]))
+        volume = _compute_hull_volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
         if volume > 0 and not (MIN_DENSITY if whole else 0.0) <= density <= most:
             message = diagnose(
@@ -281,11 +286,11 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compares the extent of all joints with that of robots, and that of each link with it."""
+    """Compare the extent of all joints with common robots, and each link with this extent."""
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
         return
-    size = _extent(places)
+    size = _compute_extent(places)
     if size > MAX_ROBOT_EXTENT or 0 < size < MIN_ROBOT_EXTENT:
         message = diagnose(
             "joints-out-of-scale",
@@ -298,28 +303,29 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
         return
     for body in robot.links.values():
         points = list_extent_points([body], body)
-        if points is not None and _extent(points) > MAX_SHAPE_RATIO * size:
+        if points is not None and _compute_extent(points) > MAX_SHAPE_RATIO * size:
             message = diagnose(
                 "shapes-out-of-scale",
-                length=Quantity(_extent(points), "m"),
-                times=_extent(points) / size,
+                length=Quantity(_compute_extent(points), "m"),
+                times=_compute_extent(points) / size,
                 size=Quantity(size, "m"),
             )
             yield CheckFinding(robot.link_tag, body.name, message)
 
 
-def _moving(robot: RobotModel) -> Iterator[Link]:
+def _list_moving_links(robot: RobotModel) -> Iterator[Link]:
+    """Yield the root links and the moving links."""
     for body in robot.links.values():
         if body.parent is None or body.moving:
             yield body
 
 
-def _extent(points: Array) -> float:
+def _compute_extent(points: Array) -> float:
     return float(np.ptp(points, axis=0).max())
 
 
-def _volume(points: Array) -> float:
-    """Returns the volume of the convex hull (m^3); 0 of what lies in a plane."""
+def _compute_hull_volume(points: Array) -> float:
+    """Compute the volume of the convex hull [m^3]; 0 for points in a plane."""
     try:
         return float(ConvexHull(points).volume)
     except (QhullError, ValueError):

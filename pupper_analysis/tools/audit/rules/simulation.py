@@ -1,4 +1,4 @@
-"""Rules about how MuJoCo simulates a model."""
+"""Rules about the simulation of a model in MuJoCo, and about defaults of other engines."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from pupper_analysis.tools.audit.rules.files import find_first_place
 
 @rule
 def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds a gravity off by more than 0.02 m/s^2; NOTE if it points down more than aside.
+    """Find a gravity more than 0.02 m/s^2 away from standard gravity.
 
-    What is used for it differs by the third digit; some tilt it to simulate a slope.
+    Common values differ in the third digit. NOTE if gravity points more down than sideways, since a
+    tilted gravity simulates a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
@@ -40,7 +41,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds models in which the armature of every driven joint, and of its motor, is 0."""
+    """Find models in which the armature of all driven joints and motors is 0."""
     if robot.mj_model is None:
         return
     model = robot.mj_model
@@ -56,17 +57,18 @@ def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
+    """Find feet whose contact with the ground has no sliding friction.
 
-    A file without ground is to be put into a scene, whose ground has MuJoCo's own numbers: there,
-    condim 1 of the foot gives way to 3, unless its priority is higher. A friction of 0 counts all
-    the same, as the ground may have none either.
+    Contact parameters are combined as in MuJoCo. Without ground in the file, MuJoCo's default
+    ground is assumed: condim 1 of the foot is replaced by 3, unless the foot has a higher priority.
+    A friction coefficient of 0 is reported nevertheless, as the ground of a scene may have none
+    either.
     """
     model = robot.mj_model
     if model is None:
         return
     ground = ground_geom(model)
-    for geom in _touching(model):
+    for geom in _list_colliding_geoms(model):
         body = int(model.geom_bodyid[geom])
         name = model.geom(geom).name
         at_site = any(
@@ -92,7 +94,7 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds robots with a free base none of whose shapes touches the ground, or that of a scene."""
+    """Find floating robots without a shape that can touch the ground, or a default ground."""
     model = robot.mj_model
     if (
         model is None
@@ -102,8 +104,8 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     ):
         return
     ground = ground_geom(model)
-    free = [geom for geom in range(model.ngeom) if _falls_free(model, geom)]
-    off = bool(model.opt.disableflags & _OFF)
+    free = [geom for geom in range(model.ngeom) if _has_free_root(model, geom)]
+    off = bool(model.opt.disableflags & _CONTACTS_OFF_FLAGS)
     if off or not any(may_touch(model, geom, ground) for geom in free):
         name = None if off or ground is None else model.geom(ground).name or "ground"
         scene = ground is None and not off
@@ -111,32 +113,36 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
         yield CheckFinding("body", robot.base, message)
 
 
-_OFF = mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+_CONTACTS_OFF_FLAGS = (
+    mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+)
+"""Bits of ``disableflags`` that disable contacts."""
 
 
 FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE.value
+"""MuJoCo's joint type of a free joint."""
 
 
-def _falls_free(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom's tree begins with a free joint."""
+def _has_free_root(model: mujoco.MjModel, geom: int) -> bool:
+    """Return True if the tree of a geom begins with a free joint."""
     joint = model.body_jntadr[model.body_rootid[model.geom_bodyid[geom]]]
     return bool(joint >= 0 and model.jnt_type[joint] == FREE_JOINT)
 
 
-def _touching(model: mujoco.MjModel) -> Iterator[int]:
-    """Yields the geoms of bodies that move, and that touch anything at all."""
+def _list_colliding_geoms(model: mujoco.MjModel) -> Iterator[int]:
+    """Yield the geoms of moving bodies with contype or conaffinity."""
     for geom in range(model.ngeom):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         if collides and model.body_weldid[model.geom_bodyid[geom]]:
             yield geom
 
 
-# Rules about what each engine makes of what a file does not say.
+# Rules about defaults that engines assume for missing values.
 
 
 @rule
 def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds links without <inertial>, but for ``world``, which PyBullet leaves without mass."""
+    """Find links without <inertial>, except ``world``: PyBullet assigns 1 kg to each."""
     first, *others = [
         link.name for link in robot.links.values() if link.inertial is None and link.name != "world"
     ] or [""]
@@ -152,7 +158,7 @@ def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def massless_link_collides(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds links without mass, stated or not, that have shapes for contacts."""
+    """Find links with zero or missing mass that have collision shapes."""
     first, *others = [
         link.name
         for link in robot.links.values()

@@ -1,4 +1,4 @@
-"""Rules about the poses in which a simulation starts: qpos0 and the keyframes."""
+"""Rules about the initial configurations of a simulation: qpos0 and the keyframes."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
 
 MAX_FLOOR_DEPTH = 5e-3
-"""How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
+"""Largest penetration of the floor in an initial configuration [m]. A standing robot sinks a few mm
+into soft contacts."""
 
 MAX_KEYFRAMES = 100
-"""How many keyframes are looked at."""
+"""Largest number of keyframes that are checked. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""How far a servo without a torque limit may be commanded ahead of its joint (rad, m)."""
+"""Largest offset between command and joint of a servo without torque limit [rad, m]. Chosen."""
 
-_SHORTEST = 1e-4
-"""s: of a time step with which that takes more than 20,000 steps nothing is simulated here."""
+_MIN_TIMESTEP = 1e-4
+"""Smallest time step that is simulated [s]. Smaller steps would need more than 20,000 steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class StartPose:
-    """A pose in which a simulation may start.
+    """Initial configuration of a simulation.
 
     Attributes:
         element: Tag and name for findings.
-        message: What it is called.
-        qpos: (nq,).
-        severity: NOTE for qpos0 where keyframes exist: then nobody starts there.
+        message: Name of the configuration, as a message.
+        qpos: Configuration, shape (nq,).
+        severity: NOTE for qpos0 if keyframes exist, since simulations then start at a keyframe.
     """
 
     element: tuple[str, str]
@@ -56,7 +57,7 @@ class StartPose:
     severity: Severity
 
 
-def _starts(robot: MjcfModel) -> Iterator[StartPose]:
+def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
     model = robot.mj_model
     if model is None or not robot.links:
         return
@@ -70,8 +71,8 @@ def _starts(robot: MjcfModel) -> Iterator[StartPose]:
 
 @rule
 def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds joints outside by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
-    for where, start, values in _angles(robot):
+    """Find joints outside the limits by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
+    for where, start, values in _list_start_angles(robot):
         excess = {
             joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
             for joint in robot.joints.values()
@@ -95,15 +96,17 @@ def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
             )
 
 
-def _angles(robot: RobotModel) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
-    """Yields the element, the name and the joints' positions of each start."""
+def _list_start_angles(
+    robot: RobotModel,
+) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
+    """Yield element, name, and {joint: position} of each initial configuration."""
     if not isinstance(robot, MjcfModel):
         if robot.base:
             values = {joint.name: 0.0 for joint in robot.joints.values()}
             yield (robot.link_tag, robot.base), diagnose("start-zero"), values
         return
     model = robot.mj_model
-    for start in _starts(robot):
+    for start in _list_start_poses(robot):
         assert model is not None
         values = {
             joint_name(model, joint): float(start.qpos[model.jnt_qposadr[joint]])
@@ -114,45 +117,46 @@ def _angles(robot: RobotModel) -> Iterator[tuple[tuple[str, str], Diagnostic, di
 
 @rule
 def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds commands of position servos that a keyframe's own pose does not answer to.
+    """Find servo commands that do not belong to the pose of the keyframe.
 
-    A command may be ahead of its joint by the torque that holds it: at most by what the servo's
-    limit gives, or by 0.5 rad (0.5 m), a sag that no standing robot has, where it has none.
+    The accepted offset between command and joint is the effort limit divided by the stiffness, plus
+    1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted.
     """
     model = robot.mj_model
     if model is None:
         return
     for key in range(min(model.nkey, MAX_KEYFRAMES)):
-        ahead: dict[str, float] = {}
+        offsets: dict[str, float] = {}
         for drive in list_drives(model):
             angle = float(model.key_qpos[key, model.jnt_qposadr[drive.joint]])
             if drive.stiffness <= 0 or drive.gear == 0:
                 continue
             command = float(model.key_ctrl[key, drive.control]) * drive.gain / drive.stiffness
             limit = find_max_effort(model, drive.joint) / (drive.stiffness * drive.gear**2)
-            off = command / drive.gear - angle
-            if abs(off) > 1e-3 + (limit if math.isfinite(limit) else MAX_SAG):
-                ahead[drive.joint_name] = off
-        if ahead:
-            worst = max(ahead, key=lambda name: abs(ahead[name]))
+            offset = command / drive.gear - angle
+            if abs(offset) > 1e-3 + (limit if math.isfinite(limit) else MAX_SAG):
+                offsets[drive.joint_name] = offset
+        if offsets:
+            worst = max(offsets, key=lambda name: abs(offsets[name]))
             name = model.key(key).name
             message = diagnose(
                 "keyframe-ctrl",
                 joint=worst,
-                off=Quantity(ahead[worst], robot.joints[worst].unit),
-                ahead=len(ahead),
+                off=Quantity(offsets[worst], robot.joints[worst].unit),
+                ahead=len(offsets),
                 commands=model.nu,
             )
-            said = len(robot.file.spec.keys[key].ctrl) > 0
-            yield CheckFinding("key", name, message, severity=None if said else Severity.NOTE)
+            has_ctrl = len(robot.file.spec.keys[key].ctrl) > 0
+            yield CheckFinding("key", name, message, severity=None if has_ctrl else Severity.NOTE)
 
 
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
+    """Simulate the keyframe ``home``, or the first keyframe, for 5 s with a nudge.
 
-    For 5 s, nudged. Where the keyframe states no ctrl, position servos are commanded to hold its
-    joints, if half of them have one; motors would need a controller.
+    The actuators receive the ctrl of the keyframe. If no ctrl is specified, position servos are
+    commanded to the pose, provided that half of the joints have a servo; otherwise nothing is
+    simulated.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -160,7 +164,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     base, step = robot.body_names.index(robot.base), float(model.opt.timestep)
     joint = int(model.body_jntadr[base])
     free = joint >= 0 and model.jnt_type[joint] == JointKind.FREE
-    if not free or not step >= _SHORTEST:
+    if not free or not step >= _MIN_TIMESTEP:
         return
     names = [model.key(key).name for key in range(model.nkey)]
     key = names.index("home") if "home" in names else 0
@@ -168,29 +172,29 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     mujoco.mj_resetDataKeyframe(model, before, key)
     ground = ground_geom(model)
     stated = bool(model.key_ctrl[key].any()) or len(robot.file.spec.keys[key].ctrl) > 0
-    if ground is None or not (stated or _held(robot, before)):
+    if ground is None or not (stated or _command_servos(robot, before)):
         return
     mujoco.mj_kinematics(model, before)
     floor = float(before.geom_xpos[ground][2])
-    motion, _ = simulate_keyframe(model, before, base, floor, partial(_run, model))
+    motion, _ = simulate_keyframe(model, before, base, floor, partial(_run_simulation, model))
     if motion.diverged:
         message = diagnose("keyframe-diverges")
     elif motion.collapses:
         message = diagnose(
             "keyframe-falls",
             time=Quantity(motion.duration, "s"),
-            end=_rounded(motion.end_height, "m"),
-            start=_rounded(motion.height, "m"),
-            away=_rounded(motion.away, "m"),
-            lean=_rounded(motion.lean, "rad"),
+            end=_round_quantity(motion.end_height, "m"),
+            start=_round_quantity(motion.height, "m"),
+            away=_round_quantity(motion.away, "m"),
+            lean=_round_quantity(motion.lean, "rad"),
         )
     else:
         return
     yield CheckFinding("key", names[key], message)
 
 
-def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
-    """Commands position servos to a pose; tells whether they are at half of the joints or more."""
+def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
+    """Command position servos to the pose; return True if half or more of the joints have a servo."""
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.servo]
     for drive in holding:
@@ -199,17 +203,17 @@ def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
     return 2 * len(holding) >= max(1, sum(joint.moves for joint in robot.joints.values()))
 
 
-def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
 
 
 @rule
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds contacts with planes of the world deeper than 5 mm; the deepest of each start."""
-    for start in _starts(robot):
+    """Find contacts with planes of the world deeper than `MAX_FLOOR_DEPTH`, the deepest per start."""
+    for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
-        for bodies, geoms, depth in _contacts(robot, start):
+        for bodies, geoms, depth in _list_contacts(robot, start):
             assert robot.mj_model is not None
             planes = robot.mj_model.geom_type[list(geoms)] == mujoco.mjtGeom.mjGEOM_PLANE.value
             if planes.any() and 0 in bodies and depth > MAX_FLOOR_DEPTH:
@@ -221,24 +225,25 @@ def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
                 "start-in-floor",
                 start=start.message,
                 body=deepest,
-                depth=_rounded(depths[deepest], "m"),
+                depth=_round_quantity(depths[deepest], "m"),
                 others=len(depths) - 1,
             )
             yield CheckFinding(*start.element, message, severity=start.severity)
 
 
-def _rounded(value: float, unit: str) -> Quantity:
-    """Returns what a simulation, or a search for contacts, ends in, to the digits that it has.
+def _round_quantity(value: float, unit: str) -> Quantity:
+    """Round a simulated value to three digits.
 
-    The others are of the machine, and of MuJoCo's version: a baseline would not know it again.
+    Further digits depend on the machine and the version of MuJoCo, so that baselines would not
+    match.
     """
     return Quantity(float(f"{value:.3g}"), unit)
 
 
-def _contacts(
+def _list_contacts(
     robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
-    """Yields bodies, geoms and depth (m) of each contact that MuJoCo finds in a pose."""
+    """Yield bodies, geoms and depth [m] of each contact in a configuration."""
     model = robot.mj_model
     assert model is not None
     data = mujoco.MjData(model)
@@ -247,11 +252,11 @@ def _contacts(
     mujoco.mj_comPos(model, data)
     try:
         mujoco.mj_collision(model, data)
-    except mujoco.FatalError:  # of shapes without directions, which are told
+    except mujoco.FatalError:  # shapes without valid orientation, reported by another rule
         return
     for number in range(data.ncon):
-        one, other = (int(geom) for geom in data.contact.geom[number])
-        if one < 0 or other < 0:
+        first, second = (int(geom) for geom in data.contact.geom[number])
+        if first < 0 or second < 0:
             continue
-        bodies = (int(model.geom_bodyid[one]), int(model.geom_bodyid[other]))
-        yield bodies, (one, other), -float(data.contact.dist[number])
+        bodies = (int(model.geom_bodyid[first]), int(model.geom_bodyid[second]))
+        yield bodies, (first, second), -float(data.contact.dist[number])

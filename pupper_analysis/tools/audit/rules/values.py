@@ -1,4 +1,4 @@
-"""Rules about numbers that nothing can have, whatever the robot."""
+"""Rules about values that are impossible for any robot."""
 
 from __future__ import annotations
 
@@ -23,15 +23,20 @@ from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.files import find_first_place
 
-_SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+_SHAPE_SIZES = {
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+}
+"""{shape of a URDF: attributes with a size}."""
 
 
 @rule
 def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Finds sizes of 0 and less, and negative damping, dry friction, armature, stiffness, limits.
+    """Find sizes <= 0, and negative damping, friction, armature, stiffness and limits.
 
-    A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
-    first coefficient is looked at, which is what counts at small speeds.
+    A length of 0 is accepted for a cylinder (disc) and a capsule (ball). For MuJoCo's polynomials
+    the first coefficient is checked, which dominates at small speeds.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:
@@ -43,7 +48,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
                 message = diagnose("value-impossible", attribute=word, value=value)
                 yield CheckFinding("joint", joint.name, message, child)
     if isinstance(robot, UrdfModel):
-        yield from _impossible_sizes(robot)
+        yield from _find_impossible_sizes(robot)
         return
     if not isinstance(robot, MjcfModel):
         return
@@ -54,16 +59,18 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding("geom", geom.name, message, place=place)
 
 
-def _impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    for link, _, shape in _shapes(robot):
+def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
+    for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
             sizes = {"size": parse_numbers(shape.get("size"), "1 1 1")}
         elif tag == "mesh":
-            # A negative factor mirrors: that is another rule's.
+            # Negative factors mirror the mesh, see mesh_mirrored.
             sizes = {"scale": np.abs(parse_numbers(shape.get("scale"), "1 1 1"))}
         else:
-            sizes = {name: parse_numbers(shape.get(name), "1") for name in _SIZES.get(tag, ())}
+            sizes = {
+                name: parse_numbers(shape.get(name), "1") for name in _SHAPE_SIZES.get(tag, ())
+            }
         for name, values in sizes.items():
             bad = values < 0 if name == "length" else values <= 0
             if bad.any():
@@ -75,8 +82,8 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
                 )
 
 
-def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
-    """Yields each shape's link, its <geometry>, and its element."""
+def _list_shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
+    """Yield (link, <geometry>, shape element) of each shape."""
     for name, link in robot.file.tree.links.items():
         for _, shape, _ in link.shapes:
             geometry = shape.find("geometry")
@@ -86,7 +93,7 @@ def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Elem
 
 @rule
 def geometry_empty(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds <geometry> without an element in it."""
+    """Find <geometry> elements without a shape."""
     for name, link in robot.file.tree.links.items():
         for tag, shape, form in link.shapes:
             if form is None:
@@ -97,10 +104,13 @@ def geometry_empty(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def mesh_mirrored(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds three negative factors in a mesh's scale, once a file; one is often on purpose."""
+    """Find mesh scales with three negative factors; one finding per file.
+
+    A single negative factor is often intended.
+    """
     found = [
         (link, shape)
-        for link, _, shape in _shapes(robot)
+        for link, _, shape in _list_shapes(robot)
         if shape.tag == "mesh" and (parse_numbers(shape.get("scale"), "1 1 1") < 0).all()
     ]
     for link, shape in found[:1]:
@@ -113,12 +123,12 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[CheckFinding]:
         yield CheckFinding("link", link, message, place=Place(robot.file.path, shape.sourceline))
 
 
-_OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
+_OPTION_RANGES: dict[str, tuple[float, float, Severity, str]] = {
     "timestep": (*TIMESTEP_RANGE, Severity.ERROR, "s"),
     "impratio": (1e-3, 1e6, Severity.ERROR, ""),
     "iterations": (1, math.inf, Severity.ERROR, ""),
     "ls_iterations": (1, math.inf, Severity.ERROR, ""),
-    # The solver ends when it gains less: beyond, it ends before contact forces mean anything.
+    # Larger tolerances stop the solver before the contact forces converge.
     "tolerance": (0, 1e-2, Severity.ERROR, ""),
     "ls_tolerance": (0, 1.0, Severity.WARNING, ""),
     "noslip_tolerance": (0, 1e-2, Severity.WARNING, ""),
@@ -126,14 +136,14 @@ _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
     "density": (0, 2e4, Severity.ERROR, "kg/m^3"),
     "viscosity": (0, 1e3, Severity.ERROR, "Pa s"),
 }
-"""Of an MJCF: least and greatest, how bad another is, and its unit."""
+"""{option of an MJCF: (minimum, maximum, severity, unit)}."""
 
 
 @rule
 def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Finds time steps, solver settings and fluids with which MuJoCo simulates no robot."""
+    """Find time steps, solver settings and fluid properties outside the range useful for robots."""
     option = robot.file.spec.option
-    for name, (least, greatest, severity, unit) in _OPTIONS.items():
+    for name, (least, greatest, severity, unit) in _OPTION_RANGES.items():
         value = float(getattr(option, name))
         if not least <= value <= greatest:
             message = diagnose(
@@ -149,14 +159,15 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
             yield CheckFinding("option", "", message, place=place, severity=severity)
 
 
-# Rules about how rotations are written.
+# Rules about the notation of rotations.
 
 FULL_TURN = 2 * math.pi + 1e-3
+"""Largest angle of ``rpy`` [rad], with a tolerance."""
 
 
 @rule
 def rpy_in_degrees(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Finds angles above 2 pi in magnitude in ``rpy``."""
+    """Find angles above 2 pi in magnitude in ``rpy``."""
     for element in robot.file.root.iter("origin"):
         rpy = parse_numbers(element.get("rpy"), "0 0 0")
         if np.abs(rpy).max() > FULL_TURN:
