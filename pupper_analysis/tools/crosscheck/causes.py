@@ -1,11 +1,13 @@
-"""One slip that explains many differences: units, an Euler sequence, left for right, a lost tensor.
+"""Search for a single mistake that explains many differences between a URDF and an MJCF.
 
-Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
+Examples: wrong units, another Euler sequence, exchanged limbs, dropped products of inertia. Each
+hypothesis is tested: the mistake is undone in one of the trees, and the differences that disappear
+are explained.
 
-Links on fixed joints are folded into the body that carries them before two files are compared: the
-fold says that a body differs, and only the links which one. Masses and moments add up, so the
-difference of two folded bodies is that of their links. A slip is undone link by link; it is a cause
-only if nothing of the body's differences is left then.
+Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
+second moments about the frame's origin are additive, so the difference of two combined bodies is
+the difference of the links. A mistake is undone link by link; it is a cause only if no difference
+of the body remains.
 """
 
 from __future__ import annotations
@@ -47,12 +49,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ComparedLink:
-    """One link's inertial, in the frame of the body that it is a part of.
+    """Inertial of a link, in the frame of the moving body.
 
     Attributes:
-        name: The URDF's link, or the MJCF's body.
-        body: Its mass (kg), com (m) and inertia about that (kg m^2).
-        axes: (3, 3) from the link's own axes to the body's.
+        name: Link of the URDF, or body of the MJCF.
+        body: Mass [kg], CoM [m], and inertia about the CoM [kg m^2].
+        axes: Rotation matrix from the axes of the link to the axes of the body, shape (3, 3).
     """
 
     name: str
@@ -61,72 +63,80 @@ class ComparedLink:
 
 
 Links = Mapping[str, tuple[ComparedLink, ...]]
-"""{base or joint: the links with mass that move with it}."""
+"""{base or joint: links with mass that move with this joint}."""
 
 
 def list_urdf_links(robot: Robot) -> Links:
-    """Returns the links of the URDF's bodies, in the frames of its own tree."""
+    """Return the links of each body of the URDF, in the body frames of the URDF's tree."""
     model = robot.pin_model
-    found: dict[str, list[ComparedLink]] = {}
+    links_by_mover: dict[str, list[ComparedLink]] = {}
     for name, link in UrdfTree.of(robot.description.urdf).links.items():
-        own = link.inertia
-        if own is None or not own.mass or not model.existFrame(name, pin.FrameType.BODY):
+        inertia = link.inertia
+        if inertia is None or not inertia.mass or not model.existFrame(name, pin.FrameType.BODY):
             continue
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        body = TreeBody.of(own).moved(frame.placement)
-        mover = _mover(robot, model, int(frame.parentJoint))
-        found.setdefault(mover, []).append(
+        body = TreeBody.of(inertia).moved(frame.placement)
+        mover = _find_mover(robot, model, int(frame.parentJoint))
+        links_by_mover.setdefault(mover, []).append(
             ComparedLink(name, body, np.array(frame.placement.rotation))
         )
-    return {mover: tuple(links) for mover, links in found.items()}
+    return {mover: tuple(links) for mover, links in links_by_mover.items()}
 
 
 def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
-    """Returns the links of the MJCF's bodies, in the frames to which its tree was aligned.
+    """Return the links of each body of the MJCF, in the body frames of the aligned tree.
 
     Args:
-        robot: The robot.
-        raw: The MJCF's tree, in its own link frames.
-        aligned: The same in others.
+        robot: Robot.
+        raw: Tree of the MJCF, in the body frames of the MJCF.
+        aligned: The same tree in other body frames.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
-    here, there = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
-    found: dict[str, list[ComparedLink]] = {}
+    raw_poses, aligned_poses = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
+    links_by_mover: dict[str, list[ComparedLink]] = {}
     for index in np.flatnonzero(mujoco_model.body_mass > 0):
         name = str(mujoco_model.body(index).name)
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        mover = _mover(robot, model, int(frame.parentJoint))
-        pose = there[mover].actInv(here[mover]) * frame.placement
-        own = TreeBody.of(inertia_of_body(mujoco_model, index)).moved(pose)
-        found.setdefault(mover, []).append(ComparedLink(name, own, np.array(pose.rotation)))
-    return {mover: tuple(links) for mover, links in found.items()}
+        mover = _find_mover(robot, model, int(frame.parentJoint))
+        pose = aligned_poses[mover].actInv(raw_poses[mover]) * frame.placement
+        link_body = TreeBody.of(inertia_of_body(mujoco_model, index)).moved(pose)
+        links_by_mover.setdefault(mover, []).append(
+            ComparedLink(name, link_body, np.array(pose.rotation))
+        )
+    return {mover: tuple(links) for mover, links in links_by_mover.items()}
 
 
-def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Returns the joint that moves a frame's body, or the base."""
+def _find_mover(robot: Robot, model: pin.Model, joint: int) -> str:
+    """Return the joint of the robot that moves a body in Pinocchio; the base for other joints."""
     name = str(model.names[joint])
     return name if name in robot.joint_names else robot.base
 
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:
-    """Returns one body that is made of some, all in the same frame."""
+    """Combine bodies that are expressed in the same frame."""
     return body_from_moments(sum((compute_moments(body) for body in bodies), start=np.zeros(10)))
 
 
 def compute_moments(body: TreeBody) -> Array:
-    """Returns a body's mass, first and second moments about its frame's origin (10,).
+    """Compute mass, first and second moments of a body about the origin of its frame.
 
-    They add up when bodies are combined: the mass (kg), the first moments (kg m), and the six
-    entries of the inertia about the origin (kg m^2).
+    Moments are additive over bodies.
+
+    Returns:
+        Shape (10,): mass [kg], first moments [kg m], six entries of the inertia about the origin
+        [kg m^2].
     """
     c = body.com
-    about = body.inertia + body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
-    entries = [about[place] for place in INERTIA_ENTRIES.values()]
+    inertia = body.inertia + body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
+    entries = [inertia[place] for place in INERTIA_ENTRIES.values()]
     return np.array([body.mass, *(body.mass * c), *entries])
 
 
 def body_from_moments(values: Array) -> TreeBody:
-    """Returns the body of some moments, which `moments` returns."""
+    """Compute the body with given moments; inverse of `compute_moments`.
+
+    The CoM of a body without mass is set to zero.
+    """
     mass = float(values[0])
     com = values[1:4] / mass if mass else np.zeros(3)
     shift = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
@@ -134,24 +144,25 @@ def body_from_moments(values: Array) -> TreeBody:
 
 
 Key = tuple[str, str]
-"""The kind and the element of a difference."""
+"""Kind and element of a difference."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatternCase:
-    """Two trees that differ.
+    """Two different trees and their differences.
 
     Attributes:
-        robot: The robot.
-        first: The URDF's tree.
-        raw: The MJCF's, as it is.
-        second: The MJCF's, in the URDF's link frames.
-        keys: The differences.
-        tolerances: What counts as one.
-        urdf: The links of which the URDF's bodies are made, in the frames of ``first``.
-        mjcf: Those of the MJCF's, in the frames of ``second``.
-        from_geoms: The MJCF's bodies that take their mass from their geoms.
-        explained: Those that a cause explains already.
+        robot: Robot.
+        first: Tree of the URDF.
+        raw: Tree of the MJCF, in the body frames of the MJCF.
+        second: Tree of the MJCF, in the body frames of the URDF.
+        keys: Differences.
+        tolerances: Tolerances of the comparison.
+        urdf: Links of the URDF's bodies, in the frames of ``first``; empty without inertial
+            differences.
+        mjcf: Links of the MJCF's bodies, in the frames of ``second``; empty likewise.
+        from_geoms: Bodies of the MJCF whose mass is computed from geoms.
+        explained: Differences that a previous cause explains.
     """
 
     robot: Robot
@@ -167,44 +178,52 @@ class PatternCase:
 
     @property
     def unexplained(self) -> list[Key]:
-        """The differences that no cause explains yet."""
+        """Differences that no previous cause explains."""
         return [key for key in self.keys if key not in self.explained]
 
     def find_remaining(
         self, second: MultibodyTree, only: Collection[str] | None = None
     ) -> set[Key]:
-        """Returns the differences to another tree in place of the MJCF's.
+        """Return the differences between the URDF's tree and a modified tree of the MJCF.
 
         Args:
-            second: The other tree.
-            only: The joints that are compared, with what they carry; by default all and the base.
+            second: Modified tree.
+            only: Joints that are compared, with the attached bodies; by default all joints and the
+                base.
+
+        Returns:
+            Kinds and elements. All differences of the case if the trees cannot be aligned.
         """
         first = self.first if only is None else self.first.part(only)
         try:
-            both = align_frames(second, first, self.tolerances).values
-            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
-        except (ValueError, KeyError):  # not the same joints any more
+            aligned = align_frames(second, first, self.tolerances).values
+            differences = {
+                (c.kind, c.element) for c in changes_between(first, aligned, self.tolerances)
+            }
+        except (ValueError, KeyError):  # the joints differ
             return set(self.keys)
-        return found
+        return differences
 
     def find_explained(self, second: MultibodyTree) -> set[Key]:
-        """Returns the differences that another tree in place of the MJCF's does not have.
+        """Return the differences that disappear with a modified tree of the MJCF.
 
-        None if it has others instead, or if most of them are left.
+        Returns:
+            Kinds and elements. Empty if the modified tree adds a difference, or if fewer than two
+            differences disappear.
         """
-        left = self.find_remaining(second)
-        gone = set(self.keys) - left
-        return gone if not left - set(self.keys) and len(gone) > 1 else set()
+        remaining = self.find_remaining(second)
+        vanished = set(self.keys) - remaining
+        return vanished if not remaining - set(self.keys) and len(vanished) > 1 else set()
 
 
 @dataclass(frozen=True, eq=False)
 class PatternFinding:
-    """A slip that explains differences.
+    """Mistake that explains differences.
 
     Attributes:
-        kind: A cause's.
-        diagnostic: What it is, with its numbers.
-        explained: The differences.
+        kind: Kind of the cause.
+        diagnostic: Message with the numbers.
+        explained: Differences that disappear.
     """
 
     kind: str
@@ -213,32 +232,38 @@ class PatternFinding:
 
 
 PatternFindings = Iterator[PatternFinding]
+"""Result of a search."""
 
 
-_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+_EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+"""Sequences of Euler angles about moving axes; in upper case, about fixed axes."""
 
 
 def find_angle_settings(case: PatternCase) -> PatternFindings:
-    """Finds another eulerseq, or degrees for radians, that ends differences."""
+    """Find another eulerseq, or another angle unit, of the MJCF with which differences disappear.
+
+    A finding requires that at least 60 % of the differences in rotations and axes disappear, or of
+    those in limits if no rotation differs.
+    """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
     }:
         return
     spec = case.robot.description.mjcf
-    said = "".join(
+    stated_sequence = "".join(
         chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
     )
     degree = bool(spec.compiler.degree)
     unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
-    tries: list[tuple[tuple[str, str, str], str, Any]] = [
-        (("eulerseq", order, said), "eulerseq", list(order))
-        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES))
-        if _has_euler(spec) and order != said
+    candidates: list[tuple[tuple[str, str, str], str, Any]] = [
+        (("eulerseq", order, stated_sequence), "eulerseq", list(order))
+        for order in (*_EULER_SEQUENCES, *(sequence.upper() for sequence in _EULER_SEQUENCES))
+        if _has_euler(spec) and order != stated_sequence
     ]
     if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
-        tries.append((("angle", other_unit, unit), "degree", not degree))
+        candidates.append((("angle", other_unit, unit), "degree", not degree))
     best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
-    for setting, name, new in tries:
+    for setting, name, new in candidates:
         other = spec.copy()
         setattr(other.compiler, name, new)
         try:
@@ -246,14 +271,14 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
         except (ValueError, RuntimeError):
             continue
         tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
-        gone = case.find_explained(replace(tree, gravity=case.first.gravity))
-        if len(gone) > len(best[1]):
-            best = (setting, gone)
-    (attribute, value, stated), gone = best
-    turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
+        vanished = case.find_explained(replace(tree, gravity=case.first.gravity))
+        if len(vanished) > len(best[1]):
+            best = (setting, vanished)
+    (attribute, value, stated), vanished = best
+    rotations = [key for key in case.keys if key[0] in ("rotation", "axis")]
     limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
-    concerned = turned or limits
-    if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
+    concerned = rotations or limits
+    if concerned and sum(key in vanished for key in concerned) >= 0.6 * len(concerned):
         yield PatternFinding(
             "angles",
             diagnose(
@@ -261,130 +286,158 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
                 attribute=attribute,
                 value=value,
                 stated=stated,
-                count=len(gone),
+                count=len(vanished),
                 total=len(case.keys),
             ),
-            gone,
+            vanished,
         )
 
 
 def _has_euler(spec: mujoco.MjSpec) -> bool:
+    """Return True if a body's orientation or inertial frame is specified by Euler angles."""
     kind = mujoco.mjtOrientation.mjORIENTATION_EULER
     return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
 
 
 def find_exchanged(case: PatternCase) -> PatternFindings:
-    """Finds limbs whose names are exchanged."""
+    """Find pairs of limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}
     concerned = {
         case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
     }
-    shaken = [top for top, names in limbs.items() if concerned & set(names)]
+    concerned_limbs = [top for top, names in limbs.items() if concerned & set(names)]
     pairs: list[tuple[str, str]] = []
-    second, gone = case.raw, set[Key]()
-    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
-    for one, two in islice(tries, _EXCHANGES):
-        if any({one, two} & set(pair) for pair in pairs):
+    second, vanished = case.raw, set[Key]()
+    candidates = (
+        (a, b) for a, b in combinations(concerned_limbs, 2) if len(limbs[a]) == len(limbs[b])
+    )
+    for first_limb, second_limb in islice(candidates, _MAX_EXCHANGES):
+        if any({first_limb, second_limb} & set(pair) for pair in pairs):
             continue
-        own = [*limbs[one], *limbs[two]]
-        exchange = dict(zip(limbs[one], limbs[two], strict=True))
-        carried = {*own, *(frame for name in own for frame in case.first.carried_by(name))}
-        before = {key for key in case.keys if key[1] in carried}
-        both = replace(second.part(own), frames=second.frames)
-        after = {
-            key for key in case.find_remaining(_renamed(both, exchange), own) if key[1] in carried
+        limb_joints = [*limbs[first_limb], *limbs[second_limb]]
+        exchange = dict(zip(limbs[first_limb], limbs[second_limb], strict=True))
+        carried = {
+            *limb_joints,
+            *(frame for name in limb_joints for frame in case.first.carried_by(name)),
         }
-        if len(before) > 1 and len(after) <= _STAY * len(before):
-            pairs.append((one, two))
-            second, gone = _renamed(second, exchange), gone | (before - after)
+        before = {key for key in case.keys if key[1] in carried}
+        part = replace(second.part(limb_joints), frames=second.frames)
+        after = {
+            key
+            for key in case.find_remaining(_exchange_names(part, exchange), limb_joints)
+            if key[1] in carried
+        }
+        if len(before) > 1 and len(after) <= _MAX_REMAINING_FRACTION * len(before):
+            pairs.append((first_limb, second_limb))
+            second, vanished = _exchange_names(second, exchange), vanished | (before - after)
     if pairs:
-        listed_limbs = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
+        listed_limbs = [
+            diagnose("limbs-of-a-pair", one=first_limb, two=second_limb)
+            for first_limb, second_limb in pairs
+        ]
         yield PatternFinding(
             "exchanged",
-            diagnose("limbs-exchanged", pairs=listed_limbs, count=len(gone), total=len(case.keys)),
-            gone,
+            diagnose(
+                "limbs-exchanged", pairs=listed_limbs, count=len(vanished), total=len(case.keys)
+            ),
+            vanished,
         )
 
 
-_STAY = 0.2
-"""Share of the differences of two limbs that may stay where they are exchanged."""
+_MAX_REMAINING_FRACTION = 0.2
+"""Largest fraction of the differences of two limbs that may remain after an exchange. Chosen."""
 
-_EXCHANGES = 60
-"""Pairs of limbs that are tried: all of eleven limbs."""
+_MAX_EXCHANGES = 60
+"""Largest number of pairs of limbs that are tested: more than all pairs of eleven limbs."""
 
 
-def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Exchanges joints of a tree, with all that they move."""
-    new = {**names, **{two: one for one, two in names.items()}}
+def _exchange_names(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
+    """Exchange the names of joints in a tree, with bodies and frames."""
+    exchanged = {**names, **{new_name: old_name for old_name, new_name in names.items()}}
     joints = {
-        new.get(name, name): replace(joint, parent=new.get(joint.parent, joint.parent))
+        exchanged.get(name, name): replace(joint, parent=exchanged.get(joint.parent, joint.parent))
         for name, joint in values.joints.items()
     }
     return replace(
         values,
         joints=joints,
-        bodies={new.get(name, name): body for name, body in values.bodies.items()},
+        bodies={exchanged.get(name, name): body for name, body in values.bodies.items()},
         frames={
-            frame: (new.get(owner, owner), place) for frame, (owner, place) in values.frames.items()
+            frame: (exchanged.get(owner, owner), place)
+            for frame, (owner, place) in values.frames.items()
         },
     )
 
 
-_MASS = {
+_MASS_UNITS = {
     1e3: ("g", "kg"),
     1e-3: ("kg", "g"),
     2.20462: ("pounds", "kg"),
     0.453592: ("kg", "pounds"),
 }
-_ANGLE = {math.degrees(1.0): ("degrees", "radians")}
-_LENGTH = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
-_INERTIA = {
+"""{factor: (unit used, unit required)} of masses."""
+
+_ANGLE_UNITS = {math.degrees(1.0): ("degrees", "radians")}
+"""{factor: (unit used, unit required)} of angles."""
+
+_LENGTH_UNITS = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
+"""{factor: (unit used, unit required)} of lengths."""
+
+_INERTIA_UNITS = {
     1e3: ("g m^2", "kg m^2"),
     1e4: ("kg cm^2", "kg m^2"),
     1e6: ("kg mm^2", "kg m^2"),
     1e7: ("g cm^2", "kg m^2"),
     1e9: ("g mm^2", "kg m^2"),
 }
+"""{factor: (unit used, unit required)} of moments of inertia."""
 
 
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
-    """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
+    """Find limits, masses, lengths or inertias that all differ by a common factor."""
     first, raw = case.first, case.raw
     bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
-    masses = _factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
-    inertias = _factor(
+    masses = _find_common_factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
+    inertias = _find_common_factor(
         [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
     )
     places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
-    lengths = _factor(places)
+    lengths = _find_common_factor(places)
     hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
     bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
-    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
+    limits = _find_common_factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
     for what, factor, units, kinds in (
-        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
-        ("masses", masses, _MASS, ("mass",)),
-        ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
-        ("inertias", inertias, _INERTIA, ("inertia",)),
+        ("limits", limits, _ANGLE_UNITS, ("lower limit", "upper limit")),
+        ("masses", masses, _MASS_UNITS, ("mass",)),
+        ("lengths", lengths, _LENGTH_UNITS, ("position", "com", "frame")),
+        ("inertias", inertias, _INERTIA_UNITS, ("inertia",)),
     ):
         if factor is None:
             continue
         yield PatternFinding(
             "units",
-            diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
+            diagnose(
+                "all-scaled", what=Term(what), factor=factor, guess=_guess_unit(factor, units)
+            ),
             {key for key in case.keys if key[0] in kinds},
         )
 
 
-def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Returns the one factor between all pairs of arrays; None if there is none, or it is 1."""
+def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
+    """Return the common factor between pairs of arrays.
+
+    Returns:
+        Factor; None if there are fewer than two nonzero pairs, if the arrays are not proportional
+        with equal positive ratios within 0.1 %, or if the factor is 1 within 1 %.
+    """
     ratios = []
-    for one, two in pairs:
-        size = float(np.linalg.norm(one))
+    for first, second in pairs:
+        size = float(np.linalg.norm(first))
         if size < 1e-12:
             continue
-        ratio = float(np.sum(one * two)) / size**2
-        if float(np.linalg.norm(two - ratio * one)) > 1e-3 * abs(ratio) * size:
+        ratio = float(np.sum(first * second)) / size**2
+        if float(np.linalg.norm(second - ratio * first)) > 1e-3 * abs(ratio) * size:
             return None
         ratios.append(ratio)
     if len(ratios) < 2 or min(ratios) <= 0 or max(ratios) > 1.001 * min(ratios):
@@ -393,7 +446,8 @@ def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
 
 
-def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
+def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
+    """Return the wrong unit or decimal point that explains a factor; None if there is none."""
     for size, (meant, right) in units.items():
         for file, times in (("MJCF", size), ("URDF", 1 / size)):
             if math.isclose(factor, times, rel_tol=2e-3):
@@ -403,24 +457,24 @@ def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic |
 
 
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
-    """Finds efforts that are the MJCF's once they are multiplied by the gears there."""
+    """Find URDF efforts that equal the MJCF's efforts after multiplication by the gear."""
     model = case.robot.mj_model
-    found: dict[tuple[float, float], list[str]] = defaultdict(list)
+    joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
     for kind, name in case.unexplained:
         if kind == "effort":
             effort = case.first.joints[name].effort
             motors = list_joint_actuators(model, model.joint(name).id)
             gear = abs(float(actuator_gear(model, motors[0])[0])) if len(motors) == 1 else 1.0
-            own = case.second.joints[name].effort
-            if gear != 1.0 and math.isclose(effort * gear, own, rel_tol=1e-6):
-                found[effort, gear].append(name)
-    if not found:
+            mjcf_effort = case.second.joints[name].effort
+            if gear != 1.0 and math.isclose(effort * gear, mjcf_effort, rel_tol=1e-6):
+                joints_by_gear[effort, gear].append(name)
+    if not joints_by_gear:
         return
     efforts = [
         diagnose("effort-times-gear", effort=effort, gear=gear, product=effort * gear, joints=names)
-        for (effort, gear), names in found.items()
+        for (effort, gear), names in joints_by_gear.items()
     ]
-    joints = [name for names in found.values() for name in names]
+    joints = [name for names in joints_by_gear.values() for name in names]
     yield PatternFinding(
         "gears",
         diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
@@ -429,94 +483,104 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 
 
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
-    """Finds that one file has no products of inertia at all.
+    """Test whether one file has no products of inertia.
 
-    They are dropped in the other file, in each link's own axes or, had they been folded before, in
-    those of the body that carries it: then the two are alike.
+    The products are removed in the other file, in the axes of each link or in the axes of the
+    combined body, and the inertias are compared again.
 
     Args:
         case: The two trees.
-        lacking: The file that is to have none, ``URDF`` or ``MJCF``.
+        lacking: File without products of inertia, ``URDF`` or ``MJCF``.
     """
     if sum(kind == "inertia" for kind, _ in case.unexplained) < 2:
         return
-    bare, full = (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
+    lacking_links, other_links = (
+        (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
+    )
     tree, other = (case.second, case.first) if lacking == "URDF" else (case.first, case.second)
-    if not all(_is_diagonal(_own(link)) for links in bare.values() for link in links):
+    if not all(
+        _is_diagonal(_get_own_inertia(link)) for links in lacking_links.values() for link in links
+    ):
         return
     in_links = {
-        name: tuple(_without_products(link) for link in links) for name, links in full.items()
+        name: tuple(_drop_products(link) for link in links) for name, links in other_links.items()
     }
     of_links = {
         name: fold_bodies(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies
     }
     of_folds = {
-        name: replace(body, inertia=_diagonal(body.inertia)) for name, body in tree.bodies.items()
+        name: replace(body, inertia=_keep_diagonal(body.inertia))
+        for name, body in tree.bodies.items()
     }
     for bodies in (of_links, of_folds):
-        left = {
+        remaining = {
             (change.kind, name)
             for name, body in bodies.items()
             for change in body_changes(name, body, other.bodies[name], case.tolerances)
             if change.kind == "inertia"
         }
-        gone = {key for key in case.unexplained if key[0] == "inertia"} - left
-        if len(gone) > 1 and left <= set(case.keys):
-            count = sum(not _is_diagonal(_own(link)) for group in full.values() for link in group)
+        vanished = {key for key in case.unexplained if key[0] == "inertia"} - remaining
+        if len(vanished) > 1 and remaining <= set(case.keys):
+            count = sum(
+                not _is_diagonal(_get_own_inertia(link))
+                for group in other_links.values()
+                for link in group
+            )
             yield PatternFinding(
                 "products",
                 diagnose("products-of-inertia-dropped", file=lacking, count=count),
-                gone,
+                vanished,
             )
             return
 
 
-def _own(link: ComparedLink) -> Array:
-    """Returns the inertia of a link in its own axes."""
+def _get_own_inertia(link: ComparedLink) -> Array:
+    """Return the inertia of a link in the axes of the link [kg m^2]."""
     return link.axes.T @ link.body.inertia @ link.axes
 
 
-def _without_products(link: ComparedLink) -> ComparedLink:
-    bare = link.axes @ _diagonal(_own(link)) @ link.axes.T
+def _drop_products(link: ComparedLink) -> ComparedLink:
+    bare = link.axes @ _keep_diagonal(_get_own_inertia(link)) @ link.axes.T
     return replace(link, body=replace(link.body, inertia=bare))
 
 
-def _diagonal(inertia: Array) -> Array:
+def _keep_diagonal(inertia: Array) -> Array:
     return np.diag(np.diag(inertia))
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    off = inertia - _diagonal(inertia)
+    off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
 def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
-    """Finds what one file has left out of its inertials."""
+    """Find products of inertia that the URDF or the MJCF lacks."""
     for file in ("URDF", "MJCF"):
         yield from find_dropped_products(case, file)
 
 
-_MOST_SUBSET_LINKS = 12
-"""Links of one body of which every subset is tried: 4096 of them, in a millisecond."""
-
-_MOST_RESIDUAL = 0.02
-"""Share of a body's difference that may be left where a slip is undone.
-
-Files of 5 to 6 digits leave some thousandths of a link that is a hundredth of its body. A wrong set
-of links leaves about as much as it takes away.
+_MAX_SUBSET_LINKS = 12
+"""Largest number of links of a body of which all subsets are tested: 4096 subsets in a millisecond.
 """
 
+_MAX_RESIDUAL = 0.02
+"""Largest fraction of a body's difference that may remain after a mistake is undone.
 
-_ALWAYS = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+Files with 5 to 6 digits leave some thousandths for a link of a hundredth of the body. A wrong
+subset of links leaves about as much as it removes."""
+
+
+_INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+"""Value of ``inertiafromgeom`` with which geoms override <inertial>."""
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
-    """Finds bodies without <inertial>, which MuJoCo weighs by their geoms."""
-    made = {
+    """Find inertial differences of bodies whose mass MuJoCo computes from geoms."""
+    geom_links = {
         mover: [link.name for link in links if link.name in case.from_geoms]
         for mover, links in case.mjcf.items()
     }
-    found = {key for key in case.unexplained if key[0] in INERTIAL_KINDS and made.get(key[1])}
+    found = {key for key in case.unexplained if key[0] in INERTIAL_KINDS and geom_links.get(key[1])}
     movers = list(
         dict.fromkeys(name for _, name in case.unexplained if name in {n for _, n in found})
     )
@@ -525,14 +589,18 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
             Quantity(sum(tree.bodies[name].mass for name in movers), "kg")
             for tree in (case.first, case.second)
         )
-        bodies = [body for name in movers for body in made[name]]
-        over = case.robot.description.mjcf.compiler.inertiafromgeom == _ALWAYS
-        message = diagnose("masses-of-geoms", bodies=bodies, overruled=over, urdf=urdf, mjcf=mjcf)
+        bodies = [body for name in movers for body in geom_links[name]]
+        is_overruled = (
+            case.robot.description.mjcf.compiler.inertiafromgeom == _INERTIA_ALWAYS_FROM_GEOM
+        )
+        message = diagnose(
+            "masses-of-geoms", bodies=bodies, overruled=is_overruled, urdf=urdf, mjcf=mjcf
+        )
         yield PatternFinding("geoms", message, found)
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Combines what an MJCF alone holds by equality constraints."""
+    """Combine all differences in equality constraints that only the MJCF has."""
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)
@@ -540,15 +608,16 @@ def find_closed_loops(case: PatternCase) -> PatternFindings:
 
 
 @dataclass(frozen=True, eq=False)
-class _Slip:
-    """What is wrong with some links of one body, and what is gone if it is undone.
+class _LinkSlip:
+    """Mistake in the inertials of some links of a body.
 
     Attributes:
-        mover: The joint that moves the body, or the base.
-        links: The links.
-        lacks: The file that lacks them, ``URDF`` or ``MJCF``; empty if they weigh a multiple.
-        factor: What they weigh in the MJCF, relative to the URDF.
-        inertia: Whether their inertias are that multiple, too.
+        mover: Joint that moves the body, or the base.
+        links: Links concerned.
+        lacks: File without these links, ``URDF`` or ``MJCF``; empty if the masses have another
+            factor.
+        factor: Mass in the MJCF divided by mass in the URDF.
+        inertia: Whether the inertia has the same factor.
     """
 
     mover: str
@@ -559,12 +628,12 @@ class _Slip:
 
 
 def find_link_slips(case: PatternCase) -> PatternFindings:
-    """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
-    differ = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
-    if not differ:
+    """Find missing links, and links with masses that differ by a factor."""
+    bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
+    if not bodies:
         return
-    slips = [slip for name in differ if (slip := _slip(case, name)) is not None]
-    groups: dict[tuple[str, float, bool], list[_Slip]] = defaultdict(list)
+    slips = [slip for name in bodies if (slip := _find_slip(case, name)) is not None]
+    groups: dict[tuple[str, float, bool], list[_LinkSlip]] = defaultdict(list)
     for slip in slips:
         groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
     for (lacks, *_), group in groups.items():
@@ -573,33 +642,43 @@ def find_link_slips(case: PatternCase) -> PatternFindings:
             key for key in case.unexplained if key[0] in INERTIAL_KINDS and key[1] in movers
         }
         if lacks:
-            yield PatternFinding("links", _lacking(group), explained)
+            yield PatternFinding("links", _describe_lacking_links(group), explained)
         else:
-            yield PatternFinding("scaled links", _scaled(group), explained)
+            yield PatternFinding("scaled links", _describe_scaled_links(group), explained)
 
 
-def _slip(case: PatternCase, name: str) -> _Slip | None:
-    """Returns the one slip that explains how a body differs, if any does."""
-    one, two = case.first.bodies[name], case.second.bodies[name]
-    apart = compute_moments(one) - compute_moments(two)
-    if not one.mass or not two.mass or not apart[0]:
+def _find_slip(case: PatternCase, name: str) -> _LinkSlip | None:
+    """Return the mistake that explains the difference of a body; None if there is none."""
+    first, second = case.first.bodies[name], case.second.bodies[name]
+    difference = compute_moments(first) - compute_moments(second)
+    if not first.mass or not second.mass or not difference[0]:
         return None
-    lacks, links = ("MJCF", case.urdf) if apart[0] > 0 else ("URDF", case.mjcf)
-    own = [link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(apart[0])]
-    if len(own) < len(links.get(name, ())):  # a body of which all links are gone is another thing
-        for chosen in _subsets(own, abs(apart[0])):
-            extra = sum((compute_moments(link.body) for link in chosen), start=np.zeros(10))
-            less = body_from_moments(compute_moments(one if lacks == "MJCF" else two) - extra)
-            if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
-                return _Slip(name, chosen, lacks)
+    lacks, links = ("MJCF", case.urdf) if difference[0] > 0 else ("URDF", case.mjcf)
+    candidates = [
+        link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(difference[0])
+    ]
+    if len(candidates) < len(links.get(name, ())):  # missing bodies are no missing links
+        for subset in _list_subsets(candidates, abs(difference[0])):
+            removed = sum((compute_moments(link.body) for link in subset), start=np.zeros(10))
+            reduced = body_from_moments(
+                compute_moments(first if lacks == "MJCF" else second) - removed
+            )
+            if _explains_difference(
+                case, name, reduced, second if lacks == "MJCF" else first, removed, difference
+            ):
+                return _LinkSlip(name, subset, lacks)
     kinds = {kind for kind, element in case.unexplained if element == name}
-    alone = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
-    if alone and not kinds & {"com", "inertia"} and not _is_power(two.mass / one.mass):
-        return None  # one number of one link: the difference says it all
-    # What another cause explains of the inertia says nothing of the link's.
-    both = (False,) if ("inertia", name) in case.explained else (True, False)
-    for link, inertia in product(case.urdf.get(name, ()), both):
-        factor = 1.0 - float(apart[0]) / link.body.mass
+    is_single_link = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
+    if (
+        is_single_link
+        and not kinds & {"com", "inertia"}
+        and not _is_power_of_ten(second.mass / first.mass)
+    ):
+        return None  # a single number of a single link needs no further cause
+    # If another cause explains the inertia, only the mass of the link is tested.
+    inertia_options = (False,) if ("inertia", name) in case.explained else (True, False)
+    for link, inertia in product(case.urdf.get(name, ()), inertia_options):
+        factor = 1.0 - float(difference[0]) / link.body.mass
         if factor <= 0:
             continue
         changed = TreeBody(
@@ -607,53 +686,73 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
             link.body.com,
             (factor if inertia else 1.0) * link.body.inertia,
         )
-        extra = compute_moments(link.body) - compute_moments(changed)
-        if _is_it(case, name, body_from_moments(compute_moments(one) - extra), two, extra, apart):
-            return _Slip(name, (link,), "", factor, inertia)
+        removed = compute_moments(link.body) - compute_moments(changed)
+        if _explains_difference(
+            case,
+            name,
+            body_from_moments(compute_moments(first) - removed),
+            second,
+            removed,
+            difference,
+        ):
+            return _LinkSlip(name, (link,), "", factor, inertia)
     return None
 
 
-def _subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
-    """Yields sets of links of a mass, the smallest first; of many links, of the heaviest."""
-    heaviest = sorted(links, key=lambda link: -link.body.mass)[:_MOST_SUBSET_LINKS]
+def _list_subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
+    """Yield sets of links with a total mass near ``mass`` [kg], small sets first.
+
+    Of more than `_MAX_SUBSET_LINKS` links only the heaviest are used.
+    """
+    heaviest = sorted(links, key=lambda link: -link.body.mass)[:_MAX_SUBSET_LINKS]
     masses = np.array([link.body.mass for link in heaviest])
     choices = np.array(list(product((False, True), repeat=len(heaviest))))
-    near = np.abs(choices @ masses - mass) <= 1.5 * _MOST_RESIDUAL * mass
+    near = np.abs(choices @ masses - mass) <= 1.5 * _MAX_RESIDUAL * mass
     for choice in sorted(choices[near].tolist(), key=sum):
         if any(choice):
             yield tuple(link for link, taken in zip(heaviest, choice, strict=True) if taken)
 
 
-def _is_it(
-    case: PatternCase, name: str, one: TreeBody, two: TreeBody, extra: Array, apart: Array
+def _explains_difference(
+    case: PatternCase,
+    name: str,
+    first: TreeBody,
+    second: TreeBody,
+    removed: Array,
+    difference: Array,
 ) -> bool:
-    """Tells whether two bodies are the same, and what was undone is what they differed by.
+    """Return True if two bodies agree and the removed moments equal the difference.
 
-    But for an inertia that another cause explains already: what is left of it says nothing.
+    Kinds of differences that another cause explains are ignored.
     """
-    taken = {kind for kind, element in case.explained if element == name}
-    changes = {change.kind for change in body_changes(name, one, two, case.tolerances)}
-    if not one.mass > 0 or changes - taken:
+    explained_kinds = {kind for kind, element in case.explained if element == name}
+    changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
+    if not first.mass > 0 or changes - explained_kinds:
         return False
-    scale = _scale(case.first.bodies[name], case.second.bodies[name])
-    if "inertia" in taken:
+    scale = _compute_moment_scale(case.first.bodies[name], case.second.bodies[name])
+    if "inertia" in explained_kinds:
         scale[4:] = math.inf
-    extra = extra if float(extra[0] * apart[0]) >= 0 else -extra
-    left, whole = (float(np.linalg.norm(moments / scale)) for moments in (apart - extra, apart))
-    return left <= _MOST_RESIDUAL * whole
+    removed = removed if float(removed[0] * difference[0]) >= 0 else -removed
+    remaining, total = (
+        float(np.linalg.norm(moments / scale)) for moments in (difference - removed, difference)
+    )
+    return remaining <= _MAX_RESIDUAL * total
 
 
-def _scale(one: TreeBody, two: TreeBody) -> Array:
-    """Returns what moments are weighed by (10,): lengths by a body's radius of gyration."""
-    mass = max(one.mass, two.mass)
-    turning = max(float(np.trace(body.inertia)) for body in (one, two))
-    far = max(float(np.linalg.norm(body.com)) for body in (one, two))
-    length = max(math.sqrt(max(turning, 0.0) / mass), far, 1e-6)
+def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
+    """Compute scales of moments, shape (10,): 1, L and L^2 for mass, first and second moments.
+
+    L is the larger of the radius of gyration and the distance of the CoM [m].
+    """
+    mass = max(first.mass, second.mass)
+    inertia_trace = max(float(np.trace(body.inertia)) for body in (first, second))
+    com_distance = max(float(np.linalg.norm(body.com)) for body in (first, second))
+    length = max(math.sqrt(max(inertia_trace, 0.0) / mass), com_distance, 1e-6)
     return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
 
 
-def _lacking(slips: Sequence[_Slip]) -> Diagnostic:
-    """Says which links a file lacks, those of one name pattern at once."""
+def _describe_lacking_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
+    """Describe the links that a file lacks, grouped by name pattern."""
     links = {link.name: link.body.mass for slip in slips for link in slip.links}
     other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
@@ -677,8 +776,8 @@ def _lacking(slips: Sequence[_Slip]) -> Diagnostic:
     return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=messages)
 
 
-def _scaled(slips: Sequence[_Slip]) -> Diagnostic:
-    """Says which links weigh a multiple in the MJCF."""
+def _describe_scaled_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
+    """Describe the links whose mass in the MJCF differs by a factor."""
     factor = float(f"{slips[0].factor:.6g}")
     links = [
         diagnose(
@@ -693,114 +792,129 @@ def _scaled(slips: Sequence[_Slip]) -> Diagnostic:
     return diagnose("links-scaled", links=links, factor=factor, inertia=slips[0].inertia)
 
 
-def _is_power(factor: float) -> bool:
-    """Whether a factor is a power of ten, and not 1."""
+def _is_power_of_ten(factor: float) -> bool:
+    """Return True if a factor is a power of ten other than 1."""
     power = math.log10(factor)
     return math.isclose(power, round(power), abs_tol=1e-3) and round(power) != 0
 
 
 def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
-    """Returns {``*_rotor`` or ``sensor_*``, or a name by itself: the names}, the largest first."""
-    left, found = list(names), dict[str, list[str]]()
-    while left:
-        alike: dict[str, list[str]] = defaultdict(list)
-        for name in left:
+    """Group names by a common prefix or suffix, the largest group first.
+
+    Returns:
+        {``*_rotor``, ``sensor_*``, or the complete name: names}.
+    """
+    remaining, groups = list(names), dict[str, list[str]]()
+    while remaining:
+        candidates: dict[str, list[str]] = defaultdict(list)
+        for name in remaining:
             for place in (match.start() for match in re.finditer(r"[^A-Za-z0-9]", name)):
-                alike[f"*{name[place:]}"].append(name)
-                alike[f"{name[: place + 1]}*"].append(name)
+                candidates[f"*{name[place:]}"].append(name)
+                candidates[f"{name[: place + 1]}*"].append(name)
         pattern, group = max(
-            alike.items(), key=lambda each: (len(each[1]), len(each[0])), default=("", [])
+            candidates.items(), key=lambda item: (len(item[1]), len(item[0])), default=("", [])
         )
         if len(group) < 2:
-            return found | {name: [name] for name in left}
-        found[pattern] = group
-        left = [name for name in left if name not in group]
-    return found
+            return groups | {name: [name] for name in remaining}
+        groups[pattern] = group
+        remaining = [name for name in remaining if name not in group]
+    return groups
 
 
-_OTHER_BODYS_MASS = 0.1
-"""How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
+_MIN_FOREIGN_MASS_CHANGE = 0.1
+"""Smallest relative change of a mass that indicates the inertial of another body. Chosen."""
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
-    """Finds bodies of which nothing is the other file's."""
+    """Find bodies of which mass, CoM and inertia all differ, the mass by at least 10 %."""
     kinds = ("mass", "com", "inertia")
-    others = []
-    for name, one in case.first.bodies.items():
-        two = case.second.bodies[name]
+    foreign = []
+    for name, first in case.first.bodies.items():
+        second = case.second.bodies[name]
         if not {(kind, name) for kind in kinds} <= set(case.unexplained):
             continue
-        if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER_BODYS_MASS * one.mass:
-            others.append(name)
-    if others:
-        links = [case.first.bodies[name].link or name for name in others]
+        if (
+            first.mass
+            and second.mass
+            and abs(second.mass - first.mass) >= _MIN_FOREIGN_MASS_CHANGE * first.mass
+        ):
+            foreign.append(name)
+    if foreign:
+        links = [case.first.bodies[name].link or name for name in foreign]
         yield PatternFinding(
             "inertial",
             diagnose("inertials-of-another-robot", bodies=links),
-            {(kind, name) for kind in kinds for name in others},
+            {(kind, name) for kind in kinds for name in foreign},
         )
 
 
-_PARALLEL = 1e-9  # sine of an angle
+_MIN_AXIS_SINE = 1e-9
+"""Smallest sine of the angle between axes that are not parallel."""
 
-_MOST_MOVED_JOINTS = 20
-"""Joints elsewhere of which no single one is looked at: it is another robot, and each look takes as
-long as a comparison."""
+_MAX_MOVED_JOINTS = 20
+"""Largest number of displaced joints for which single joints are tested. With more, the file is
+another robot, and each test takes as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Finds joints whose axis alone is elsewhere.
+    """Find joints of which only the axis is displaced.
 
-    A body is drawn from its joint on: if that is moved, com, children and frames all are at other
-    places as seen from it, though none of them has moved in the robot.
+    Bodies are expressed in the frame of the joint. If only the joint is moved, CoM, children and
+    frames seem displaced too, although they have not moved in the robot.
     """
     names = [element for kind, element in case.keys if kind == "position"]
-    for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
+    for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
         moved = copy_joint_axis(case.second, case.first, name)
-        gone = case.find_explained(moved)
-        if ("position", name) not in gone:
+        vanished = case.find_explained(moved)
+        if ("position", name) not in vanished:
             continue
-        away, angle = _apart(case.first.joints[name], case.second.joints[name])
+        distance, angle = _measure_axis_offset(case.first.joints[name], case.second.joints[name])
         yield PatternFinding(
             "line",
             diagnose(
                 "axis-elsewhere",
                 subject=("joint", name),
-                distance=Quantity(away, "m") if away > case.tolerances.position else None,
+                distance=Quantity(distance, "m") if distance > case.tolerances.position else None,
                 angle=Quantity(angle, "rad") if angle > case.tolerances.axis else None,
             ),
-            gone,
+            vanished,
         )
 
 
 def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
-    """Returns a robot in which a joint turns about another's axis; its body stays at zero.
+    """Replace the axis of a joint by the axis in another tree; no body moves at zero angles.
 
     Args:
-        values: The robot.
-        other: A robot with that joint, in the same frame of the parent's.
-        name: The joint.
+        values: Tree to be modified.
+        other: Tree with the same joint, in the same frame of the parent.
+        name: Joint.
     """
-    mine, new = values.joints[name], other.joints[name]
-    put = new.placement.actInv(mine.placement)
-    joint = replace(mine, position=new.position, rotation=new.rotation, axis=new.axis)
-    turned = in_body_frame(values, name, np.array(put.rotation), np.array(put.translation))
-    return replace(turned, joints={**turned.joints, name: joint})
+    old_joint, new_joint = values.joints[name], other.joints[name]
+    shift = new_joint.placement.actInv(old_joint.placement)
+    joint = replace(
+        old_joint, position=new_joint.position, rotation=new_joint.rotation, axis=new_joint.axis
+    )
+    shifted = in_body_frame(values, name, np.array(shift.rotation), np.array(shift.translation))
+    return replace(shifted, joints={**shifted.joints, name: joint})
 
 
-def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
-    """Returns the distance (m) of two joints' axes, and the angle (rad) between them.
+def _measure_axis_offset(first_joint: TreeJoint, second_joint: TreeJoint) -> tuple[float, float]:
+    """Compute the distance [m] and the angle [rad] between the axes of two joints.
 
-    In the frame of the parent, at zero; an axis of the opposite sign is the same line.
+    Both joints are expressed in the frame of the parent, at zero angles. The sign of an axis is
+    ignored.
     """
-    first, second = one.rotation @ one.axis, two.rotation @ two.axis
-    between, across = two.position - one.position, np.cross(first, second)
-    sine = float(np.linalg.norm(across))
-    if sine > _PARALLEL:
-        away = abs(float(between @ across)) / sine
+    first, second = (
+        first_joint.rotation @ first_joint.axis,
+        second_joint.rotation @ second_joint.axis,
+    )
+    offset, normal = second_joint.position - first_joint.position, np.cross(first, second)
+    sine = float(np.linalg.norm(normal))
+    if sine > _MIN_AXIS_SINE:
+        distance = abs(float(offset @ normal)) / sine
     else:
-        away = float(np.linalg.norm(np.cross(between, first)))
-    return away, float(np.arctan2(sine, abs(float(first @ second))))
+        distance = float(np.linalg.norm(np.cross(offset, first)))
+    return distance, float(np.arctan2(sine, abs(float(first @ second))))
 
 
 def find_causes(
@@ -810,14 +924,17 @@ def find_causes(
     tolerances: Tolerances,
     from_geoms: Collection[str] = (),
 ) -> tuple[PatternCause, ...]:
-    """Finds slips that explain several differences each.
+    """Find mistakes that explain two or more differences each.
 
     Args:
-        robot: The robot.
-        second: The MJCF's tree, in the URDF's link frames.
+        robot: Robot.
+        second: Tree of the MJCF, in the body frames of the URDF.
         differences: All differences.
-        tolerances: What counts as one.
-        from_geoms: The MJCF's bodies that take their mass from their geoms.
+        tolerances: Tolerances of the comparison.
+        from_geoms: Bodies of the MJCF whose mass is computed from geoms.
+
+    Returns:
+        Causes, each with the indices of differences. A difference belongs to at most one cause.
     """
     if len(differences) < 2:
         return ()
@@ -828,20 +945,22 @@ def find_causes(
     mjcf = list_mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)
     case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf, from_geoms)
-    found: list[PatternCause] = []
-    taken: set[int] = set()
-    for look in _LOOKS:
-        for finding in look(replace(case, explained={keys[n] for n in taken})):
+    causes: list[PatternCause] = []
+    explained_numbers: set[int] = set()
+    for search in _SEARCHES:
+        for finding in search(replace(case, explained={keys[n] for n in explained_numbers})):
             numbers = tuple(
-                n for n, key in enumerate(keys) if key in finding.explained and n not in taken
+                n
+                for n, key in enumerate(keys)
+                if key in finding.explained and n not in explained_numbers
             )
             if len(numbers) > 1:
-                taken |= set(numbers)
-                found.append(PatternCause(finding.kind, finding.diagnostic, numbers))
-    return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
+                explained_numbers |= set(numbers)
+                causes.append(PatternCause(finding.kind, finding.diagnostic, numbers))
+    return tuple(sorted(causes, key=lambda cause: (not cause.leads, cause.differences)))
 
 
-_LOOKS = (
+_SEARCHES = (
     find_angle_settings,
     find_exchanged,
     find_scaled_quantities,
@@ -853,4 +972,4 @@ _LOOKS = (
     find_foreign_inertials,
     find_moved_axes,
 )
-"""From what explains most at once to what explains a single body."""
+"""Searches, sorted from mistakes that explain most differences to mistakes in a single body."""

@@ -1,4 +1,4 @@
-"""``pupper-analysis crosscheck``: what makes two model files disagree."""
+"""``pupper-analysis crosscheck``: find the differences between a URDF and an MJCF."""
 
 from __future__ import annotations
 

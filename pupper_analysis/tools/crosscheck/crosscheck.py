@@ -1,7 +1,8 @@
-"""Compares two files of a robot, and evaluates both in both engines.
+"""Comparison of a URDF with an MJCF, and evaluation of both in Pinocchio and MuJoCo.
 
-The four evaluations form a square: along two sides the engine is the same and the models differ,
-along the other two the model is the same and the engines differ. So a deviation tells whose it is.
+The four evaluations form a square. Along two edges the engine is the same and the models differ;
+along the other two the model is the same and the engines differ. So a deviation is attributed to
+the models or to an engine.
 
     URDF in Pinocchio --- models --- MJCF in Pinocchio
            |                                |
@@ -9,10 +10,9 @@ along the other two the model is the same and the engines differ. So a deviation
            |                                |
     URDF in MuJoCo ------ models --- MJCF in MuJoCo --- extras --- MJCF as it is
 
-What a URDF cannot state (springs, tendons, fluid ...; see `passive`) is taken out of the MJCF for
-the square, so that both engines are given the same model; the last side tells what it does.
-
-A backend evaluation is one quantity of a robot's model by Pinocchio, by MuJoCo or by yourdfpy.
+Terms that a URDF cannot express (springs, tendons, fluid ...; see `mjcf_only`) are removed from the
+MJCF for the square, so that both engines use the same model. The last edge shows the effect of
+these terms. yourdfpy evaluates the foot positions of the URDF as well, unless the robot is large.
 """
 
 from __future__ import annotations
@@ -75,16 +75,16 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
-"""How far the two engines may deviate on one model, relative to a quantity's scale."""
+"""Largest deviation of two engines on the same model, relative to the scale of the quantity."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(FilesCompared):
-    """What became of the comparison of a URDF with an MJCF, and of the cross-check.
+    """Result of comparing a URDF with an MJCF, and of the cross-check.
 
     Attributes:
-        check: The cross-check: both models in both engines.
-        engines: Quantities on which the engines deviate for one and the same model.
+        check: Cross-check of both models in both engines.
+        engines: Quantities on which the engines deviate for the same model.
     """
 
     check: CrossCheck
@@ -105,33 +105,31 @@ def compare_models(
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
-    """Compares a URDF with an MJCF of the same robot, and explains how they differ.
+    """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
-    A file of another format (`base.tools.formats`) may stand in the place of either.
+    Files of further formats (`base.tools.formats`) are accepted in place of either file.
 
     Args:
-        urdf: Path of the URDF, or what stands for it.
-        mjcf: Path of the MJCF, or what stands for it.
+        urdf: Path of the URDF or its replacement.
+        mjcf: Path of the MJCF or its replacement.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-        feet: Frames, by their names in the MJCF, that count as feet; by default all frames that
-            both files have are compared.
-        tolerances: What counts as a difference; by default for files of 5 to 6 digits.
-        strict_names: Joints that are matched by structure, not by their name or by ``names``, are
-            a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
-            that the URDF does not state; otherwise a note tells of them. And a fixed base that is
-            tilted against the URDF's; otherwise `mount` alone tells of it.
+        packages: {ROS package: folder}, for ``package://`` paths.
+        feet: Frames that count as feet, named as in the MJCF; by default all frames in both files.
+        tolerances: Largest accepted differences; the default is for files with 5 to 6 digits.
+        strict_names: Report as differences: joints that are matched by structure, damping and
+            friction that the URDF does not state, and a fixed base that is tilted against the URDF.
+            Otherwise these are reported in ``guessed``, ``notes`` and ``mount``.
         configurations: Number of random configurations of the cross-check.
-        seed: Of the random numbers, 0 or more.
+        seed: Seed of the random numbers, at least 0.
 
     Returns:
-        The comparison.
+        Comparison.
 
     Raises:
-        ModelError: If a file cannot be read, or the two cannot be matched.
-        MissingPackageError: If what reads the format of one is not installed.
-        UnknownNameError: If a name is not in its file.
-        ConfigurationError: If an argument is out of its range.
+        ModelError: If a file cannot be read, or the files cannot be matched.
+        MissingPackageError: If the package that reads the format of a file is not installed.
+        UnknownNameError: If a name does not occur in the file.
+        ConfigurationError: If an argument is out of range.
     """
     validate_state_request(configurations, seed)
     tolerances = tolerances or Tolerances()
@@ -151,21 +149,23 @@ def compare_models(
         seed=seed,
         mimics=compared.matched.mimics,
     )
-    own = {
+    values = {
         field_info.name: getattr(compared.result, field_info.name)
         for field_info in fields(compared.result)
     }
-    own["differences"] = tuple(
+    values["differences"] = tuple(
         replace(difference, made_of=list_mass_shares(difference, *compared.sources))
-        for difference in own["differences"]
+        for difference in values["differences"]
     )
-    return Comparison(**own, check=check, engines=_engines(check, compared.explanation))
+    return Comparison(
+        **values, check=check, engines=_list_engine_deviations(check, compared.explanation)
+    )
 
 
 def list_mass_shares(
     difference: Difference, urdf: Sources, mjcf: Sources
 ) -> tuple[Diagnostic, ...]:
-    """Says of which links or bodies a mass, a com or an inertia is made, the heaviest first."""
+    """List the links or bodies that contribute to a different inertial, the heaviest first."""
     if difference.kind not in INERTIAL_KINDS:
         return ()
     made_of = []
@@ -180,8 +180,11 @@ def list_mass_shares(
     return tuple(made_of)
 
 
-def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """Says where the engines deviate for one and the same model."""
+def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
+    """List the deviations of two engines on the same model above `ENGINE_RTOL`.
+
+    Edges with the MJCF are skipped if the differences do not explain the deviation of the models.
+    """
     return tuple(
         diagnose(
             "engines-deviate",
@@ -193,7 +196,7 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, .
         for whose, relative in quantity.edges.items()
         if whose in ENGINE_EDGES
         and relative > ENGINE_RTOL
-        # With what no difference explains, the two got different models.
+        # If differences are missing in the list, the engines did not get the same model.
         and (explanation.complete or whose not in MJCF_ENGINE_EDGES)
     )
 
@@ -202,9 +205,10 @@ Array = NDArray[np.float64]
 
 
 Evaluation = dict[str, Array]
-"""{quantity: (n, ...) of the model, or (configurations, n, ...) of states}."""
+"""{quantity: values}: shape (rows, k) for the model, or (configurations, rows, k) for states."""
 
 BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
+"""Owners of the rows of a quantity."""
 
 QUANTITIES = {
     "body masses": (BODIES, "kg"),
@@ -228,15 +232,16 @@ QUANTITIES = {
     "gyro": ("IMU", "rad/s"),
     "accelerometer": ("IMU", "m/s^2"),
 }
-"""{quantity: what its rows belong to, its unit}. What does not depend on the configuration is in
-the base's axes at zero angles."""
+"""{quantity: (owner of the rows, unit)}. Quantities that do not depend on the configuration are
+expressed in base axes at zero angles."""
 
 ROW_SCALED_QUANTITIES = ("body masses", "body inertias")
-"""What is judged on each row's own scale, instead of on the greatest of all."""
+"""Quantities whose deviation is relative to the scale of the row, not to the largest value of all
+rows."""
 
 
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
-    """Returns what each row of a quantity belongs to."""
+    """Return the names of the rows of a quantity."""
     base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
     rows = {
         BODIES: (robot.base, *robot.joint_names),
@@ -244,26 +249,26 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
         DOFS: (*(base if robot.floating else ()), *robot.joint_names),
         FEET: robot.contact_points,
     }
-    of = QUANTITIES[quantity][0]
-    return rows.get(of, (of,))
+    owner = QUANTITIES[quantity][0]
+    return rows.get(owner, (owner,))
 
 
 def collect_evaluation(
     robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
-    """Collects what does not depend on the configuration, and what was computed at each."""
-    found: Evaluation = {
+    """Combine values of the model with values at each state, as arrays with one row per label."""
+    evaluation: Evaluation = {
         name: np.array(values, dtype=float).reshape(len(list_row_labels(robot, name)), -1)
         for name, values in at_rest.items()
     }
     for name in of_states[0]:
         rows = np.array([values[name] for values in of_states])
-        found[name] = rows.reshape(len(rows), len(list_row_labels(robot, name)), -1)
-    return found
+        evaluation[name] = rows.reshape(len(rows), len(list_row_labels(robot, name)), -1)
+    return evaluation
 
 
 def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
-    """Evaluates the robot's Pinocchio model, at states what depends on them."""
+    """Evaluate the Pinocchio model of a robot at states."""
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
     placements = joint_placements(model, convention.q(rest.qpos))
@@ -272,12 +277,11 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
     bodies = [placements[joint].act(model.inertias[joint]) for joint in (base, *ids)]
     v = convention.v_index
     at_rest = {
-        **_of_bodies(bodies),
+        **_collect_body_values(bodies),
         "joint axes": [rest.joint_axis(name) for name in robot.joint_names],
         "lower joint limits": robot.lower_limits,
         "upper joint limits": robot.upper_limits,
-        # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and
-        # `resolve_effort_limit`.
+        # An effort of 0 means no limit in a URDF, as in MuJoCo's importer.
         "effort limits": np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
         "armature": model.armature[v],
         "joint damping": model.damping[v],
@@ -286,7 +290,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
     base_rows = robot.nv - robot.nu
     damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
     of_states = []
-    del rest  # Pinocchio's data of hundreds of joints take a second to make: its serve all states
+    del rest  # release Pinocchio's data for reuse: creating data takes 1 s for hundreds of joints
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         config = Configuration(robot, qpos, qvel)
         force = -damping * qvel
@@ -310,7 +314,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
     return collect_evaluation(robot, at_rest, of_states)
 
 
-def _of_bodies(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
+def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
     return {
         "body masses": [body.mass for body in bodies],
         "body coms": [np.array(body.lever) for body in bodies],
@@ -325,22 +329,22 @@ def evaluate_in_mujoco(
     frames: Mapping[str, str],
     states: States,
 ) -> Evaluation:
-    """Evaluates a model of the robot in MuJoCo.
+    """Evaluate a MuJoCo model of a robot at states.
 
     Args:
-        robot: The robot; its joints and feet are evaluated.
-        model: Its URDF or MJCF, compiled.
-        base: The body that is the base there.
-        frames: {foot or frame: its name there}.
-        states: Where to evaluate what depends on the configuration.
+        robot: Robot that defines joints and feet.
+        model: Compiled URDF or MJCF.
+        base: Name of the base body in ``model``.
+        frames: {foot or frame: name in ``model``}.
+        states: Configurations, velocities and torques.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.of(model, robot.joint_names)
     convention.set_state(data, robot.neutral())
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
-    at_rest = _at_rest(robot, model, data, base, dofs)
-    sensors = _imu_sensors(model, robot.imu)
+    at_rest = _evaluate_at_rest(robot, model, data, base, dofs)
+    sensors = _find_imu_sensors(model, robot.imu)
     places = [foot_site(model, frame, robot.name) for frame in frames.values()]
     root = model.body(base).id
     public = convention.qvel_index
@@ -380,20 +384,20 @@ def evaluate_in_mujoco(
     return collect_evaluation(robot, at_rest, of_states)
 
 
-def _at_rest(
+def _evaluate_at_rest(
     robot: Robot,
     model: mujoco.MjModel,
     data: mujoco.MjData,
     base: str,
     dofs: NDArray[np.int64],
 ) -> dict[str, ArrayLike]:
-    """Evaluates what does not depend on the state; the data are those of zero angles."""
+    """Evaluate the quantities that do not depend on the state; ``data`` must be at zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
     carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
-    bodies = _lumped(model, data, carriers)
+    bodies = _lump_fixed_bodies(model, data, carriers)
     limited = model.jnt_limited[joints].astype(bool)
     return {
-        **_of_bodies(bodies),
+        **_collect_body_values(bodies),
         "joint axes": data.xaxis[joints],
         "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
         "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
@@ -404,12 +408,13 @@ def _at_rest(
     }
 
 
-def _lumped(
+def _lump_fixed_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, carriers: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Returns the inertia, in the world's axes, of each body with the static ones fixed to it.
+    """Return the inertia of each carrier with all bodies fixed to it, in world axes.
 
-    All that stands in the world is a fixed base's, the first of the carriers, as in Pinocchio.
+    If the first carrier is fixed to the world, all bodies fixed to the world belong to it, as in
+    Pinocchio.
     """
     total = {carrier: pin.Inertia.Zero() for carrier in carriers}
     fixed = model.body_weldid[carriers[0]] == 0
@@ -430,8 +435,8 @@ def _lumped(
     return [total[carrier] for carrier in carriers]
 
 
-def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
-    """Returns the addresses of the gyro and the accelerometer at a site, in sensordata."""
+def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
+    """Return the addresses of gyro and accelerometer at a site in sensordata; None if not found."""
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
         found = [
@@ -446,16 +451,16 @@ def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | N
 
 
 def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
-    """Returns the feet's positions by yourdfpy's forward kinematics of the URDF."""
+    """Compute the foot positions by yourdfpy's forward kinematics of the URDF."""
     import yourdfpy  # slow to import
 
-    file = io.BytesIO(_with_unit_axes(robot.description.urdf))
+    file = io.BytesIO(_normalise_axes(robot.description.urdf))
     urdf = yourdfpy.URDF.load(file, build_scene_graph=True, load_meshes=False)
     order = [robot.joint_names.index(name) for name in urdf.actuated_joint_names]
     rows = []
     for qpos in states.qpos:
         urdf.update_cfg(qpos[robot.nq - robot.nu :][order])
-        base = _base(robot, qpos)
+        base = _compute_base_pose(robot, qpos)
         origin, rotation = base.translation, base.rotation
         frames = robot.contact_frames.values()
         places = [urdf.get_transform(frame, robot.base)[:3, 3] for frame in frames]
@@ -463,11 +468,11 @@ def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
     return collect_evaluation(robot, {}, rows)
 
 
-def _with_unit_axes(text: str) -> bytes:
-    """Returns a URDF whose axes are of length 1.
+def _normalise_axes(text: str) -> bytes:
+    """Return a URDF with unit axes and without shapes.
 
-    The engines take an axis for a direction; yourdfpy moves a slide by its length times q. Its
-    shapes are left out: yourdfpy knows no capsules.
+    The engines use the direction of an axis only; yourdfpy moves a slide by q times the length of
+    the axis, and does not read capsules.
     """
     tree = UrdfTree.of(text)
     tree.remove_shapes()
@@ -478,8 +483,8 @@ def _with_unit_axes(text: str) -> bytes:
     return to_text(tree.root).encode()
 
 
-def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
-    """Returns where the base's frame is in the world, which takes no kinematics."""
+def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
+    """Return the pose of the base frame in the world, without forward kinematics."""
     model = robot.pin_model
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     if not robot.floating:
@@ -488,7 +493,8 @@ def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 
 DEFAULT_RTOL = 1e-9
-"""Deviation, relative to a quantity's scale, up to which two evaluations agree."""
+"""Default tolerance of the deviation between two evaluations, relative to the scale of the
+quantity."""
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
 
@@ -503,7 +509,8 @@ MJCF_AS_IT_IS = "MJCF as it is"
 URDF_YOURDFPY = "URDF in yourdfpy"
 
 EXTRAS_EDGE = "extras (MJCF)"
-"""The side of springs, tendons, fluid and others that a URDF has no words for."""
+"""Edge that shows the effect of springs, tendons, fluid and other terms that a URDF cannot express.
+"""
 
 EDGE_NAMES = {
     (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
@@ -513,29 +520,29 @@ EDGE_NAMES = {
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
     (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS_EDGE,
 }
-"""What a deviation between two evaluations is a deviation of."""
+"""{(evaluation, evaluation): name of the edge}."""
 
 ENGINE_EDGES = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
-"""Deviations of engines, which read one and the same model."""
+"""Edges between two engines with the same model."""
 
 MJCF_ENGINE_EDGES = ("engines (MJCF)",)
-"""Those of them in which MuJoCo's model is the MJCF's."""
+"""Engine edges on which the MuJoCo model is the MJCF."""
 
 
 @dataclass(frozen=True, eq=False)
 class QuantityCheck(Result):
-    """How far the evaluations on one quantity deviate.
+    """Deviation between the evaluations of a quantity.
 
     Attributes:
-        name: The quantity.
-        unit: Its unit.
-        scale: What the deviation is relative to: the greatest absolute value.
-        deviation: The worst absolute deviation.
-        relative: The worst relative deviation.
-        between: The two evaluations that deviate most.
-        whose: What it is a deviation of: the models, or the engines.
-        where: The body, joint or foot where it occurs, and the configuration's number.
-        edges: {whose: worst relative deviation}.
+        name: Quantity.
+        unit: Unit of the quantity.
+        scale: Largest absolute value at the worst deviation, for `relative`.
+        deviation: Absolute deviation at the place of the worst relative deviation.
+        relative: Largest relative deviation.
+        between: Evaluations with the largest deviation.
+        whose: Edge with the largest deviation: models, engines or extras.
+        where: Body, joint or foot with the largest deviation, and number of the configuration.
+        edges: {edge: largest relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
     """
 
@@ -553,16 +560,17 @@ class QuantityCheck(Result):
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck(Result):
-    """The comparison of a robot's two models in two engines, and of yourdfpy's kinematics.
+    """Comparison of both models of a robot in both engines, and of yourdfpy's kinematics.
 
     Attributes:
         passed: Whether all quantities agree.
-        tolerance: Relative.
+        tolerance: Largest accepted relative deviation.
         configurations: Number of random configurations.
-        seed: Of the random numbers.
-        quantities: Per quantity.
-        worst: The name of the quantity with the greatest relative deviation.
-        notes: Where values come from that one of the files cannot state.
+        seed: Seed of the random numbers.
+        quantities: Result for each quantity.
+        worst: Quantity with the largest relative deviation.
+        notes: Sources of values that one of the files cannot state, and evaluations that were left
+            out.
     """
 
     passed: bool
@@ -575,14 +583,16 @@ class CrossCheck(Result):
 
 
 MAX_CONFIGURATIONS = 100_000
-"""Configurations that are compared: more find nothing, and fill the memory."""
+"""Largest number of configurations, which bounds the memory. More configurations find nothing new.
+"""
 
 
 def validate_state_request(count: int, seed: int) -> None:
-    """Checks what random states are asked for.
+    """Validate number and seed of random states.
 
     Raises:
-        ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
+        ConfigurationError: If ``count`` is below 1 or above `MAX_CONFIGURATIONS`, or the seed is
+            not an integer of at least 0.
     """
     if count < 1:
         raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
@@ -595,7 +605,7 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yields what is left out of the comparison of a large robot at so many states."""
+    """Yield a note if a large robot is evaluated without Pinocchio and at fewer states."""
     if is_large(robot):
         states = affordable_states(robot, count)
         yield diagnose("large-without-pinocchio", dofs=robot.nv, states=states, count=count)
@@ -611,44 +621,46 @@ def cross_check(
     seed: int = 0,
     mimics: Mimics | None = None,
 ) -> CrossCheck:
-    """Compares the URDF and the MJCF, in Pinocchio and in MuJoCo.
+    """Compare a URDF and an MJCF in Pinocchio and in MuJoCo.
 
-    Configurations are random: joints inside their limits, the base anywhere (if it is free), with
-    velocities and joint torques.
+    States are random: joints within their limits, any pose of a floating base, with velocities and
+    joint torques.
 
     Args:
-        robot: The robot.
-        configurations: How many.
-        tolerance: Relative deviation that is let pass.
-        seed: For the random numbers, 0 or more.
-        mimics: The joints that follow others in the URDF; those of its text by default. A joint
-            equality of the MJCF that says the same does not act here.
+        robot: Robot.
+        configurations: Number of states. Large robots are evaluated at fewer states.
+        tolerance: Largest accepted relative deviation.
+        seed: Seed of the random numbers, at least 0.
+        mimics: Mimic joints of the URDF; by default read from its text. An equivalent joint
+            equality of the MJCF is disabled.
 
     Returns:
-        The worst deviation of each quantity, where it occurs, and the verdict.
+        Largest deviation of each quantity with its place, and the verdict.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
+        ConfigurationError: If an argument is out of range.
     """
     validate_state_request(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
-    configurations, asked = affordable_states(robot, configurations), configurations
+    configurations, requested = affordable_states(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
-    found = mjcf_only_effects(reference)
+    effects = mjcf_only_effects(reference)
     if mimics is None:
         mimics = urdf_mimics(parse_text(robot.description.urdf))
-    coupled, _ = split_mimics(found, reference, mimics, tolerance)
-    evaluations, left_out, robot = _evaluations(
+    coupled, _ = split_mimics(effects, reference, mimics, tolerance)
+    evaluations, left_out, robot = _evaluate_all(
         robot,
         states,
-        without_effects(robot.mj_model, found),
+        without_effects(robot.mj_model, effects),
         without_effects(robot.mj_model, coupled),
     )
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     checks = tuple(
-        _compare(name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance)
+        _compare_quantity(
+            name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance
+        )
         for name in evaluations[first]
     )
     return CrossCheck(
@@ -660,7 +672,7 @@ def cross_check(
         worst=max(checks, key=lambda check: check.relative).name,
         notes=(
             *left_out,
-            *list_size_notes(robot, asked),
+            *list_size_notes(robot, requested),
             diagnose("armature-is-the-mjcfs"),
             diagnose("gravity-is-the-mjcfs"),
             diagnose("forces-in-forward-dynamics"),
@@ -668,48 +680,48 @@ def cross_check(
     )
 
 
-def _evaluations(
+def _evaluate_all(
     robot: Robot,
     states: States,
     square: mujoco.MjModel,
     whole: mujoco.MjModel,
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
-    """Evaluates both models in all backends.
+    """Evaluate both models in all engines.
 
     Args:
-        robot: The robot.
-        states: Where.
-        square: MuJoCo's model of the MJCF, without what a URDF cannot state.
-        whole: The same as it is, but for couplings that the URDF has, too.
+        robot: Robot.
+        states: Random states.
+        square: MuJoCo model of the MJCF without terms that a URDF cannot express.
+        whole: MuJoCo model of the MJCF without couplings that the URDF has too.
 
     Returns:
-        {backend: its evaluation}, what was left out and why, and the robot with the frames that
-        both files have in the place of its feet.
+        {evaluation name: values}, messages about evaluations that were left out, and the robot with
+        the common frames of both files as contact points.
     """
     description = robot.description
     left_out = []
-    in_mujoco: mujoco.MjModel | None = None
+    urdf_in_mujoco: mujoco.MjModel | None = None
     try:
-        in_mujoco = import_urdf_to_mujoco(
+        urdf_in_mujoco = import_urdf_to_mujoco(
             description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
         )
     except ModelError as error:
         if is_large(robot):
-            raise  # which no other engine evaluates
+            raise  # no other engine evaluates large robots
         message = error.diagnostic.values["problem"]
         left_out.append(diagnose("urdf-not-in-mujoco", problem=message))
-    pairs = {**description.contact_points, **description.frames}  # of both files
+    pairs = {**description.contact_points, **description.frames}  # frames in both files
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
     robot = replace(robot, contact_points=tuple(pairs), contact_frames=urdf_frames)
     base = robot.mj_base
     evaluations = {}
     if not is_large(robot):
-        in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
+        mjcf_in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
         mjcf_robot = replace(
             robot,
-            pin_model=in_pinocchio,
-            pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
+            pin_model=mjcf_in_pinocchio,
+            pin_convention=PinocchioConvention.of(mjcf_in_pinocchio, robot.joint_names),
             base=base,
             contact_frames=mjcf_frames,
         )
@@ -721,19 +733,20 @@ def _evaluations(
         MJCF_MUJOCO: evaluate_in_mujoco(robot, square, base, mjcf_frames, states),
         MJCF_AS_IT_IS: evaluate_in_mujoco(robot, whole, base, mjcf_frames, states),
     }
-    if in_mujoco is not None:
-        in_mujoco = make_passive_model(in_mujoco)
-        # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
-        in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+    if urdf_in_mujoco is not None:
+        urdf_in_mujoco = make_passive_model(urdf_in_mujoco)
+        # MuJoCo imports mimic joints as equalities; in Pinocchio they are independent.
+        urdf_in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
         evaluations[URDF_MUJOCO] = evaluate_in_mujoco(
-            robot, in_mujoco, robot.base, urdf_frames, states
+            robot, urdf_in_mujoco, robot.base, urdf_frames, states
         )
     if pairs and not is_large(robot):
         evaluations[URDF_YOURDFPY] = evaluate_in_yourdfpy(robot, states)
     return evaluations, left_out, robot
 
 
-_ROOT = "__root__"
+_ROOT_JOINT = "__root__"
+"""Name of the free joint that is added to an imported URDF."""
 
 
 def import_urdf_to_mujoco(
@@ -743,20 +756,20 @@ def import_urdf_to_mujoco(
     base: str,
     imu: str | None,
 ) -> mujoco.MjModel:
-    """Imports a URDF into MuJoCo, with the base's mass and the inertias of fixed children kept.
+    """Import a URDF into MuJoCo, keeping the mass of the base and the inertias of fixed links.
 
-    Shapes are left out. Gravity is taken from ``like``, and so is the armature of the joints, which
-    URDF cannot state; a gyro and an accelerometer are put on the link ``imu``.
+    Shapes are removed. Gravity and joint armature, which a URDF cannot state, are copied from
+    ``like``. A gyro and an accelerometer are added to the link ``imu``.
 
     Args:
-        text: The URDF.
-        source: Where it came from, for messages.
-        like: MuJoCo's model of the MJCF of the same robot.
-        base: The base's body in ``like``: if it is fixed there, it is fixed in the same pose.
-        imu: The link with the IMU, if any.
+        text: URDF.
+        source: Path for messages.
+        like: MuJoCo model of the MJCF of the same robot.
+        base: Base body in ``like``. If the base is fixed there, the URDF is fixed in the same pose.
+        imu: Link with the IMU; None without IMU.
 
     Raises:
-        ModelError: If MuJoCo refuses it.
+        ModelError: If MuJoCo refuses the URDF.
     """
     tree = UrdfTree.of(text)
     tree.remove_shapes()
@@ -764,7 +777,7 @@ def import_urdf_to_mujoco(
     spec = UrdfImport(source, to_text(tree.root)).spec()
     spec.option.gravity = acting_gravity(like)
     if has_free_joint(like):
-        spec.body(root_link).add_freejoint(name=_ROOT)
+        spec.body(root_link).add_freejoint(name=_ROOT_JOINT)
     else:
         data = mujoco.MjData(like)
         mujoco.mj_kinematics(like, data)
@@ -776,31 +789,31 @@ def import_urdf_to_mujoco(
     armature = joint_armature(like)
     for index in range(model.njnt):
         name = model.joint(index).name
-        twin = free_joints(like)[0] if name == _ROOT else like.joint(name).id
+        twin = free_joints(like)[0] if name == _ROOT_JOINT else like.joint(name).id
         start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
-        count = 6 if name == _ROOT else 1
+        count = 6 if name == _ROOT_JOINT else 1
         model.dof_armature[start : start + count] = armature[first : first + count]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
 
-def _compare(
+def _compare_quantity(
     name: str,
     evaluations: Mapping[str, Evaluation],
     first: Evaluation,
     labels: Sequence[str],
     tolerance: float,
 ) -> QuantityCheck:
-    """Compares one quantity along every edge; the first evaluation gives the scale."""
+    """Compare a quantity along all edges; ``first`` determines the smallest scale."""
     edges: dict[str, float] = {}
-    least = _least_scale(name, first)
+    least = _find_min_scale(name, first)
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGE_NAMES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
             continue
-        one, two = (evaluations[evaluation][name] for evaluation in pair)
-        relative, deviation, scale, place = _deviation(
-            one, two, least, per_row=name in ROW_SCALED_QUANTITIES
+        first_values, second_values = (evaluations[evaluation][name] for evaluation in pair)
+        relative, deviation, scale, place = _compute_deviation(
+            first_values, second_values, least, per_row=name in ROW_SCALED_QUANTITIES
         )
         edges[whose] = relative
         if worst is None or relative > worst[0]:
@@ -822,22 +835,22 @@ def _compare(
     )
 
 
-def _least_scale(name: str, evaluation: Evaluation) -> float:
-    """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
-    if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
+def _find_min_scale(name: str, evaluation: Evaluation) -> float:
+    """Return the smallest scale of a quantity, in its unit. Smaller values are rounding errors."""
+    if name in ("gravity", "bias forces"):  # a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 
 
-def _deviation(
-    one: Array, two: Array, least: float, *, per_row: bool
+def _compute_deviation(
+    first: Array, second: Array, least: float, *, per_row: bool
 ) -> tuple[float, float, float, tuple[int, ...]]:
-    """Returns the worst relative and absolute deviation, the scale, and the place."""
+    """Return the largest relative deviation, with absolute deviation, scale and indices there."""
     with np.errstate(invalid="ignore"):
-        difference = np.abs(one - two)
-    difference[one == two] = 0.0  # infinite limits, too
+        difference = np.abs(first - second)
+    difference[first == second] = 0.0  # includes equal infinite limits
     difference[~np.isfinite(difference)] = np.inf
-    greatest = np.maximum(np.abs(one), np.abs(two))
+    greatest = np.maximum(np.abs(first), np.abs(second))
     greatest[~np.isfinite(greatest)] = 0.0
     scale = greatest.max(axis=-1, keepdims=True) if per_row else greatest.max()
     scale = np.maximum(scale + np.zeros_like(difference), least)

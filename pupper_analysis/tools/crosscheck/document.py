@@ -1,7 +1,4 @@
-"""The comparison of two files: what makes them disagree, both lines of each side by side.
-
-As a document, and as remarks for machines, in the same order.
-"""
+"""Document and annotations of a comparison: the differences, with the lines of both files."""
 
 from __future__ import annotations
 
@@ -37,12 +34,12 @@ from pupper_analysis.tools.crosscheck.crosscheck import (
 
 
 def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
-    """Says how joints were matched, and what was left out."""
+    """Yield notes about the matching of joints, and about content that was left out."""
     yield from comparison.notes
     if comparison.mount is not None:
         yield diagnose("tilt-is-no-difference", tilt=comparison.mount)
     if comparison.guessed:
-        yield _guessed(comparison)
+        yield _describe_guesses(comparison)
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
@@ -52,12 +49,12 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
             yield diagnose("joints-in-one-file", file=file, joints=joints, taken_off=taken_off)
 
 
-_WHOLE = 1.005
-"""A share that is printed as 100 %."""
+_MAX_PRINTED_SHARE = 1.005
+"""Largest share that is printed as 100 %."""
 
 
 def describe_effects(difference: Difference) -> Diagnostic:
-    """Returns what a difference does."""
+    """Describe the effects of a difference."""
     if not difference.effects:
         return diagnose("no-effect")
     effects = [
@@ -65,8 +62,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
             "effect",
             subject=("quantity", name),
             what=Term(name),
-            # Of what others undo it is more than the whole, which says nothing.
-            share=Quantity(effect.share, "1") if effect.share <= _WHOLE else None,
+            # Effects that other differences compensate have shares above 1: not printed.
+            share=Quantity(effect.share, "1") if effect.share <= _MAX_PRINTED_SHARE else None,
             relative=Quantity(effect.relative, "1") if effect.relative < MIN_FACTOR else None,
             times=effect.relative if effect.relative >= MIN_FACTOR else None,
         )
@@ -76,18 +73,18 @@ def describe_effects(difference: Difference) -> Diagnostic:
 
 
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
-    """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
+    """Make an annotation for each part, cause, difference, unmatched joint and objection."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
-    found = [_remark("part", "part", part, urdf) for part in comparison.parts]
+    annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]
     for cause in comparison.causes:
         first = comparison.differences[cause.differences[0]]
-        found.append(
-            _remark("cause", "cause", cause.diagnostic, first.urdf_place, first.mjcf_place)
+        annotations.append(
+            _make_annotation("cause", "cause", cause.diagnostic, first.urdf_place, first.mjcf_place)
         )
     for difference in comparison.differences:
         title = f"{difference.kind} of {difference.element}"
-        found.append(
-            _remark(
+        annotations.append(
+            _make_annotation(
                 difference.kind,
                 title,
                 difference.diagnostic,
@@ -95,20 +92,22 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
                 difference.mjcf_place,
             )
         )
-    found += [
-        _remark("joint", f"joint {name}", one, file) for name, one, file in _left_over(comparison)
+    annotations += [
+        _make_annotation("joint", f"joint {name}", message, file)
+        for name, message, file in _list_unmatched_joints(comparison)
     ]
-    found += [
-        _remark("agreement", "agreement", objection, mjcf) for objection in comparison.objections
+    annotations += [
+        _make_annotation("agreement", "agreement", objection, mjcf)
+        for objection in comparison.objections
     ]
     if comparison.guessed:
-        guess = _remark("guess", "guessed joints", _guessed(comparison), urdf)
-        found.append(replace(guess, level="warning"))
-    return found
+        guess = _make_annotation("guess", "guessed joints", _describe_guesses(comparison), urdf)
+        annotations.append(replace(guess, level="warning"))
+    return annotations
 
 
-def _left_over(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
-    """Yields joints that one of the files has: name, what is to be said, and that file."""
+def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
+    """Yield (name, message, file) of each joint that only one file has."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
     for joints, file, other in (
         (comparison.only_urdf, urdf, mjcf),
@@ -119,12 +118,12 @@ def _left_over(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
             yield name, diagnose("joint-not-in-file", subject=subject, lacks=other), file
 
 
-def _guessed(comparison: Comparison) -> Diagnostic:
-    pairs = [f"{one}={two}" for one, two in comparison.guessed.items()]
+def _describe_guesses(comparison: Comparison) -> Diagnostic:
+    pairs = [f"{urdf_joint}={mjcf_joint}" for urdf_joint, mjcf_joint in comparison.guessed.items()]
     return diagnose("joints-matched-otherwise", pairs=pairs)
 
 
-def _remark(
+def _make_annotation(
     kind: str, title: str, finding: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
     message = str(finding) if other is None else f"{finding} [{other}]"
@@ -134,26 +133,26 @@ def _remark(
 
 
 MAX_SHORT_GROUPS, MAX_SHOWN_GROUPS = 20, 40
-"""Groups of differences whose lines are shown side by side, in a short view and in any; the table
-has them all."""
+"""Largest number of groups of differences with lines side by side, in the short and in the full
+view. The table lists all differences."""
 
-_ONE_FILE = {
+_ONE_FILE_EDGES = {
     EDGE_NAMES[URDF_PINOCCHIO, URDF_MUJOCO],
     EDGE_NAMES[MJCF_PINOCCHIO, MJCF_MUJOCO],
     EDGE_NAMES[URDF_PINOCCHIO, URDF_YOURDFPY],
 }
-"""Deviations of two engines or readers on one file: they are about none of the two files."""
+"""Edges between two engines or readers on the same file."""
 
 MAX_NAMED_ELEMENTS = 4
-"""Elements of a group that are named; the table has them all."""
+"""Largest number of further elements of a group that are named. The table lists all."""
 
 
 @build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
-    """Returns what makes two files disagree; see ``build``."""
+    """Build the document of a comparison; see ``build_document``."""
     agree, same = comparison.agree, comparison.same_robot
-    said = (*list_matching_notes(comparison), *comparison.check.notes)
-    notes: list[doc.Words] = list(map(doc.diagnostic_text, said))
+    messages = (*list_matching_notes(comparison), *comparison.check.notes)
+    notes: list[doc.Words] = list(map(doc.diagnostic_text, messages))
     notes += [
         text("the-engines-differ-on-one", engine=doc.diagnostic_text(engine))
         for engine in comparison.engines
@@ -161,8 +160,12 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     differ = text("same-robot-different-conventions") if same else text("disagree")
     return doc.Document(
         text("cross-check"),
-        text("urdf-and-mjcf", urdf=_file(comparison.urdf), mjcf=_file(comparison.mjcf)),
-        tuple(_blocks(comparison)),
+        text(
+            "urdf-and-mjcf",
+            urdf=_format_file_name(comparison.urdf),
+            mjcf=_format_file_name(comparison.mjcf),
+        ),
+        tuple(_list_blocks(comparison)),
         passed=agree,
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
@@ -171,51 +174,49 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
             text("1-difference")
             if len(comparison.differences) == 1
             else text("count-differences", count=len(comparison.differences)),
-            *_explained(comparison),
+            *_describe_explained(comparison),
         ),
         notes=tuple(notes),
     )
 
 
-def _file(path: str) -> doc.Name:
+def _format_file_name(path: str) -> doc.Name:
     return doc.Name(Path(path).name)
 
 
-def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
-    """Yields what differs, what is to be mended first, first; then how much that explains."""
+def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
+    """Yield the blocks of the document, the difference to repair first at the top."""
     causes, groups = comparison.causes, comparison.unexplained
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
-    named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
+    named = tuple(text(label, file=doc.Name(file)) for label, file in files.items())
     yield doc.Lines(named, detail=True)
     for part in comparison.parts:
         off = text("part-it-was-taken-off", part=doc.diagnostic_text(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
-    # One order for the headline and for all below it: that of the differences.
+    # Headline and blocks have the order of the differences.
     listed: list[tuple[int, doc.Block]] = []
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
-        sides = _sides(comparison, first, doc.diagnostic_text(cause.diagnostic), made, such)
+        sides = _compare_lines(comparison, first, doc.diagnostic_text(cause.diagnostic), made, such)
         listed.append((-1 if cause.leads else cause.differences[0], sides))
-    numbers = {id(one): number for number, one in enumerate(comparison.differences)}
+    numbers = {id(difference): number for number, difference in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
-        sides = _sides(
-            comparison, group[0], doc.diagnostic_text(group[0].diagnostic), *_likewise(group)
+        sides = _compare_lines(
+            comparison, group[0], doc.diagnostic_text(group[0].diagnostic), *_list_similar_elements(group)
         )
         listed.append((numbers[id(group[0])], replace(sides, detail=place >= MAX_SHORT_GROUPS)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
     if comparison.differences:
-        yield _differences(comparison)
+        yield _tabulate_differences(comparison)
     if comparison.objections:
-        yield doc.Lines(
-            tuple(map(doc.diagnostic_text, comparison.objections)), "bad", text("objections")
-        )
-    yield _quantities(comparison)
+        yield doc.Lines(tuple(map(doc.diagnostic_text, comparison.objections)), "bad", text("objections"))
+    yield _tabulate_quantities(comparison)
 
 
-def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
-    """Says of which else it is true."""
+def _list_similar_elements(group: list[Difference]) -> Iterable[doc.Words]:
+    """Yield a note that names further elements with the same difference."""
     if len(group) > 1:
         names = [doc.Name(difference.element) for difference in group[1 : MAX_NAMED_ELEMENTS + 1]]
         listed = join_words(names)
@@ -224,7 +225,7 @@ def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
         yield text("likewise-on-count-more-names", count=len(group) - 1, names=listed)
 
 
-def _sides(
+def _compare_lines(
     comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
 ) -> doc.FileFinding:
     paths = (comparison.urdf, comparison.mjcf)
@@ -235,17 +236,17 @@ def _sides(
     ):
         line = quote_line(place, *paths)
         shown = doc.Name(line) if line else doc.Name(f"{shorten(value)} {difference.unit}")
-        named = doc.Name(_short(place)) if place else text("not-in-the-file")
+        named = doc.Name(_shorten_place(place)) if place else text("not-in-the-file")
         columns.append(doc.FilePlace(named, shown, place or ""))
     made_of = map(doc.diagnostic_text, difference.made_of)
-    return doc.FileFinding(title, tuple(columns), (*notes, *made_of, _effects(difference)))
+    return doc.FileFinding(title, tuple(columns), (*notes, *made_of, _format_effects(difference)))
 
 
-def _effects(difference: Difference) -> doc.Text:
+def _format_effects(difference: Difference) -> doc.Text:
     return doc.diagnostic_text(describe_effects(difference), "" if difference.effects else "quiet")
 
 
-def _differences(comparison: Comparison) -> doc.Table:
+def _tabulate_differences(comparison: Comparison) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
         effect = difference.weight[1]
@@ -254,12 +255,12 @@ def _differences(comparison: Comparison) -> doc.Table:
                 doc.number_cell(order, "g"),
                 word(difference.kind),
                 doc.Name(difference.element),
-                _value(difference.urdf),
-                _value(difference.mjcf),
+                _make_value_cell(difference.urdf),
+                _make_value_cell(difference.mjcf),
                 doc.Name(difference.unit),
                 doc.number_cell(effect, ".2g", scale=100),
-                doc.Name(_short(difference.urdf_place)),
-                doc.Name(_short(difference.mjcf_place)),
+                doc.Name(_shorten_place(difference.urdf_place)),
+                doc.Name(_shorten_place(difference.mjcf_place)),
             )
         )
     return doc.Table(
@@ -282,19 +283,19 @@ def _differences(comparison: Comparison) -> doc.Table:
     )
 
 
-def _short(place: str | None) -> str:
-    """Returns a place with its file's name alone: the folders are shown once."""
+def _shorten_place(place: str | None) -> str:
+    """Return a place with the file name only, without folders."""
     return "" if place is None else Path(place).name
 
 
-def _value(value: object) -> doc.Cell:
+def _make_value_cell(value: object) -> doc.Cell:
     if isinstance(value, float | int):
         return doc.number_cell(float(value), ".6g")
     return doc.Name("-" if value is None else shorten(value))
 
 
-def _explained(comparison: Comparison) -> Iterable[doc.Words]:
-    """Says how much of the deviation the differences explain."""
+def _describe_explained(comparison: Comparison) -> Iterable[doc.Words]:
+    """Yield the share of the deviation that the differences explain, if there are any."""
     if not comparison.differences:
         return
     explained = text(
@@ -308,22 +309,22 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
     yield explained
 
 
-def _deviation(relative: float | None, tolerance: float) -> doc.Number:
-    """Returns a deviation as a cell, marked where it is more than is tolerated."""
+def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number:
+    """Make a cell with a relative deviation, marked if above the tolerance."""
     beyond = relative is not None and relative > tolerance
     return doc.number_cell(relative, ".1e", "bad" if beyond else "")
 
 
-def _quantities(comparison: Comparison) -> doc.Table:
+def _tabulate_quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [side for side in every if any(side in q.edges for q in check.quantities)]
     if not any(quantity.edges.get(EXTRAS_EDGE) for quantity in check.quantities):
-        sides.remove(EXTRAS_EDGE)  # a column of zeros: the MJCF has nothing that a URDF has not
+        sides.remove(EXTRAS_EDGE)  # all zeros: the MJCF has no such terms
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),
-            *(_deviation(quantity.edges.get(side), check.tolerance) for side in sides),
+            *(_make_deviation_cell(quantity.edges.get(side), check.tolerance) for side in sides),
             doc.Name("" if quantity.passed else quantity.where),
         )
         for quantity in check.quantities
@@ -332,7 +333,7 @@ def _quantities(comparison: Comparison) -> doc.Table:
         text("deviation-title", count=check.configurations),
         (
             doc.Column(text("quantity"), left=True),
-            *(doc.Column(word(side), "1", detail=side in _ONE_FILE) for side in sides),
+            *(doc.Column(word(side), "1", detail=side in _ONE_FILE_EDGES) for side in sides),
             doc.Column(text("worst-at"), left=True),
         ),
         tuple(rows),

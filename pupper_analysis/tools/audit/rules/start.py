@@ -194,7 +194,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
-    """Command position servos to the pose; return True if half or more of the joints have a servo."""
+    """Command position servos to the pose; return True if half of the joints have a servo."""
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.servo]
     for drive in holding:
@@ -210,7 +210,7 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 
 @rule
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find contacts with planes of the world deeper than `MAX_FLOOR_DEPTH`, the deepest per start."""
+    """Find contacts with planes of the world deeper than `MAX_FLOOR_DEPTH`; one per start."""
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
         for bodies, geoms, depth in _list_contacts(robot, start):
