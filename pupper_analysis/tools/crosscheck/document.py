@@ -204,14 +204,19 @@ def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
     numbers = {id(difference): number for number, difference in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
         sides = _compare_lines(
-            comparison, group[0], doc.diagnostic_text(group[0].diagnostic), *_list_similar_elements(group)
+            comparison,
+            group[0],
+            doc.diagnostic_text(group[0].diagnostic),
+            *_list_similar_elements(group),
         )
         listed.append((numbers[id(group[0])], replace(sides, detail=place >= MAX_SHORT_GROUPS)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
     if comparison.differences:
         yield _tabulate_differences(comparison)
     if comparison.objections:
-        yield doc.Lines(tuple(map(doc.diagnostic_text, comparison.objections)), "bad", text("objections"))
+        yield doc.Lines(
+            tuple(map(doc.diagnostic_text, comparison.objections)), "bad", text("objections")
+        )
     yield _tabulate_quantities(comparison)
 
 
