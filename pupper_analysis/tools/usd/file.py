@@ -101,9 +101,9 @@ def read_usd(path: str | Path) -> UsdFile:
     with _capture_warnings(pxr) as get_warnings:
         try:
             stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
-            stage.Reload()  # a layer that was open already may be older than its file
+            stage.Reload()  # USD caches layers of earlier reads
             for layer in stage.GetUsedLayers():
-                if Path(layer.realPath).is_file():  # the session's is none
+                if Path(layer.realPath).is_file():  # the session layer has no file
                     register_input(Path(layer.realPath))
         except pxr.Tf.ErrorException as error:
             raise make_file_error(

@@ -502,7 +502,7 @@ def _read_edges(
             frame = placement.make_frame(position, rotation)
             if not body:
                 frame = placement.pose * frame
-            elif str(targets[0]) != file.bodies[body]:  # else as it is written, with all its digits
+            elif str(targets[0]) != file.bodies[body]:  # otherwise keep the written digits
                 frame = placements[body].pose.inverse() * placement.pose * frame
             bodies.append(body)
             frames.append(frame)

@@ -110,9 +110,8 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
     tree = UrdfTree(etree.Element("robot", name=model.file.path.stem))
     names = [model.base, *(link.name for link in model.descendants(model.base))]
     poses: dict[str, Pose] = {}
-    if any(
-        joint.moves for joint in model.links[model.base].joints
-    ):  # the base moves relative to the world
+    # A joint moves the base relative to the world.
+    if any(joint.moves for joint in model.links[model.base].joints):
         tree.new_link("world")
         poses["world"] = model.mount.inverse()
     # In a URDF, a joint is at the origin of the link that it moves.
@@ -182,22 +181,22 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
     usd: UsdFile | None = None
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Returns the prim of a joint: what it states, it states itself."""
+        """Return the prim of a joint, which states all numbers of the joint; None if unknown."""
         del attributes
         found = self.place(kind, name)
         return None if found.element is None else found
 
     def weighing(self, body: str) -> Place:
-        """Returns the prim of a body."""
+        """Return the prim of a body."""
         return self.place("body", body)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yields nothing: options of a scene are not of the robot."""
+        """Yield nothing: a USD has no scene options of an MJCF."""
         del tag
         yield from ()
 
     def numbered(self, section: str, number: int) -> Place:
-        """Returns the file: what has no name has no prim of its own."""
+        """Return the file, since unnamed elements have no prim."""
         del section, number
         return Place(self.path)
 

@@ -51,7 +51,7 @@ def read_bag(
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingPackageError("rosbags", "bags") from error
-    try:  # bags of Humble and before hold no definitions
+    try:  # bags before ROS 2 Iron contain no message definitions
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             types = {connection.topic: connection.msgtype for connection in reader.connections}
             return _resample_to_common_clock(
@@ -105,7 +105,7 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         if size > MAX_MESSAGE_BYTES:
             raise MeasurementError("", diagnose("bag-too-large", most=MAX_MESSAGE_BYTES / 1e6))
         message = reader.deserialize(raw, connection.msgtype)
-        stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec is ROS 1's
+        stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec in ROS 1
         nanoseconds = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
         moment = (stamp.sec + 1e-9 * nanoseconds if stamp else 0.0) or np.nan
         names = getattr(message, "name", joints)
@@ -143,7 +143,7 @@ def _resample_to_common_clock(
     resampled: dict[str, dict[str, Array]] = {"position": {}, "command": {}}
     for (kind, joint), (moments, values) in samples.items():
         next_index = np.searchsorted(moments, clock, side="right")
-        if kind == "command":  # holds until the next
+        if kind == "command":  # a command holds until the next
             resampled[kind][joint] = np.where(next_index > 0, values[next_index - 1], np.nan)
             continue
         gaps = np.diff(moments, prepend=-np.inf, append=np.inf)[next_index]

@@ -122,9 +122,8 @@ def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
     numbers, words = {}, {}
     for place, (name, column, factor) in enumerate(columns):
         cells = [row[place].strip() for _, row in body]
-        if (
-            column.quantity and separator == ";"
-        ):  # files with semicolons usually have decimal commas
+        # Files with semicolons usually have decimal commas.
+        if column.quantity and separator == ";":
             cells = [_DECIMAL_COMMA.sub(r"\1.", cell) for cell in cells]
         if column.quantity:
             numbers[name] = factor * _parse_numbers(source, header[place], cells, body)

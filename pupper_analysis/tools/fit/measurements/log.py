@@ -153,7 +153,7 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
         raise MeasurementError(source, error)
 
 
-# Files of logs: CSV, npz, MCAP and ROS bags.
+# Files of logs: CSV, MCAP and ROS bags.
 
 LOG_COLUMNS = (
     Column("time", "time"),

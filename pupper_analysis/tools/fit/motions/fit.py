@@ -97,9 +97,8 @@ def fit_motion(
     else:
         log_fractions = [*((log, 0.0) for log in logs), *((log, 1.0) for log in hold_out)]
     servos = model_with_servos(robot, kp, kd)
-    added_servos = {
-        servo.joint for servo in robot.description.made_servos
-    }  # added on loading, without stated gains
+    # Servos that were added on loading have no stated gains.
+    added_servos = {servo.joint for servo in robot.description.made_servos}
     for log, _ in log_fractions if kp is None or kd is None else ():
         if without_gains := [name for name in log.joints if name in added_servos]:
             raise MeasurementError(
@@ -337,9 +336,8 @@ def measure_repeatability(runs: Sequence[Run]) -> float:
                         for column in earlier_run.position.T
                     ]
                 )
-                differences.append(
-                    (positions - earlier_positions) / math.sqrt(2.0)
-                )  # variance of a difference = 2 x variance
+                # The variance of a difference is twice the variance of a run.
+                differences.append((positions - earlier_positions) / math.sqrt(2.0))
                 break
     return compute_rms(differences) if differences else math.nan
 

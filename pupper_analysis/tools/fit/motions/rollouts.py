@@ -217,7 +217,7 @@ class Simulator:
     def _predict_batch(self, run: Run, vectors: Sequence[Array]) -> Array:
         """Return the predicted encoder positions for at most ``_MAX_BATCH_SIZE`` vectors."""
         while len(self._models) < len(vectors):
-            self._models.append(copy.copy(self._model))  # meshes too: 20 ms
+            self._models.append(copy.copy(self._model))  # 20 ms, with the meshes
         models = self._models[: len(vectors)]
         for model, vector in zip(models, vectors, strict=True):
             self.set_parameters(model, vector)

@@ -226,9 +226,8 @@ class _RecordingSession:
     def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
         self._robot, self._bridge, self._operator = robot, bridge, operator
         self._command: Array | None = None
-        self._last_live_rows = np.zeros(
-            robot.nu, dtype=int
-        )  # number of rows when each servo last worked
+        # Number of rows when each servo last worked.
+        self._last_live_rows = np.zeros(robot.nu, dtype=int)
 
     def hold_position(self) -> None:
         """Send the last command again."""

@@ -66,7 +66,7 @@ class RosBridge(WallClock):
         self._order = [names.index(name) for name in order or names]
         self._positions: dict[str, float] = {}
         self._reception_times = dict.fromkeys(names, -math.inf)
-        if not ros.ok():  # its own handler of Ctrl-C would end the topic before the last command
+        if not ros.ok():  # rclpy's signal handler would close the topic before the last command
             ros.init(signal_handler_options=ros.signals.SignalHandlerOptions.NO)
         self._node = ros.create_node("pupper_analysis_fit")
         # "Best effort" subscribers receive from reliable publishers as well; the reverse fails.

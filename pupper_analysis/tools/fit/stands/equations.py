@@ -45,7 +45,7 @@ Chosen, not tuned."""
 
 _BALANCE_RTOL = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
-times height. A robot at rest obeys statics, so that the value is small; it must not be 0, since
+times height. A robot at rest obeys statics, so that the value is small, but not 0, since
 no measurement noise acts on these equations. Chosen, not tuned."""
 
 _TORQUE_RTOL = 1e-4
@@ -62,13 +62,13 @@ exist. Chosen, not tuned."""
 
 _SIGN_BAND_RATIO = 0.7
 """Servo error over which the sign of friction changes smoothly, as a fraction of the dead band.
-Joints of Go1 and MEVIUS that are held by less than their dry friction have from none to all of it.
+Joints of Go1 and MEVIUS whose load is below dry friction are held by any fraction of the friction.
 """
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction of a joint that has not yielded, as a fraction of dead band
 times kp. It decreases if the servo error exceeds the sign band. Derived from joints of Go1 and
-MEVIUS, which carry anything from none to all of it."""
+MEVIUS, which carry any fraction of the friction."""
 
 
 @dataclass(frozen=True)
@@ -541,7 +541,7 @@ class StandValues:
         robot, loads = self.robot, []
         if reading.added:
             robot = replace(robot, pin_model=robot.pin_model.copy())
-        structure_model = self.robot.structure.model  # the regressor uses its joint indices
+        structure_model = self.robot.structure.model  # joint indices of the regressor
         for link, (stated, *place) in reading.added.items():
             frame = structure_model.frames[structure_model.getFrameId(link, pin.FrameType.BODY)]
             mass = stated * table.get_value(self.vector, "added", link, "", 1.0)
@@ -715,8 +715,8 @@ class StandEquations:
     def set_noise_point(self, x: Array) -> None:
         """Take the kp, mass and dead band with which the noise is scaled from a parameter vector.
 
-        Until then they are the stated ones. They do not follow each step, since steps would then
-        lead to parameters with large noise.
+        Before, the stated values are used. The values do not follow each step, since steps would
+        then lead to parameters with large noise.
         """
         names = self.robot.joint_names
         self._noise_kp = self.table.get_values(x, "kp", names, self._kp)
@@ -759,9 +759,8 @@ class StandEquations:
             mass, com = table.get_inertial(x, link, stated)
             bodies.append((link, number, mass, com))
             index = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-            model.inertias[index] = pin.Inertia(
-                mass, com, stated.inertia
-            )  # rotational inertia has no effect at rest
+            # Rotational inertia has no effect at rest.
+            model.inertias[index] = pin.Inertia(mass, com, stated.inertia)
         for point, last_link in self._last_links.items():
             extension = table.get_value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
             if extension:

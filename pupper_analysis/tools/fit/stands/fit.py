@@ -182,12 +182,13 @@ def check_scale(
     from scipy import stats  # slow to import
 
     table, kinds = ParameterTable(posterior.parameters), posterior.kinds
+    # A known mass tests the load by itself.
     masses, tests_load = (
         kinds == "mass",
         level and "added" not in kinds,
-    )  # a known mass tests the load by itself
+    )
     mass_gradient = np.zeros(len(table))
-    # The width is that of the stated mass again: ``moved`` is of logarithms.
+    # ``moved`` belongs to logarithms: use the prior width at the stated mass.
     mass_gradient[masses] = (table.width * table.stated)[masses] / posterior.mean[masses]
     combinations = np.array(
         [kinds == "kp", mass_gradient / robot.total_mass, tests_load & (kinds == "load")]
@@ -280,11 +281,11 @@ an error. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
 """Upper bound of the estimated over the expected dry friction, random and one-sided parts together.
-Half of it applies if the file's friction is replaced by a default. Chosen, not tuned."""
+Half of this bound applies if the file's friction is replaced by a default. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
-normal numbers one exceeds 4.5 with a probability below 1e-3."""
+normal numbers, any exceeds 4.5 with a probability below 1e-3."""
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
 """Kinds of the surroundings that ``check_surroundings`` tests."""
@@ -294,7 +295,8 @@ _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
 zero, and is a failure. Chosen, not tuned."""
 
 _RESIDUALS_PROBABILITY = 1e-3
-"""Probability of larger residuals by chance below which they are a failure. Chosen, not tuned."""
+"""Probability of larger residuals by chance below which residuals are a failure. Chosen, not
+tuned."""
 
 
 def check_residuals(
@@ -362,9 +364,8 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
             continue
         parameters = [posterior.parameters[index] for index in indices]
         width = np.array([parameter.width for parameter in parameters])
-        uses_length_std = (
-            kind == "length" and (width == KINDS[kind].width).all()
-        )  # unless a prior says
+        # A prior of the user replaces the tolerance of parts.
+        uses_length_std = kind == "length" and (width == KINDS[kind].width).all()
         expected_ratio = _LENGTH_STD / KINDS[kind].width if uses_length_std else 1.0
         surprise, rank, innovation = _compute_surprise(
             posterior, np.eye(len(posterior.parameters))[indices], expected_ratio
@@ -396,7 +397,7 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
 
 _LENGTH_STD = 0.005
 """Expected standard deviation of the length factor of a leg's last link, for parts of one file. The
-prior is wider, since it allows other variants. Chosen, not tuned."""
+prior is wider, to allow other variants. Chosen, not tuned."""
 
 SCALE_RTOL = 0.002
 """Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
@@ -485,7 +486,7 @@ def fit_stands(
     try:
         result = _fit_without_contradictions(fit, ordered)
     except (MeasurementError, FitError) as error:
-        if isinstance(error, FitError) and weight is not None:  # a known mass may tell why
+        if isinstance(error, FitError) and weight is not None:  # the load may be the cause
             unweighed = fit_stands(robot, stands, priors=priors, kp=kp, encoder=encoder)
             load = unweighed.total_mass.mean / weight - 1
             if abs(load) * weight > _MAX_PARAMETER_STDS * unweighed.total_mass.std:
@@ -494,13 +495,14 @@ def fit_stands(
         if wiring := find_wiring(robot, ordered, evidence, fit):
             raise MeasurementError(ordered.source, wiring.found) from error
         raise
-    # Plugs that are exchanged leave residuals, or a stand out; a wrong scale and a slope do not.
+    # Exchanged plugs cause residuals or excluded stands; a wrong scale and a slope do not.
     left_out = any(note.code == "stand-left-out" for note in result.diagnostics)
     searches_wiring = left_out or any(
         failure.code not in _UNRELATED_TO_WIRING for failure in result.failures
     )
     wiring = find_wiring(robot, ordered, evidence, fit) if searches_wiring else None
-    return replace(result, failures=(wiring.found,)) if wiring else result  # it explains the others
+    # The wiring explains the other failures.
+    return replace(result, failures=(wiring.found,)) if wiring else result
 
 
 _UNRELATED_TO_WIRING = (
@@ -704,14 +706,14 @@ class _StandProblem:
 
         A single wrong reading increases the estimated noise, which then hides the reading. Two
         explanations are compared by their evidence: the estimated noise; and noise that is at most
-        as large as expected, together with one reading that is wrong by any amount (normal with
-        ``_OUTLIER_STD``).
+        as large as expected, together with a single reading that is wrong by any amount (normal
+        with ``_OUTLIER_STD``).
         """
         expected = vars(replace(self.noise, friction=self.friction_ratio))
         smaller_levels = {name: min(level, expected[name]) for name, level in vars(noise).items()}
         try:
             posterior, smaller_evidence = fit_with_noise(StandNoise(**smaller_levels))
-        except (FitError, MeasurementError):  # that noise explains nothing
+        except (FitError, MeasurementError):  # no fit with this noise
             return
         worst, *other_residuals = _list_joint_residuals(self.stands, equations, posterior)
         off, deviations = Quantity(worst.off, "rad"), abs(worst.deviations)
@@ -763,7 +765,7 @@ def _estimate_from_stands(
             min_decrease=_MIN_DECREASE,
         )
     except FitError:
-        _check_feet(robot, stands, equations)  # which may tell why
+        _check_feet(robot, stands, equations)  # may raise the cause
         raise
     return logarithms.transform_posterior(posterior)
 
@@ -869,7 +871,7 @@ _STOP_MARGIN = 2e-3
 error does not determine the joint torque. Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
-"""Standard deviations of an encoder offset that are kept between a joint and its limit. Chosen, not
+"""Margin of a joint to a position limit, in standard deviations of the encoder offset. Chosen, not
 tuned."""
 
 
@@ -878,7 +880,7 @@ def _get_encoder_offsets(
 ) -> tuple[Array, Array]:
     """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad] each.
 
-    They are those of the prior if ``posterior`` is None.
+    Without a posterior, the values are those of the prior.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
@@ -918,7 +920,7 @@ def _drop_uninformative_commands(
 
 
 _COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
-"""{whether a joint is at a stop (otherwise its motor is at its torque limit): code of the note}."""
+"""{whether a joint is at a stop (otherwise the motor is at the torque limit): code of the note}."""
 
 _FULL_TORQUE_RATIO = 0.98
 """Ratio of torque to torque limit above which a motor's torque is treated as saturated. Chosen, not
@@ -930,9 +932,8 @@ def _make_scale_residual(
 ) -> Callable[[Array], LinearisedResiduals]:
     """Return a function of the parameters: the residual of the weighed mass, if any."""
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
-    constant_mass = robot.total_mass - float(
-        mass_gradient @ table.stated
-    )  # of what is no parameter
+    # Mass of bodies that are not estimated.
+    constant_mass = robot.total_mass - float(mass_gradient @ table.stated)
 
     def residuals(x: Array) -> LinearisedResiduals:
         if weight is None:
@@ -959,11 +960,11 @@ def _check_feet(
 ) -> None:
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    Encoder offsets are those of ``posterior``, or of the prior if it is None.
+    Encoder offsets are those of ``posterior``, or without a posterior those of the prior.
 
     Raises:
-        MeasurementError: If there is one: the worst contradiction, feet in the air first, since a
-            pulling foot may be a consequence of another error.
+        MeasurementError: If a foot contradicts: the worst contradiction, feet in the air first,
+            since a pulling foot may be a consequence of another error.
     """
     table = equations.table
     mean = table.stated if posterior is None else posterior.mean
@@ -989,9 +990,8 @@ def _check_feet(
                     "foot-would-pull", subject=subject, stand=name, force=pull_force, swing=swing
                 )
                 contradictions.append((-force / (_MAX_PULL_RATIO * weight), item))
-    if (
-        contradictions
-    ):  # the worst one: it may have drawn others; of joints first, which no servo draws
+    # Feet in the air first: no servo pulls them to the ground.
+    if contradictions:
         worst = max(
             contradictions,
             key=lambda finding: (finding[1].code == _CONTRADICTION_CODES[0], finding[0]),
@@ -1010,7 +1010,7 @@ class LogCoordinates:
     all are halved, and the most probable robot was 13 % too light. With logarithms a factor and its
     inverse are equally probable.
 
-    The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: it has the parameter's
+    The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: y has the parameter's
     unit, and agrees with x to first order about x0, so that the prior width is unchanged.
 
     Args:
@@ -1132,7 +1132,7 @@ def estimate_noise(
     from scipy import optimize  # slow to import
 
     expected, mean, table = equations.noise, posterior.mean, ParameterTable(posterior.parameters)
-    equations.linearise(mean, mean, _UNKNOWN_STEPS)  # finds stands' own unknowns
+    equations.linearise(mean, mean, _UNKNOWN_STEPS)  # updates the stands' own unknowns
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:

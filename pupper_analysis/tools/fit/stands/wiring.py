@@ -20,7 +20,7 @@ from pupper_analysis.tools.fit.result import Fit
 Array = NDArray[np.float64]
 
 _MAX_FITTED_WIRINGS = 3
-"""Number of wirings that are fitted. Usually the first one is the true one; it is the second one if
+"""Number of wirings that are fitted. Usually the true wiring is ranked first, or second if
 an encoder offset is large as well."""
 
 
