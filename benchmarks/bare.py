@@ -20,7 +20,11 @@ from peers import stand_peers
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
+from pupper_analysis.simulation.rollout import (
+    FORCED_CONTROL_SPEC,
+    make_forced_controls,
+    place_on_ground,
+)
 from pupper_analysis.stance.solver import SearchContext
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
@@ -298,7 +302,9 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
     starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])
     steps = round(SWEPT / models[0].opt.timestep)
     command = drives[0].command(robot, stand.joint_positions(robot))
-    control, force = forced_commands(robot, models[0], command, 1, steps)  # with the same force
+    control, force = make_forced_controls(
+        robot, models[0], command, 1, steps
+    )  # with the same force
     pace = 2 * np.pi * FREQUENCY * models[0].opt.timestep
     force[0, :, 2] = AMPLITUDE * np.sin(pace * np.arange(steps))
     datas = [mujoco.MjData(models[0]) for _ in range(os.cpu_count() or 1)]
@@ -320,7 +326,7 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
 
     def bare() -> None:
         with mujoco.rollout.Rollout(nthread=len(datas)) as pool:
-            pool.rollout(models, datas, starts, control, control_spec=FORCED)
+            pool.rollout(models, datas, starts, control, control_spec=FORCED_CONTROL_SPEC)
         with ThreadPoolExecutor(len(datas)) as pool:
             list(pool.map(growth, models, starts))
 

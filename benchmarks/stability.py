@@ -31,12 +31,16 @@ from pupper_analysis.robot.stability import (
 )
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation.rollout import (
-    STATE,
+    STATE_SPEC,
     full_state,
     place_on_ground,
-    simulate,
+    simulate_commands,
 )
-from pupper_analysis.simulation.stability import LEFT, NUDGE_SPEED, measure_response
+from pupper_analysis.simulation.stability import (
+    MAX_JOINT_DISPLACEMENT,
+    NUDGE_SPEED,
+    measure_response,
+)
 
 Array = NDArray[np.float64]
 
@@ -79,7 +83,7 @@ class Seen:
     @property
     def word(self) -> str:
         """One word for it."""
-        if not self.way < LEFT:
+        if not self.way < MAX_JOINT_DISPLACEMENT:
             return "leaves"
         return "goes on" if self.goes_on else "stays"
 
@@ -135,7 +139,7 @@ def files(paths: list[str]) -> Iterator[Case]:
 def judged(case: Case) -> tuple[Stability, float]:
     """Judges a case, and tells how long that took (ms)."""
     data = mujoco.MjData(case.model)
-    mujoco.mj_setState(case.model, data, case.start, STATE)
+    mujoco.mj_setState(case.model, data, case.start, STATE_SPEC)
     data.ctrl[:] = case.ctrl
     begun = time.process_time()
     found = step_stability(case.model, data)
@@ -155,9 +159,9 @@ def seen(
     Nudges after one that takes it ``enough`` away (rad) are not tried.
     """
     model, steps = case.model, round(duration / case.model.opt.timestep)
-    settled = simulate(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[
-        -1
-    ]
+    settled = simulate_commands(
+        model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1))
+    )[-1]
     if abs(settled[0] - case.start[0] - 1.0) > 0.01 or not np.isfinite(settled).all():
         return Seen(np.inf, goes_on=True)
     found = Seen(0.0, goes_on=False)
@@ -165,7 +169,7 @@ def seen(
         start = settled.copy()
         rates = slice(1 + model.nq, 1 + model.nq + model.nv)
         start[rates] += speed * np.random.default_rng(seed).uniform(-1, 1, model.nv)
-        states = simulate(model, start, np.tile(case.ctrl, (steps, 1)))
+        states = simulate_commands(model, start, np.tile(case.ctrl, (steps, 1)))
         whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
         nudge = measure_response(model, settled, states)
         way = nudge.moved if speed > NUDGE_SPEED else nudge.farthest
@@ -182,7 +186,7 @@ def tried(case: Case, leaving: tuple[Mode, ...]) -> Seen:
     if not leaving or found.word == "leaves" or (found.goes_on and leaving[0].shakes):
         return found
     longer = waited(leaving[0])
-    found = seen(case, longer, enough=LEFT) if longer > HOLD_DURATION else found
+    found = seen(case, longer, enough=MAX_JOINT_DISPLACEMENT) if longer > HOLD_DURATION else found
     return found if found.word != "stays" else seen(case, HOLD_DURATION, HARD)
 
 

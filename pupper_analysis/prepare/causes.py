@@ -25,7 +25,7 @@ from pupper_analysis.prepare.published_model import (
 )
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.rollout import FILTERS
+from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
 
 Array = NDArray[np.float64]
 
@@ -409,7 +409,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
     model, others = published.model, list_uncommanded_actuators(published.model)
     named = _name_elements(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, others)
     yield from _yield_if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
-    filtered = np.isin(model.actuator_dyntype, FILTERS)
+    filtered = np.isin(model.actuator_dyntype, FILTER_DYNAMICS)
     slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > MAX_SETTLED_TIME_CONSTANT))
     named = _name_actuators(model, slow)
     yield from _yield_if_any(

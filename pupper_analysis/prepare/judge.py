@@ -24,17 +24,17 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.trial import (
-    NUDGE,
+    BASE_NUDGE_SPEED,
     NudgeTrial,
-    may_be_upset,
+    is_near_limit,
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import (
-    ABOUT_LOAD,
-    Asked,
+    LOAD_QUESTIONS,
     Outcome,
+    Question,
     Verdict,
-    beyond_limits,
+    find_overloaded_motors,
     judge_stance,
 )
 from pupper_analysis.simulation.verify import verify_stand
@@ -50,7 +50,7 @@ def judge_simulation(
     alone: Outcome | None = None,
     *,
     statics: GravityCompensation | None = None,
-    asked: Asked = Asked.STANDS,
+    asked: Question = Question.STANDS,
     trial: NudgeTrial | None = None,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -118,7 +118,7 @@ def judge_simulation(
         own=own,
         published=published,
         converted=robot.description.converted,
-        unknown=unknown is not None and (loaded_more or asked in ABOUT_LOAD),
+        unknown=unknown is not None and (loaded_more or asked in LOAD_QUESTIONS),
         masses_unknown=masses is not None,
         remarks=remarks,
     )
@@ -127,7 +127,7 @@ def judge_simulation(
 def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
     """Return the motors beyond their limits, without motors whose limit is zero."""
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
-    return tuple(name for name in beyond_limits(statics) if name not in null)
+    return tuple(name for name in find_overloaded_motors(statics) if name not in null)
 
 
 _MASS_RTOL = 1e-9
@@ -164,14 +164,14 @@ def _fail_if_upset(
     """
     if trial is None:
         held = solve_stand_as_simulated(robot, stand)
-        if not may_be_upset(robot, held, statics):
+        if not is_near_limit(robot, held, statics):
             return fed
         trial = simulate_nudges(robot, held, kp=kp, kd=kd)
     if trial.failure is None:
         return fed
     upset = diagnose(
         "upset-by-nudge",
-        speed=Quantity(NUDGE, "m/s"),
+        speed=Quantity(BASE_NUDGE_SPEED, "m/s"),
         fell=trial.fell,
         nudges=trial.nudges,
         failure=Term(trial.failure.value),

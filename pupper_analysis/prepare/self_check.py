@@ -61,7 +61,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import InitialHeight, measure_motion, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
-from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
+from pupper_analysis.simulation.verify import JOINT_TOLERANCE, friction_and_deadband, torque_scale
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -339,7 +339,7 @@ def simulate_prediction(
     else:  # dry friction may hold a joint elsewhere after a nudge
         with contextlib.suppress(ModelError):
             stiction = resolve_servo_gains(robot).kp
-        friction, stiction = dry_friction(robot, stiction)
+        friction, stiction = friction_and_deadband(robot, stiction)
         torque_deviations = np.maximum(torque_deviations - friction[driven], 0.0)
     torque = float(torque_deviations.max(initial=0.0)) / torque_scale(robot, prediction.torques)
     joint = float(moved.max())

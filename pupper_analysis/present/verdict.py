@@ -26,9 +26,9 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.simulation.verdict import (
-    UNKNOWN,
-    Asked,
+    UNKNOWN_CODES,
     Ending,
+    Question,
     Verdict,
     VerdictCode,
 )
@@ -85,20 +85,20 @@ _DECIDING = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""Codes of the remarks that decide the verdicts ``UNKNOWN``."""
+"""Codes of the remarks that decide the verdicts ``UNKNOWN_CODES``."""
 
 _WORDS = {
-    Asked.STANDS: ("HOLDS", "FAILS"),
-    Asked.CARRIES: ("carries", "FAILS"),
-    Asked.TRACKED: ("tracked", "FAILED"),
-    Asked.LASTS: ("lasts", "FAILS"),
+    Question.STANDS: ("HOLDS", "FAILS"),
+    Question.CARRIES: ("carries", "FAILS"),
+    Question.TRACKED: ("tracked", "FAILED"),
+    Question.LASTS: ("lasts", "FAILS"),
 }
 """What it does, and what it does else, by what is asked."""
 
 
 def get_verdict_key(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
-    if verdict.code in UNKNOWN:
+    if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
     if _disagrees(verdict):
         return "DISAGREES"
@@ -278,7 +278,7 @@ def _replaced(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 def _computed(verdict: Verdict) -> Iterator[Clause]:
     """Says how the simulations of the computed robot ended, and on which servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
-    if fed is Ending.HOLDS and verdict.asked is not Asked.STANDS:
+    if fed is Ending.HOLDS and verdict.asked is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
     elif fed is Ending.UNTRIED:
         message = diagnose("in-balance", within=not verdict.overloaded)

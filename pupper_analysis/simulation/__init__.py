@@ -1,4 +1,4 @@
-"""Does it hold, and what does it survive, in MuJoCo."""
+"""Simulate stands in MuJoCo: settling, nudges, stability, comparison with predictions, verdict."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

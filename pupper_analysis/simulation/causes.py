@@ -1,4 +1,4 @@
-"""Why a simulation does not come to rest: what grows, contacts that chatter, feet that creep."""
+"""Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet."""
 
 from __future__ import annotations
 
@@ -13,54 +13,58 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import Mode, Stability
-from pupper_analysis.simulation.monitor import Watcher
-from pupper_analysis.simulation.stability import LEFT, Nudge
+from pupper_analysis.simulation.monitor import ContactSampler
+from pupper_analysis.simulation.stability import MAX_JOINT_DISPLACEMENT, Nudge
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Array = NDArray[np.float64]
 
-_JOLTS = 50
-"""States at the end of a rollout at whose contact forces are looked, one by one."""
+_CHATTER_STATES = 50
+"""Number of states at the end of a rollout of which ``find_chatter`` evaluates the contact forces.
+Chosen, not tuned."""
 
-_EVEN = 0.05
-"""The ground's force on a robot that stands varies by less of its weight from step to step."""
+_MAX_FORCE_VARIATION = 0.05
+"""Largest standard deviation of the total vertical ground force from step to step, relative to the
+robot's weight, that is not reported as chatter. Chosen, not tuned."""
 
-CREEPING = 1e-3
-"""Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
+MAX_CREEP_SPEED = 1e-3
+"""Creep speed of a foot above which ``find_creep`` reports the foot [m/s]: 5 mm in 5 s.
+`simulate_nudges` subtracts creep up to this speed from the slip of a foot."""
 
 
-_NOISE = 0.2
-"""Part of the nudge up to which what goes on is the solver's error, where no mode grows: with CG
-and PGS, as MuJoCo sets them, a robot at rest moves by 0.02 to 0.12 of it for ever, and stays."""
+_SOLVER_NOISE_RATIO = 0.2
+"""Largest remaining speed after a nudge, relative to the speed of the nudge, that is attributed to the
+constraint solver. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots at
+rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
-    """Says so if a stand would not last, or a nudge did not decay.
+    """Report the fastest growing mode of a state, or else a nudge that does not decay; and moved joints.
 
     Args:
-        stability: Of where it settled; what still moves there is not judged by it.
-        nudge: What became of the nudge, if it was given.
+        stability: Stability at the settled state. Modes are reported only if the state is at rest.
+        nudge: Response to the nudge; None if the stand was not nudged.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
-    quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
-    if nudge is not None and not nudge.decayed and not quiet and not messages:
+    is_noise = nudge is not None and nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
+    if nudge is not None and not nudge.decayed and not is_noise and not messages:
         after = Quantity(nudge.duration, "s")
         messages.append(
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)
         )
-    if nudge is not None and not nudge.moved < LEFT:
+    if nudge is not None and not nudge.moved < MAX_JOINT_DISPLACEMENT:
         after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, "rad")
         messages.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
     elif nudge is not None and not nudge.stays:
-        way = Quantity(nudge.farthest, "rad")
-        messages.append(diagnose("joint-left-and-came-back", way=way))
+        distance = Quantity(nudge.farthest, "rad")
+        messages.append(diagnose("joint-left-and-came-back", way=distance))
     return messages
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Describe the fastest mode of the spectrum that the nudged simulation refutes."""
+    """Describe the first mode that the nudged simulation refutes; () without any."""
     if not stability.refuted:
         return ()
     mode = stability.refuted[0]
@@ -75,7 +79,7 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Describe the growth of a mode, and the nudge with which it was simulated."""
+    """Describe the growth of a mode, with the nudge of the simulation that confirmed the growth."""
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",
         frequency=Quantity(mode.frequency, "Hz"),
@@ -87,38 +91,41 @@ def describe_growth(mode: Mode) -> Diagnostic:
 
 
 def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
-    """Says so if the ground pushes by jolts, from step to step, where it should push evenly.
+    """Report contact chatter: ground forces on a standing robot that vary from step to step.
 
-    MuJoCo's solver meets the edges of pyramidal cones with an ``impratio`` above 1 only so far, and
-    hard ground answers each step's error.
+    Possible causes are pyramidal friction cones with an ``impratio`` above 1, whose edges MuJoCo's
+    solver resolves to a limited accuracy, and stiff ground, which amplifies the error of each step.
 
     Args:
         robot: The robot.
-        drive: Its servos, and what was simulated.
-        states: (n, ...) of a rollout, to its end.
-        ctrl: What was commanded.
+        drive: Servos and MuJoCo model that were simulated.
+        states: States of a rollout up to its end, shape (n, size).
+        ctrl: Actuator commands, shape (model.nu,).
     """
-    watcher = Watcher(robot, drive.model)
-    pushed = []
-    for state in states[-_JOLTS:]:
-        seen = watcher.look(state, ctrl)
-        pushed.append(sum(float(force[2]) for force in seen.forces.values()))
-    share = float(np.std(pushed)) / robot.usual_weight
-    if not share > _EVEN:
+    sampler = ContactSampler(robot, drive.model)
+    forces = []
+    for state in states[-_CHATTER_STATES:]:
+        sample = sampler.sample(state, ctrl)
+        forces.append(sum(float(force[2]) for force in sample.forces.values()))
+    variation = float(np.std(forces)) / robot.usual_weight
+    if not variation > _MAX_FORCE_VARIATION:
         return []
     option = drive.model.opt
     pyramidal = option.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
     impratio = option.impratio if pyramidal and option.impratio > 1 else None
-    return [diagnose("contacts-rattle", share=share, impratio=impratio)]
+    return [diagnose("contacts-rattle", share=variation, impratio=impratio)]
 
 
 def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:
-    """Returns how fast feet creep, as MuJoCo's friction, which is viscous, lets them (m/s).
+    """Compute the creep speed of each foot, v = |f_t| / c, in MuJoCo's viscous friction [m/s].
+
+    The viscosity c is that of ``GroundLaw`` at the foot's predicted depth; the speed is infinite if
+    the viscosity is zero.
 
     Args:
         robot: The robot.
         stand: The stand.
-        prediction: Its contact forces.
+        prediction: Statics of the stand, with the contact forces.
     """
     speeds: dict[str, float] = {}
     for foot, force in prediction.contact_forces.items():
@@ -130,10 +137,10 @@ def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) ->
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Says so if feet creep; see ``creep_speeds``."""
+    """Report the foot with the largest creep speed if the speed exceeds ``MAX_CREEP_SPEED``."""
     speeds = creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
-    if not speeds.get(foot, 0.0) > CREEPING:
+    if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:
         return []
     option = robot.mj_model.opt
     elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value

@@ -29,7 +29,7 @@ from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.robot.fall import nudge_velocity
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, Stability, select_most_moving
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import STATE, full_state, roll_out
+from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 
 Array = NDArray[np.float64]
 
@@ -38,37 +38,40 @@ DOUBLINGS = 3
 once end a growth that is linear for micrometres only."""
 
 NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
-"""Largest initial deviation of a joint (rad, m) and of a velocity (rad/s, m/s) along a mode. A foot
-that carries a ten thousandth of the weight is 10 um deep: ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg
-of 0.1 m moves it by 80 um."""
+"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode. A foot
+that carries 1/10,000 of the weight is 10 um deep: ``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of
+0.1 m moves that foot by 80 um."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
-"""The same for modes that dry friction hides from a small nudge (``Mode.freed``). Dry friction of
-0.01 N m holds a servo of 5 N m/rad within 2e-3 rad."""
+"""Initial deviations, in the units of ``NUDGE_ANGLE`` and ``NUDGE_SPEED``, along modes that dry
+friction hides from a small nudge (``Mode.freed``). Dry friction of 0.01 N m holds a servo of
+5 N m/rad within 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
 """Longest simulated time (s): ``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one
 more ``HOLD_DURATION`` for the decay of other motion."""
 
-_CHUNK = 2.0
-"""Simulated time (s) after which growth and decay are evaluated."""
+_CHUNK_DURATION = 2.0
+"""Simulated time between two evaluations of growth and decay [s]. Chosen, not tuned."""
 
-_DECAYED = 1e-2
-"""Share of the initial deviation below which the modes are refuted at once."""
+_DECAYED_RATIO = 1e-2
+"""Deviation relative to the initial deviation below which the modes are refuted at once. Chosen, not
+tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Time (s) after which the modes are refuted if D is less than this factor above its least value;
 an exponential with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
-_SLOWING = 1.6
-"""Largest ratio of the times of the last doubling and the doubling before. It is 1 for exponential
-growth, and 2 for a drift at constant speed, such as creep."""
+_MAX_DOUBLING_RATIO = 1.6
+"""Largest ratio of the times of the last doubling and the doubling before. The ratio is 1 for
+exponential growth and 2 for a drift at constant speed, such as creep."""
 
-_SUSTAINED = 0.5
-"""Share of the initial D above which an oscillation is sustained after ``_HALF_TIME``."""
+_SUSTAINED_RATIO = 0.5
+"""Deviation relative to the initial deviation above which an oscillation is sustained after
+``_HALF_TIME``. Chosen, not tuned."""
 
-_LONGEST_WINDOW = 1.0
-"""Longest window (s) over which the maximum of an oscillating D is taken."""
+_MAX_WINDOW = 1.0
+"""Longest window over which the maximum of an oscillating D is taken [s]. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +99,19 @@ def confirm_growth(
 ) -> Stability:
     """Confirm or refute the modes with which a state would not last, by simulation.
 
-    Nothing is simulated if there is no such mode, or if the state is not at rest.
+    Nothing is simulated if there is no such mode, or if the state is not at rest. Modes that dry
+    friction hides (``Mode.freed``) are tested after the others, and only if none of the others is
+    confirmed to leave the state within ``LASTING``.
 
     Args:
         stability: Result of the spectrum at the state.
         model: MuJoCo model.
-        data: The state; it is not changed.
+        data: The state; not changed.
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability. A mode with the simulated doubling time takes the place of the leaving modes
-        in ``unstable``; ``refuted`` has the leaving modes that do not grow in the simulation.
+        The stability. A mode with the simulated doubling time replaces the leaving modes in
+        ``unstable``; ``refuted`` contains the leaving modes that do not grow in the simulation.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -118,16 +123,16 @@ def confirm_growth(
         modes = [mode for mode in leaving if mode.freed is freed]
         if not modes:
             continue
-        found = None
+        confirmed = None
         for angle, speed in _nudge_sizes(modes):
             trial = simulate_growth(model, start, ctrl, modes, angle, speed)
             if trial.doubling_time is not None or trial.sustained:
-                found = _confirmed(modes, trial, stability.timestep)
+                confirmed = _make_confirmed_mode(modes, trial, stability.timestep)
                 break
-        if found is None:
+        if confirmed is None:
             refuted += modes
             continue
-        unstable.append(found)
+        unstable.append(confirmed)
         if unstable[-1].grows_within(HOLD_DURATION):
             break
     unstable.sort(key=lambda mode: -mode.growth)
@@ -151,24 +156,24 @@ def simulate_growth(
     angle: float,
     speed: float,
 ) -> GrowthTrial:
-    """Simulate the deviation along modes from a state, until it has grown or has not in time.
+    """Simulate the deviation along modes until growth is confirmed, refuted, or the time is over.
 
     Args:
         model: MuJoCo model.
         start: State (mjSTATE_FULLPHYSICS) at rest.
         ctrl: Command of the actuators, shape (model.nu,).
         modes: Modes along which the state is displaced.
-        angle: Largest initial deviation of a position (rad, m).
-        speed: Largest initial deviation of a velocity (rad/s, m/s).
+        angle: Largest initial deviation of a position [rad, m].
+        speed: Largest initial deviation of a velocity [rad/s, m/s].
     """
-    displacement = _displacement(model, modes, angle, speed)
+    displacement = _make_displacement(model, modes, angle, speed)
     joints = scalar_joints(model)
     columns = 1 + model.jnt_qposadr[joints] if len(joints) else 1 + np.arange(model.nq)
     timestep = float(model.opt.timestep)
-    window = max(1, round(min(max(map(_window, modes)), _LONGEST_WINDOW) / timestep))
-    chunk = max(1, round(_CHUNK / timestep / window)) * window
+    window = max(1, round(min(max(map(_window_duration, modes)), _MAX_WINDOW) / timestep))
+    chunk = max(1, round(_CHUNK_DURATION / timestep / window)) * window
     workers = [mujoco.MjData(model) for _ in range(2)]
-    states = np.array([_displaced(model, start, sign * displacement) for sign in (1.0, -1.0)])
+    states = np.array([_displace_state(model, start, sign * displacement) for sign in (1.0, -1.0)])
     maxima: list[float] = []
     deviations, time, doubling = np.zeros(len(columns)), 0.0, None
     while time < LONGEST_TRIAL and doubling is None:
@@ -182,22 +187,24 @@ def simulate_growth(
         deviations, states, time = differences[-1], rollouts[:, -1], time + chunk * timestep
         doubling = _doubling_time_of(np.array(maxima), window * timestep, lost=diverged)
         least = min(maxima)
-        if diverged or maxima[-1] < _DECAYED * angle:
+        if diverged or maxima[-1] < _DECAYED_RATIO * angle:
             break
         if time >= _HALF_TIME and maxima[-1] < _HALF_GROWTH * least:
             break
     names = [model.joint(joint).name for joint in joints]
-    shares = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))
+    joint_deviations = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))
     steady = time >= _HALF_TIME and any(mode.shakes for mode in modes)
-    sustained = bool(steady and maxima[-1] >= _SUSTAINED * maxima[0])
-    return GrowthTrial(angle, time, doubling, select_most_moving(shares), sustained)
+    sustained = bool(steady and maxima[-1] >= _SUSTAINED_RATIO * maxima[0])
+    return GrowthTrial(angle, time, doubling, select_most_moving(joint_deviations), sustained)
 
 
-def _displacement(model: mujoco.MjModel, modes: list[Mode], angle: float, speed: float) -> Array:
-    """Return the displacement in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
+def _make_displacement(
+    model: mujoco.MjModel, modes: list[Mode], angle: float, speed: float
+) -> Array:
+    """Compute the displacement along modes in the tangent space of (qpos, qvel, act), (2 nv + na,).
 
-    It is the sum of the modes' directions, of those that both finite-difference steps have if there
-    are any. If there are none, it is a velocity of all coordinates.
+    The result is the sum of the modes' directions, over the modes that both finite-difference steps
+    share. Without such a mode the result is a velocity of all coordinates.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated]
@@ -212,10 +219,10 @@ def _displacement(model: mujoco.MjModel, modes: list[Mode], angle: float, speed:
     return np.asarray(displacement / max(largest_angle, largest_speed))
 
 
-def _displaced(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
+def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
     """Return a state (mjSTATE_FULLPHYSICS) after a displacement in the tangent space."""
     data, nv = mujoco.MjData(model), model.nv
-    mujoco.mj_setState(model, data, start, STATE)
+    mujoco.mj_setState(model, data, start, STATE_SPEC)
     mujoco.mj_integratePos(model, data.qpos, np.ascontiguousarray(displacement[:nv]), 1.0)
     data.qvel += displacement[nv : 2 * nv]
     data.act += displacement[2 * nv :]
@@ -223,11 +230,12 @@ def _displaced(model: mujoco.MjModel, start: Array, displacement: Array) -> Arra
 
 
 def _doubling_time(mode: Mode) -> float:
+    """Return the doubling time of a mode [s]; infinite if the mode has none."""
     return mode.doubling_time or math.inf
 
 
-def _window(mode: Mode) -> float:
-    """Return the time (s) over which the maximum of a mode's deviation is taken."""
+def _window_duration(mode: Mode) -> float:
+    """Return the time over which the maximum of a mode's deviation is taken [s]."""
     period = 1 / mode.frequency if mode.frequency else 0.0
     return max(period, _doubling_time(mode) / 4)
 
@@ -252,7 +260,7 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
         return window * len(rising) / max(len(times), 1)
     for last in range(DOUBLINGS - 1, len(times)):
         before, middle, end = (0.0, *times)[last - 1 : last + 2]
-        if end - middle <= _SLOWING * (middle - before) + window / 2:
+        if end - middle <= _MAX_DOUBLING_RATIO * (middle - before) + window / 2:
             return (end - before) / 2
     return None
 
@@ -266,7 +274,7 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
     return window * (after - 1 + float((math.log(level) - low) / (high - low)))
 
 
-def _confirmed(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
+def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
     """Return the mode that a trial confirms, with the growth and the joints of the simulation."""
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

@@ -1,4 +1,8 @@
-"""What a simulation's states say: has it fallen, what touches the ground, has it come to rest."""
+"""Evaluate the states of simulations: falls, ground contacts, motor torques, contact forces.
+
+`StandReference` judges whether a state still stands, `ContactSampler` evaluates the contacts of a
+state, and `record_contacts` those of a rollout. All states are MuJoCo's mjSTATE_FULLPHYSICS.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +29,17 @@ from pupper_analysis.robot.fall import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import weld_forces
-from pupper_analysis.simulation.rollout import STATE
+from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-FALLEN_HEIGHT = 0.5
-"""What has lost more than this share of the height of its centre of mass has fallen."""
+FALLEN_HEIGHT_RATIO = 0.5
+"""Smallest remaining CoM height, relative to the CoM height of the stand: a robot below has fallen.
+Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
-"""Largest tilt of the base of a robot that stands (rad). Chosen, not tuned: dropped variants that
+"""Largest tilt of the base of a robot that stands [rad]. Chosen, not tuned: dropped variants that
 stand tilt by up to 2.6 deg; v3-long-leg, which sits on its shanks, by 16 deg."""
 
 
@@ -64,58 +69,67 @@ class StandCheck(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Upright:
-    """How a robot is to stand, against which a fall is seen.
+class StandReference:
+    """Pose of the expected stand, against which simulated states are judged.
 
-    What is watched is the point of its base at which its centre of mass is when it stands so; of
-    one whose base is fixed, its joints.
+    For a free base the judged point is fixed in the base and coincides with the CoM in the expected
+    stand. For a fixed base the joint positions are judged.
 
     Attributes:
         robot: The robot.
-        rotation: (3, 3) which its base is to have.
-        place: (3,) where that point is to be (m).
-        lever: (3,) where it is in the base's frame (m).
-        size: Its height above the lowest of the feet's contacts (m).
-        joints: (nu,) where they are to be (rad, m).
+        rotation: Expected orientation of the base, base to world, shape (3, 3).
+        com_position: Expected position of the judged point in the world, shape (3,) [m].
+        com_offset: Position of the judged point in the base frame, shape (3,) [m].
+        com_height: Expected height of the judged point above the lowest foot contact [m]; for a welded
+            robot, distance between base and CoM plus the stand height; 1 for a fixed base.
+        joints: Expected joint positions, shape (nu,) [rad, m].
     """
 
     robot: Robot
     rotation: Array
-    place: Array
-    lever: Array
-    size: float
+    com_position: Array
+    com_offset: Array
+    com_height: float
     joints: Array
 
     @classmethod
-    def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> Upright:
-        """Looks at a robot as it is to stand.
+    def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> StandReference:
+        """Make the reference of a configuration.
 
         Args:
             robot: The robot.
-            qpos: (nq,) its configuration.
-            rotation: (3, 3) which its base is to have; that of ``qpos`` by default.
+            qpos: Configuration of the stand, shape (nq,).
+            rotation: Expected orientation of the base, shape (3, 3); that of ``qpos`` by default.
         """
         config, joints = Configuration(robot, qpos), qpos[robot.nq - robot.nu :]
         com = config.center_of_mass()
         if not robot.floating:
             return cls(robot, np.eye(3), com, np.zeros(3), 1.0, joints)
-        turned = rotation_from_quaternion(qpos[3:7])
+        base_rotation = rotation_from_quaternion(qpos[3:7])
         feet = config.foot_positions()
         low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
-        lever = turned.T @ (com - qpos[:3])
-        size = float(com[2] - low)
+        com_offset = base_rotation.T @ (com - qpos[:3])
+        com_height = float(com[2] - low)
         if robot.welds:  # it stands on what is bolted, which may be above it
-            size = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
-        return cls(robot, turned if rotation is None else rotation, com, lever, size, joints)
+            com_height = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
+        return cls(
+            robot,
+            base_rotation if rotation is None else rotation,
+            com,
+            com_offset,
+            com_height,
+            joints,
+        )
 
-    def lean(self, state: Array) -> float:
-        """Returns how far the base of a state leans (rad)."""
-        return base_lean(self.robot, self.rotation, state)
+    def tilt(self, state: Array) -> float:
+        """Return the angle between the vertical axes of the base and of the reference [rad]."""
+        return base_tilt(self.robot, self.rotation, state)
 
-    def _place(self, state: Array) -> Array:
+    def _locate_com_point(self, state: Array) -> Array:
+        """Return the world position of the judged point in a state, shape (3,) [m]."""
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
-        placed: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.lever
-        return placed
+        position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
+        return position
 
     def check_stand(self, state: Array, touching: Collection[str]) -> StandCheck:
         """Check whether a robot stands: the one predicate for all commands.
@@ -124,39 +138,51 @@ class Upright:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
             touching: Bodies other than feet that touch the ground in that state.
         """
-        lost = 0.0 if self.robot.bolted else float(self.place[2] - self._place(state)[2])
+        lost = (
+            0.0
+            if self.robot.bolted
+            else float(self.com_position[2] - self._locate_com_point(state)[2])
+        )
         return StandCheck(
-            tilt=0.0 if self.robot.bolted else self.lean(state),
-            height=self.size - lost,
-            expected_height=self.size,
+            tilt=0.0 if self.robot.bolted else self.tilt(state),
+            height=self.com_height - lost,
+            expected_height=self.com_height,
             touching=tuple(sorted(touching)),
             collapses=self.has_collapsed(state),
         )
 
     def has_fallen(self, state: Array) -> bool:
-        """Tells whether a robot has fallen over in a state."""
+        """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM height ratio is too small.
+
+        A robot with a fixed base never falls.
+        """
         if self.robot.bolted:
             return False
-        lost = self.place[2] - self._place(state)[2]
-        return self.lean(state) > FALLEN_TILT or bool(lost > (1 - FALLEN_HEIGHT) * self.size)
+        lost = self.com_position[2] - self._locate_com_point(state)[2]
+        return self.tilt(state) > FALLEN_TILT or bool(
+            lost > (1 - FALLEN_HEIGHT_RATIO) * self.com_height
+        )
 
     def has_collapsed(self, state: Array) -> bool:
-        """Tells whether a robot no longer stands in a state, or has left its posture."""
+        """Return True if a robot no longer stands, or has left its posture (fixed base)."""
         if self.robot.bolted:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
             return not bool((np.abs(joints - self.joints) < MIN_POSTURE_DEVIATION).all())
-        place = self._place(state)
-        away = horizontal_distance(self.place, place)
-        return has_collapsed(self.lean(state), float(self.place[2] - place[2]), away, self.size)
+        position = self._locate_com_point(state)
+        distance = horizontal_distance(self.com_position, position)
+        return has_collapsed(
+            self.tilt(state), float(self.com_position[2] - position[2]), distance, self.com_height
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What is seen at one state.
+class ContactSample:
+    """Ground contacts at one state.
 
     Attributes:
-        time: s.
-        forces: {foot that touches: (3,)} of the ground on it, in world axes (N).
+        time: Simulated time [s].
+        forces: {foot that touches the ground: force of the ground on the foot, shape (3,) [N], in
+            world axes}.
         bodies: Names of the other bodies that touch the ground.
     """
 
@@ -164,104 +190,107 @@ class Sight:
     forces: dict[str, Array]
     bodies: set[str]
 
-    def idle(self, feet: Iterable[str]) -> list[str]:
-        """Returns those of the feet that carry nothing."""
+    def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
+        """Return the feet on which the ground exerts no force."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 
-class Watcher:
-    """Looks at single states of a robot's rollouts.
+class ContactSampler:
+    """Evaluate the ground contacts at single states of a robot's rollouts.
 
     Args:
         robot: The robot.
-        model: What was simulated.
+        model: MuJoCo model that was simulated.
 
     Attributes:
-        data: MuJoCo's, of the state last looked at.
+        data: MuJoCo data of the state evaluated last.
     """
 
     def __init__(self, robot: Robot, model: mujoco.MjModel):
         self._robot, self._model = robot, model
         self.data = mujoco.MjData(model)
 
-    def look(self, state: Array, ctrl: Array) -> Sight:
-        """Looks at a state (mjSTATE_FULLPHYSICS) under a command, with all its forces."""
-        mujoco.mj_setState(self._model, self.data, state, STATE)
+    def sample(self, state: Array, ctrl: Array) -> ContactSample:
+        """Evaluate all contact forces at a state (mjSTATE_FULLPHYSICS) under a command."""
+        mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         self.data.ctrl[:] = ctrl
         mujoco.mj_forward(self._model, self.data)
         forces, bodies = contact.ground_forces(self._model, self.data, self._robot.foot_geoms)
-        return Sight(float(self.data.time), forces, bodies)
+        return ContactSample(float(self.data.time), forces, bodies)
 
-    def touching(self, state: Array) -> set[str]:
-        """Returns the bodies that touch the ground, but for the feet: quicker than ``look``."""
-        mujoco.mj_setState(self._model, self.data, state, STATE)
+    def find_ground_bodies(self, state: Array) -> set[str]:
+        """Return the bodies other than feet that touch the ground; faster than ``sample``."""
+        mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         mujoco.mj_kinematics(self._model, self.data)
         mujoco.mj_collision(self._model, self.data)
         return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Returns {foot: (3,)} where MuJoCo has the centres of the feet (m)."""
+    """Compute the positions of the foot centres in MuJoCo's data, {foot: (3,)} [m]."""
     bodies = [body for body, _ in robot.contact_places.values()]
-    places = np.array([place for _, place in robot.contact_places.values()]).reshape(-1, 3, 1)
-    turned = data.xmat[bodies].reshape(-1, 3, 3) @ places
-    return dict(zip(robot.contact_places, data.xpos[bodies] + turned[..., 0], strict=True))
+    offsets = np.array([place for _, place in robot.contact_places.values()]).reshape(-1, 3, 1)
+    rotated_offsets = data.xmat[bodies].reshape(-1, 3, 3) @ offsets
+    return dict(zip(robot.contact_places, data.xpos[bodies] + rotated_offsets[..., 0], strict=True))
 
 
 def base_heights(robot: Robot, states: Array) -> Array:
-    """Returns the base's height in every state of a rollout; 0 of one that its file fixes."""
+    """Return the base's height in each state of a rollout [m]; zeros for a fixed base."""
     if not robot.floating:
         return np.zeros(states.shape[:-1])
     heights: Array = states[..., 1 + robot.mj_convention.qpos_index[2]]
     return heights
 
 
-def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
-    """Returns the angle of the base's rotation against the given one (rad)."""
+def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
+    """Compute the angle between the base's orientation and a rotation [rad]; 0 if fixed."""
     if not robot.floating:
         return 0.0
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
     return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
 
 
-def base_lean(robot: Robot, rotation: Array, state: Array) -> float:
-    """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
+def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
+    """Compute the angle between the vertical axes of the base and of a rotation [rad]."""
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
     return tilt_between(rotation, rotation_from_quaternion(quaternion))
 
 
 def has_diverged(states: Array, timestep: float) -> bool:
-    """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
+    """Return True if a rollout diverged: a value is not finite, or the time has been reset.
+
+    MuJoCo resets the state, with the time, if the simulation diverges.
+    """
     times = states[..., 0]
     with np.errstate(invalid="ignore", over="ignore"):  # a sum of infinities is no number
-        # Quicker than to look at each; where the sum overflows, each is looked at.
+        # The sum is faster than a test of each value. If the sum overflows, each value is tested.
         finite = math.isfinite(states.sum()) or np.isfinite(states).all()
     return not bool(finite and (times[..., 1:] - times[..., :-1] > timestep / 2).all())
 
 
-def tell_divergence(integrator: str, timestep: float) -> Diagnostic:
-    """Says that a rollout broke down."""
+def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
+    """Describe the divergence of a rollout."""
     step = Quantity(timestep, "s")
     return diagnose("simulation-diverged", integrator=integrator, timestep=step)
 
 
-def tell_fall(leaning: float, height: float) -> Diagnostic:
-    """Says that a robot has fallen over."""
-    tilt, left = Quantity(leaning, "rad"), Quantity(height, "m")
-    return diagnose("fell-over", tilt=tilt, height=left, time=None)
+def describe_fall(tilt_angle: float, height: float) -> Diagnostic:
+    """Describe a fall, with the tilt of the base [rad] and the height of the base [m]."""
+    tilt, remaining_height = Quantity(tilt_angle, "rad"), Quantity(height, "m")
+    return diagnose("fell-over", tilt=tilt, height=remaining_height, time=None)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationSettings(Result):
-    """What a stand was simulated with.
+    """Settings with which a stand was simulated.
 
     Attributes:
         feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
-        integrator: MuJoCo's integrator.
-        timestep: s.
-        duration: s.
-        kp: (nu,) N m/rad.
-        kd: (nu,) N m s/rad.
+        integrator: Name of MuJoCo's integrator.
+        timestep: Time step (s).
+        duration: Simulated time (s).
+        kp: Servo stiffness, shape (nu,) (N m/rad).
+        kd: Servo damping, shape (nu,) (N m s/rad).
     """
 
     feedforward: bool
@@ -272,32 +301,35 @@ class SimulationSettings(Result):
     kd: Array = field(metadata={"unit": "N m s/rad"})
 
 
-_SAMPLE_TIME = 0.02  # s between the states that are looked at
+_SAMPLE_TIME = 0.02
+"""Time between the states whose contacts ``record_contacts`` evaluates [s]. Chosen, not tuned."""
 
-LIGHT_FOOT = 1e-3
-"""Share of the weight; a foot that is predicted to carry less may leave the ground for a moment.
-Minimum tangential forces leave two of four feet on unlike slopes with 5e-5 to 6e-4 of the weight, 4
-to 20 mN, which every nudge exceeds."""
 
-TOUCH = 1e-3
-"""Parts that push on each other by less of the weight only just touch."""
+LIGHT_FOOT_LOAD = 1e-3
+"""Share of the weight; a foot with a smaller predicted load may leave the ground for a moment.
+Measured: minimum tangential forces leave two of four feet on unequal slopes with 5e-5 to 6e-4 of
+the weight, 4 to 20 mN, which each nudge exceeds."""
 
-LAST = 1.0
-"""Time in which what a stand settles at is measured (s)."""
+MIN_PUSH_RATIO = 1e-3
+"""Smallest normal force between two bodies, relative to the robot's weight, that is reported as a
+contact. Chosen, not tuned."""
+
+MEASURING_TIME = 1.0
+"""Time before the nudge over which settled quantities are averaged [s]. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
-    """What a close look at some states of a rollout shows.
+class ContactRecord:
+    """Contacts of a rollout, sampled, with the settled forces and torques.
 
     Attributes:
-        failures: What touches the ground, and should not; or should, and does not. Where nothing is
-            to touch anything, what does.
-        lifted: Light feet that left the ground, with the time when they first did (s).
-        touching: Pairs of its bodies that push on each other, settled.
-        torques: (nu,) of motors, settled (N m).
-        forces: Of each foot (3,), and of what is welded or grips that of its constraint (N).
-        feet_settled: Where each is (3,) (m).
+        failures: Bodies that touch the ground and must not; stance feet that unload and must not; and,
+            for a fixed base without stance feet, all pairs of bodies that push on each other.
+        touching: Pairs of robot bodies that push on each other in the settled state.
+        torques: Settled motor torques, shape (nu,) [N m].
+        forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,) [N].
+        feet_settled: Settled position of each foot centre in the world, shape (3,) [m].
+        lifted: {light foot that left the ground: time at which the foot first did [s]}.
     """
 
     failures: tuple[Diagnostic, ...]
@@ -307,14 +339,14 @@ class Watch:
     feet_settled: dict[str, Array]
     lifted: dict[str, float] = field(default_factory=dict)
 
-    def drops(self, stand: Stand) -> dict[str, Array]:
-        """Returns by what (3,) the stance feet ended below, or beside, where they should be (m)."""
+    def foot_drops(self, stand: Stand) -> dict[str, Array]:
+        """Compute target minus settled position of each stance foot, shape (3,) [m]."""
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
         }
 
 
-def watch_contacts(
+def record_contacts(
     robot: Robot,
     model: mujoco.MjModel,
     stand: Stand,
@@ -322,41 +354,49 @@ def watch_contacts(
     ctrl: Array,
     settling: int,
     loaded: Container[str],
-) -> Watch:
-    """Looks at contacts all along, and at torques and forces in the last second of settling.
+) -> ContactRecord:
+    """Sample the contacts of a rollout; average torques and forces over the last second of settling.
 
-    The feet in ``loaded`` must not leave the ground. Other feet are predicted to carry less than
-    ``LIGHT_FOOT`` of the weight; they may.
+    Args:
+        robot: The robot.
+        model: MuJoCo model that was simulated.
+        stand: The stand.
+        states: States after each step, shape (n, size).
+        ctrl: Actuator commands, shape (model.nu,).
+        settling: Number of states before the nudge.
+        loaded: Feet that must not leave the ground. Other feet are predicted to carry less than
+            ``LIGHT_FOOT_LOAD`` of the weight, and may.
     """
-    watcher = Watcher(robot, model)
+    sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
     touched: dict[str, float] = {}
-    lost: dict[str, float] = {}
+    unloaded: dict[str, float] = {}
     torques = np.zeros(robot.nu)
     total = {name: np.zeros(3) for name in (*robot.feet, *robot.welds)}
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()
-    alone = robot.bolted and not stand.stance_feet
-    least = TOUCH * robot.usual_weight
-    last_second = range(settling - round(LAST / model.opt.timestep), settling)
-    # Backwards: the first moment stays. Both parts end with their last state.
+    is_footless = robot.bolted and not stand.stance_feet
+    min_force = MIN_PUSH_RATIO * robot.usual_weight
+    last_second = range(settling - round(MEASURING_TIME / model.opt.timestep), settling)
+    # Backwards, so that the earliest time overwrites later ones. Both parts include their last
+    # state.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
-        seen = watcher.look(states[index], ctrl)
-        if alone:
-            pressed |= pushing_bodies(model, watcher.data, least)
+        sample = sampler.sample(states[index], ctrl)
+        if is_footless:
+            pressed |= find_pushing_bodies(model, sampler.data, min_force)
         else:
-            touched |= dict.fromkeys(seen.bodies, seen.time)
-            touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
-        lost |= dict.fromkeys(seen.idle(carrying), seen.time)
+            touched |= dict.fromkeys(sample.bodies, sample.time)
+            touched |= {foot: sample.time for foot in sample.forces if foot not in carrying}
+        unloaded |= dict.fromkeys(sample.unloaded_feet(carrying), sample.time)
         if index in last_second:
             count += 1
-            pushing = pushing_bodies(model, watcher.data, least)
+            pushing = find_pushing_bodies(model, sampler.data, min_force)
             touching |= {pair for pair in pushing if "world" not in pair}
-            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
-            for name, force in (seen.forces | weld_forces(robot, model, watcher.data)).items():
+            torques += sampler.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
+            for name, force in (sample.forces | weld_forces(robot, model, sampler.data)).items():
                 total[name] += force
-            for foot, centre in foot_centres(robot, watcher.data).items():
+            for foot, centre in foot_centres(robot, sampler.data).items():
                 feet[foot] += centre
     failures = [
         diagnose("body-touches-ground", subject=("body", body), time=Quantity(moment, "s"))
@@ -364,28 +404,28 @@ def watch_contacts(
     ]
     failures += [
         diagnose("foot-idle", subject=("foot", foot), time=Quantity(moment, "s"))
-        for foot, moment in sorted(lost.items())
+        for foot, moment in sorted(unloaded.items())
         if foot in loaded
     ]
     failures += [diagnose("parts-touch", bodies=pair) for pair in sorted(pressed)]
-    return Watch(
+    return ContactRecord(
         failures=tuple(failures),
         touching=tuple(sorted(touching - pressed)),
         torques=torques / count,
         forces={foot: force / count for foot, force in total.items()},
         feet_settled={foot: position / count for foot, position in feet.items()},
-        lifted={foot: moment for foot, moment in sorted(lost.items()) if foot not in loaded},
+        lifted={foot: moment for foot, moment in sorted(unloaded.items()) if foot not in loaded},
     )
 
 
-def pushing_bodies(
-    model: mujoco.MjModel, data: mujoco.MjData, least: float
+def find_pushing_bodies(
+    model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Returns the pairs of bodies that push on each other by so much (N), or on the world's."""
+    """Return the pairs of bodies, the world included, with a normal force above a minimum [N]."""
     pairs, force = set(), np.zeros(6)
     for number, bodies in enumerate(model.geom_bodyid[data.contact.geom].tolist()):
         mujoco.mj_contactForce(model, data, number, force)
-        if force[0] > least:
+        if force[0] > min_force:
             first, second = sorted(model.body(body).name for body in bodies)
             pairs.add((first, second))
     return pairs

@@ -1,4 +1,8 @@
-"""Rollouts: where they begin, and what they are given; ``monitor`` says what comes of them."""
+"""Prepare and run MuJoCo rollouts of stands; ``monitor`` evaluates their states.
+
+`make_stand_start` places a robot on soft ground with its servos commanded; `roll_out` and
+`simulate_commands` run MuJoCo from there.
+"""
 
 from __future__ import annotations
 
@@ -23,31 +27,38 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 
 Array = NDArray[np.float64]
 
-_SHALLOW, _DEEP = 1e-6, 0.065536  # m: where the feet are looked for that carry the weight
+_MIN_DROP, _MAX_DROP = 1e-6, 0.065536
+"""First and last distance [m] by which ``place_on_ground`` lowers the base; doubled in between.
+Chosen, not tuned."""
 
-_DROP_RESOLUTION = 1e-12  # m: drops that differ by no more are one
+_DROP_RESOLUTION = 1e-12
+"""Largest interval at which the bisection of ``place_on_ground`` ends [m]. Chosen, not tuned."""
 
-FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
 
-STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-"""What rollouts return: time, qpos, qvel ..."""
+FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
+"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command, and equals
+the command at rest."""
 
-FORCED = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
-"""What rollouts with forces on bodies are given."""
+STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+"""MuJoCo's specification of the states that rollouts return: time, qpos, qvel, act and more."""
+
+FORCED_CONTROL_SPEC = int(
+    mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+)
+"""MuJoCo's specification of the controls of rollouts with forces on bodies."""
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """A stand on its servos, where a simulation of it begins.
+class StandStart:
+    """Initial state of the simulation of a stand, with servos and command.
 
     Attributes:
         robot: The robot, on the stand's ground.
-        stand: How it stands.
-        prediction: Torques and contact forces: those that last.
-        drive: Its servos.
-        start: The state (mjSTATE_FULLPHYSICS) at rest, let down on to the ground.
-        ctrl: (model.nu,) what they are commanded.
+        stand: The stand.
+        prediction: Statics of the stand with minimum tangential contact forces.
+        drive: Servos and MuJoCo model.
+        start: State (mjSTATE_FULLPHYSICS) at rest, lowered into the soft ground.
+        ctrl: Actuator commands, shape (model.nu,).
     """
 
     robot: Robot
@@ -58,7 +69,7 @@ class Standing:
     ctrl: Array
 
 
-def begin_stand(
+def make_stand_start(
     robot: Robot,
     stand: Stand,
     *,
@@ -66,15 +77,15 @@ def begin_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
-) -> Standing:
-    """Puts a robot on its ground and on its servos, in a stand.
+) -> StandStart:
+    """Place a robot on its ground in a stand, with its servos commanded.
 
     Args:
         robot: The robot.
-        stand: How it stands.
+        stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:
@@ -87,32 +98,37 @@ def begin_stand(
     robot = build_on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
     if robot.welds:
-        close_welds(robot, drive.model, stand.qpos, weld_pushes(robot, stand, prediction))
+        close_welds(
+            robot, drive.model, stand.qpos, weld_generalized_forces(robot, stand, prediction)
+        )
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)
-    return Standing(robot, stand, prediction, drive, start, ctrl)
+    return StandStart(robot, stand, prediction, drive, start, ctrl)
 
 
-def weld_pushes(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, Array]:
-    """Returns {what is welded: (nv,) the generalised force of its weld} in a stand."""
+def weld_generalized_forces(
+    robot: Robot, stand: Stand, prediction: GravityCompensation
+) -> dict[str, Array]:
+    """Compute the generalised force of each weld in a stand, {weld: (nv,)} [N, N m]."""
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
     wrenches = prediction.weld_wrenches
     return {name: own @ wrenches[name][: own.shape[1]] for name, own in columns.items()}
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
-    """Returns MuJoCo's state at a stand, let down until the contacts carry the weight.
+    """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
-    The ground is soft: feet that just touch it carry nothing. The base is lowered into it, with the
-    joints as they are, to where the contacts push against the ground's normal with the weight; so
-    the simulation starts at rest instead of with a fall of some millimetres. (But for one that is
-    welded.)
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal, with
+    the joint positions kept, until the vertical balance is zero. The simulation then starts at rest
+    instead of with a fall of some millimetres. A stand is not lowered if the base is fixed, a contact
+    is welded, or feet on planes of their own have a depth already. If no depth carries the weight, the
+    state at the largest depth is returned.
 
     Args:
         robot: The robot.
-        drive: The robot's MuJoCo model, with servos.
+        drive: Servos and MuJoCo model of the robot.
         stand: The stand.
-        torques: (nu,) motor torques that balance it (N m).
+        torques: Motor torques that balance the stand, shape (nu,) [N m].
 
     Returns:
         The state (mjSTATE_FULLPHYSICS).
@@ -121,40 +137,40 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     data.act[:] = settled_activations(model, data.ctrl)
-    apart = stand.task.ground.planes
-    normal = UP if apart else next(iter(stand.normals.values()), UP)
+    on_planes = stand.task.ground.planes
+    normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def surplus(drop: float) -> float:
-        """Returns by how much the contacts carry more than the weight (N)."""
+        """Return contact force minus weight along the normal [N]."""
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_forward(model, data)
         # Gravity compensation, which is passive, may carry a part of the weight.
-        pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
-        return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
+        generalized_force = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
+        return float(normal @ generalized_force[robot.mj_convention.qvel_index[:3]])
 
-    # Deep enough, walls hold by friction alone; and what is fixed cannot be let down.
-    if robot.bolted or robot.welds or (apart and any(stand.depths.values())):
+    # Deep feet on walls hold the robot by friction alone; a fixed robot cannot be lowered.
+    if robot.bolted or robot.welds or (on_planes and any(stand.depths.values())):
         return rest_state(robot, drive, stand.qpos, data.ctrl)
-    low, high = 0.0, _SHALLOW
-    while (over := surplus(high)) <= 0 and high < _DEEP:
-        low, high = high, min(2 * high, _DEEP)
+    low, high = 0.0, _MIN_DROP
+    while (over := surplus(high)) <= 0 and high < _MAX_DROP:
+        low, high = high, min(2 * high, _MAX_DROP)
     while over > 0 and high - low > _DROP_RESOLUTION:
         middle = (low + high) / 2
         low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
-    surplus(high)  # where nothing carries, however deep, it begins there and falls
+    surplus(high)  # the state at the end of the interval; the robot falls if no depth carries it
     return full_state(model, data)
 
 
 def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
-    """Returns the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
+    """Return the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
 
     Args:
         robot: The robot, on its ground.
-        drive: Its servos.
-        qpos: (nq,) where it rests.
-        ctrl: (model.nu,) what they are commanded.
+        drive: Servos and MuJoCo model.
+        qpos: Configuration, shape (nq,).
+        ctrl: Actuator commands, shape (model.nu,).
     """
     data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)
@@ -162,15 +178,18 @@ def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
     return full_state(drive.model, data)
 
 
-def settled_activations(model: mujoco.MjModel, ctrl: Array, slowest: float = math.inf) -> Array:
-    """Returns what motors with a filter have at rest (na,): their command, as far as it goes.
+def settled_activations(
+    model: mujoco.MjModel, ctrl: Array, max_time_constant: float = math.inf
+) -> Array:
+    """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    Those slower than ``slowest`` (s) are still where they begin.
+    The activation of an actuator with filter dynamics is its command, clipped to ``ctrlrange``. Other
+    activations are zero, as are those with a time constant above ``max_time_constant`` [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
-        filtered = model.actuator_dyntype[motor] in FILTERS
-        if filtered and model.actuator_dynprm[motor, 0] <= slowest:
+        filtered = model.actuator_dyntype[motor] in FILTER_DYNAMICS
+        if filtered and model.actuator_dynprm[motor, 0] <= max_time_constant:
             control = int(model.actuator_ctrladr[motor])
             low, high = (
                 model.actuator_ctrlrange[control]
@@ -183,9 +202,9 @@ def settled_activations(model: mujoco.MjModel, ctrl: Array, slowest: float = mat
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Returns the state (mjSTATE_FULLPHYSICS) in MuJoCo's data."""
-    state = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, state, STATE)
+    """Return the state (mjSTATE_FULLPHYSICS) of MuJoCo's data."""
+    state = np.empty(mujoco.mj_stateSize(model, STATE_SPEC))
+    mujoco.mj_getState(model, data, state, STATE_SPEC)
     return state
 
 
@@ -197,20 +216,20 @@ def roll_out(
     *,
     control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
 ) -> Array:
-    """Simulates a model from states on.
+    """Simulate a model from several states.
 
-    MuJoCo's warnings of simulations that diverge are not printed, and leave no file: ``monitor``
-    says what comes of each.
+    MuJoCo's warnings about diverging simulations are suppressed, and no log file is written:
+    ``monitor`` detects divergence.
 
     Args:
-        model: The model.
-        workers: Its data, one per thread.
-        starts: (runs, size) the states (mjSTATE_FULLPHYSICS), or one of them.
-        control: (runs, steps, nu) what it is given in each step.
-        control_spec: What that is.
+        model: MuJoCo model.
+        workers: MuJoCo data, one per thread.
+        starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
+        control: Controls in each step, shape (runs, steps, n).
+        control_spec: MuJoCo's specification of the controls; actuator commands by default.
 
     Returns:
-        (runs, steps, size) the states after each step.
+        States after each step, shape (runs, steps, size).
     """
     with silence_mujoco():
         states, _ = mujoco.rollout.rollout(
@@ -219,36 +238,36 @@ def roll_out(
     return np.asarray(states)
 
 
-def simulate(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
-    """Simulates a model from a state on.
+def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
+    """Simulate a model from one state.
 
     Args:
-        model: The model.
-        start: The state (mjSTATE_FULLPHYSICS).
-        ctrl: (n, nu) the command in each step.
+        model: MuJoCo model.
+        start: Initial state (mjSTATE_FULLPHYSICS).
+        ctrl: Actuator commands in each step, shape (n, model.nu).
 
     Returns:
-        (n, size) the states after each step.
+        States after each step, shape (n, size).
     """
-    one: Array = roll_out(model, mujoco.MjData(model), start, ctrl[None])[0]
-    return one
+    states: Array = roll_out(model, mujoco.MjData(model), start, ctrl[None])[0]
+    return states
 
 
-def forced_commands(
+def make_forced_controls(
     robot: Robot, model: mujoco.MjModel, ctrl: Array, runs: int, steps: int
 ) -> tuple[Array, Array]:
-    """Returns what rollouts with a force on the base are given, for ``control_spec=FORCED``.
+    """Build the controls of rollouts with a force on the base, for ``FORCED_CONTROL_SPEC``.
 
     Args:
         robot: The robot.
-        model: Its model.
-        ctrl: (nu,) the servos' command, in all steps.
-        runs: How many rollouts.
-        steps: Their length.
+        model: MuJoCo model that is simulated.
+        ctrl: Actuator commands of all steps, shape (model.nu,).
+        runs: Number of rollouts.
+        steps: Number of steps of each rollout.
 
     Returns:
-        (runs, steps, size) with forces of zero; and the part of it, (runs, steps, 3), that is the
-        force on the base, at its com, in world axes (N).
+        The controls, shape (runs, steps, model.nu + 6 model.nbody), with forces of zero; and a view
+        into them, shape (runs, steps, 3) [N]: the force on the base at its CoM, in world axes.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
     control[:, :, : model.nu] = ctrl
@@ -257,26 +276,31 @@ def forced_commands(
 
 
 def check_stand(robot: Robot, stand: Stand, duration: float) -> Robot:
-    """Checks what a simulation of a stand is given; returns the robot with its contacts.
+    """Check the arguments of a simulation of a stand; return the robot with the stand's contacts.
 
     Raises:
-        ConfigurationError: If the base is fixed, the stand is another robot's, or the duration (s)
-            is not between 2 and 600.
+        ConfigurationError: If the base is fixed and the stand has stance feet, the stand belongs to
+            another robot, or the duration [s] is not between 2 and 600.
     """
-    robot = check_standing(robot, stand)
+    robot = check_stand_base(robot, stand)
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
         raise ConfigurationError("duration", problem)
     return robot
 
 
-def check_standing(robot: Robot, stand: Stand) -> Robot:
-    """Checks that a stand is the robot's, its base free if it has feet; returns it with contacts.
+def check_stand_base(robot: Robot, stand: Stand) -> Robot:
+    """Check that a stand belongs to the robot and that a standing base is free; return the robot.
+
+    The returned robot has the contacts of the stand.
 
     Raises:
-        ConfigurationError: If not.
+        ConfigurationError: If the stand belongs to another robot, or the base is fixed and the stand
+            has stance feet.
     """
-    if stand.stance_feet and not stand.task.contacts:  # a weld frees a base
+    if (
+        stand.stance_feet and not stand.task.contacts
+    ):  # contacts of the task may add a weld, which frees the base
         robot.check_floating()
     robot = stand.check(robot)
     if stand.stance_feet:

@@ -1,6 +1,7 @@
-"""Does a robot come to rest where it stands: simulated no longer than it takes to know.
+"""Test whether a robot comes to rest in a stand, with a simulation as short as possible.
 
-`verify_stand` tells what a stand is, over 12 s; this tells yes or no, of many servos.
+`comes_to_rest` returns a truth value for many servos or stands; `verify_stand` simulates 12 s and
+returns all quantities.
 """
 
 from __future__ import annotations
@@ -16,48 +17,57 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.monitor import LAST
+from pupper_analysis.simulation.monitor import MEASURING_TIME
 from pupper_analysis.simulation.rollout import (
-    STATE,
-    Standing,
-    begin_stand,
-    simulate,
+    STATE_SPEC,
+    StandStart,
+    make_stand_start,
+    simulate_commands,
 )
-from pupper_analysis.simulation.stability import measure_response, simulate_nudge, stability_after
-from pupper_analysis.simulation.verify import NUDGED, SETTLED_DRIFT
+from pupper_analysis.simulation.stability import (
+    evaluate_final_stability,
+    measure_response,
+    simulate_nudge,
+)
+from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-STILL = 2e-4
-"""Height of the base that is at rest deviates by no more than this in a second (m)."""
+MAX_HEIGHT_DEVIATION = 2e-4
+"""Largest standard deviation of the base's height, within a second, of a robot at rest [m]. Chosen,
+not tuned."""
 
-STAYED = 5e-3
-"""Feet of a robot that does not shake have moved by no more than this (m)."""
+MAX_FOOT_DISPLACEMENT = 5e-3
+"""Largest horizontal displacement of a foot from its target for a robot at rest [m]. Chosen, not
+tuned."""
 
-UPRIGHT = 0.1
-"""A robot that leans by more on its servos is not held up by them (rad)."""
+MAX_BASE_ROTATION = 0.1
+"""Largest rotation of the base against the stand [rad]. A robot that rotates further is not held up by
+its servos. Chosen, not tuned."""
 
-_SURE = 0.25
-"""What is below this part of each bound for a second is at rest; the spectrum says whether it stays
-so."""
+_RESTING_RATIO = 0.25
+"""Largest ratio of the rest quantities to their bounds, over one second, at which settling ends early.
+The spectrum then decides whether the robot stays at rest. Chosen, not tuned."""
 
-_LOST = 2.0
-"""What has gone so many times as far as its bound does not come back within it: feet are held there
-by friction, and from rest a base overshoots to twice the lean that it comes to at the most."""
+_LOST_RATIO = 2.0
+"""Ratio of foot displacement or base rotation to its bound above which the simulation ends with
+failure: feet are held there by friction, and a base that starts at rest overshoots to at most twice
+its final tilt."""
 
-_LOOK = 0.25
-"""How often that is looked for (s): longer than a foot that is thrown up stays off the ground."""
+_CHECK_INTERVAL = 0.25
+"""Simulated time between two checks [s]; longer than a foot that is thrown up stays off the ground."""
 
-_FORGOTTEN = 3.0
-"""Time constants of the slowest swing in which it is seen that a nudge is forgotten: a twentieth is
-left."""
+_DECAY_TIME_CONSTANTS = 3.0
+"""Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge is
+left after three."""
 
-_BRIEF = 1.5
-"""Time that is looked at after a nudge, at least (s): what leaves its place at a nudge of 1 mm/s
-does so within a second."""
+_MIN_NUDGE_TIME = 1.5
+"""Shortest simulated time after a nudge [s]. Measured: a stand that a nudge of 1 mm/s upsets is left
+within a second."""
 
-_SAMPLE_TIME = 0.02  # s between the states at whose feet is looked
+_SAMPLE_TIME = 0.02
+"""Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
 
 def comes_to_rest(
@@ -68,97 +78,113 @@ def comes_to_rest(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> bool:
-    """Tells whether a robot comes to rest where it stands, and again after a nudge.
+    """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    It settles for as long as ``verify_stand`` lets it, or until it is at rest for sure, or lost;
-    then no mode of the step's spectrum may grow within ``HOLD_DURATION``, and a nudge must
-    be forgotten.
+    The settling simulation lasts as long as in ``verify_stand``, but ends once the robot is at rest or
+    lost. Then no mode of the spectrum may grow within ``LASTING``, and a nudge must decay.
 
     Args:
         robot: The robot.
-        stand: How it stands.
+        stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
 
     Raises:
         ConfigurationError: If an argument is out of its range.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
-    upright = monitor.Upright.of(held.robot, held.stand.qpos, held.stand.task.rotation())
-    last = _settled(held, upright)
-    if last is None:
+    held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
+    reference = monitor.StandReference.of(held.robot, held.stand.qpos, held.stand.task.rotation())
+    last_second = _simulate_until_rest(held, reference)
+    if last_second is None:
         return False
-    model, state = held.drive.model, last[-1]
-    judged = stability_after(held.drive, held.start, state, held.ctrl)
-    if not judged.lasts():
+    model, state = held.drive.model, last_second[-1]
+    stability = evaluate_final_stability(held.drive, held.start, state, held.ctrl)
+    if not stability.lasts():
         return False
-    slowest = judged.least_damped
-    forgotten = _FORGOTTEN * (0.0 if slowest is None else slowest.time_constant)
-    later = simulate_nudge(
-        model, state, held.ctrl, min(max(forgotten, _BRIEF), NUDGED * HOLD_DURATION)
+    slowest = stability.least_damped
+    decay_time = _DECAY_TIME_CONSTANTS * (0.0 if slowest is None else slowest.time_constant)
+    nudged_states = simulate_nudge(
+        model,
+        state,
+        held.ctrl,
+        min(max(decay_time, _MIN_NUDGE_TIME), NUDGED_FRACTION * HOLD_DURATION),
     )
-    if monitor.has_diverged(later, float(model.opt.timestep)):
+    if monitor.has_diverged(nudged_states, float(model.opt.timestep)):
         return False
-    nudge = measure_response(model, state, later, last)
-    if find_instability(judged, nudge) or _falls(upright, later[-1]):
+    nudge = measure_response(model, state, nudged_states, last_second)
+    if find_instability(stability, nudge) or _has_left_stand(reference, nudged_states[-1]):
         return False
-    touching = monitor.Watcher(held.robot, model).touching(later[-1])
-    return upright.check_stand(later[-1], touching).stands
+    touching = monitor.ContactSampler(held.robot, model).touching(nudged_states[-1])
+    return reference.check_stand(nudged_states[-1], touching).stands
 
 
-def _settled(held: Standing, upright: monitor.Upright) -> Array | None:
-    """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
+def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:
+    """Simulate a stand until it is at rest; return the states of the last second, None without rest."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
-    ctrl = np.tile(held.ctrl, (max(2, round(_LOOK / timestep)), 1))
-    data, spans = mujoco.MjData(model), deque[tuple[Array, Array]](maxlen=round(LAST / _LOOK))
-    second, last = None, math.inf
-    for _ in range(round((1 - NUDGED) * HOLD_DURATION / _LOOK)):
-        states = simulate(model, state, ctrl)
+    ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
+    data, intervals = (
+        mujoco.MjData(model),
+        deque[tuple[Array, Array]](maxlen=round(MEASURING_TIME / _CHECK_INTERVAL)),
+    )
+    last_second, ratio = None, math.inf
+    for _ in range(round((1 - NUDGED_FRACTION) * HOLD_DURATION / _CHECK_INTERVAL)):
+        states = simulate_commands(model, state, ctrl)
         state = states[-1]
         if monitor.has_diverged(states, timestep):
             return None
-        spans.append((states, _ways(held, data, states)))
-        lost = _farthest(spans[-1][1]) > _LOST * STAYED
-        if lost or _falls(upright, state, _LOST * UPRIGHT):
+        intervals.append((states, _mean_foot_displacements(held, data, states)))
+        lost = _max_horizontal_norm(intervals[-1][1]) > _LOST_RATIO * MAX_FOOT_DISPLACEMENT
+        if lost or _has_left_stand(reference, state, _LOST_RATIO * MAX_BASE_ROTATION):
             return None
-        if len(spans) == spans.maxlen:
-            second = np.concatenate([one for one, _ in spans])
-            last = _unrest(held, second, np.mean([ways for _, ways in spans], axis=0))
-            if last <= _SURE:
-                return second
-    return second if last <= 1.0 else None
+        if len(intervals) == intervals.maxlen:
+            last_second = np.concatenate([states for states, _ in intervals])
+            ratio = _rest_ratio(
+                held,
+                last_second,
+                np.mean([displacements for _, displacements in intervals], axis=0),
+            )
+            if ratio <= _RESTING_RATIO:
+                return last_second
+    return last_second if ratio <= 1.0 else None
 
 
-def _unrest(held: Standing, states: Array, ways: Array) -> float:
-    """Returns how far from rest a second is, in parts of the bounds; feet went ways (feet, 3)."""
+def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
+    """Return the largest ratio of height deviation, drift and foot displacement (feet, 3) to its bound."""
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration
-    return max(float(heights.std()) / STILL, drift / SETTLED_DRIFT, _farthest(ways) / STAYED)
+    return max(
+        float(heights.std()) / MAX_HEIGHT_DEVIATION,
+        drift / SETTLED_DRIFT,
+        _max_horizontal_norm(displacements) / MAX_FOOT_DISPLACEMENT,
+    )
 
 
-def _farthest(ways: Array) -> float:
-    """Returns the greatest way of a foot over the ground (m)."""
-    return float(np.linalg.norm(ways[:, :2], axis=1).max())
+def _max_horizontal_norm(displacements: Array) -> float:
+    """Return the largest horizontal norm of displacements (feet, 3) [m]."""
+    return float(np.linalg.norm(displacements[:, :2], axis=1).max())
 
 
-def _ways(held: Standing, data: mujoco.MjData, states: Array) -> Array:
-    """Returns the way (feet, 3) of each foot from its target, on average (m)."""
-    seen, stand = [], held.stand
+def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
+    """Compute target minus mean position of each stance foot, shape (feet, 3) [m]."""
+    positions, stand = [], held.stand
     for state in states[:: -max(1, round(_SAMPLE_TIME / held.drive.model.opt.timestep))]:
-        mujoco.mj_setState(held.drive.model, data, state, STATE)
+        mujoco.mj_setState(held.drive.model, data, state, STATE_SPEC)
         mujoco.mj_kinematics(held.drive.model, data)
         centres = monitor.foot_centres(held.robot, data)
-        seen.append([centres[foot] for foot in stand.stance_feet])
+        positions.append([centres[foot] for foot in stand.stance_feet])
     targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
-    ways: Array = targets - np.mean(seen, axis=0)
-    return ways
+    displacements: Array = targets - np.mean(positions, axis=0)
+    return displacements
 
 
-def _falls(upright: monitor.Upright, state: Array, most: float = UPRIGHT) -> bool:
-    turned = monitor.turned_by(upright.robot, upright.rotation, state)
-    return turned > most or upright.has_collapsed(state)
+def _has_left_stand(
+    reference: monitor.StandReference, state: Array, max_rotation: float = MAX_BASE_ROTATION
+) -> bool:
+    """Return True if the base is rotated by more than a bound [rad] or the robot has collapsed."""
+    rotation = monitor.rotation_angle(reference.robot, reference.rotation, state)
+    return rotation > max_rotation or reference.has_collapsed(state)

@@ -18,20 +18,20 @@ from pupper_analysis.robot.stability import SETTLING_TIME, Stability, judge_sett
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.rollout import (
-    STATE,
-    begin_stand,
-    check_standing,
+    STATE_SPEC,
+    check_stand_base,
+    make_stand_start,
     rest_state,
-    simulate,
+    simulate_commands,
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-MEETING = 0.05
-"""s in which contacts meet their loads, where an equilibrium has been found already: the prediction
-is of first order in friction's creep."""
+CONTACT_SETTLING_TIME = 0.05
+"""Simulated time in which contact forces converge if the state is a predicted equilibrium [s]. The
+prediction is accurate to first order in the friction creep. Chosen, not tuned."""
 
 
 @check_arguments
@@ -44,34 +44,34 @@ def stand_stability(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Stability:
-    """Judges whether a stand is stable, by the eigenvalues of one of MuJoCo's steps.
+    """Judge whether a stand is stable, from the eigenvalues of one of MuJoCo's steps.
 
-    It takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s tests whether
-    the mode does grow (``confirm_growth``). With feed-forward the stand is judged; without, the
+    The evaluation takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s tests
+    whether the mode does grow (``confirm_growth``). With feed-forward the stand is judged; without, the
     equilibrium of the servos (``steady_state``, feet pinned). Larger pushes are not covered.
 
     Args:
         robot: The robot.
-        stand: How it stands.
+        stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
-        The modes that grow, with their doubling times, and the margin.
+        The modes that grow, with their doubling times, and the stability margin.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NoEquilibriumError: If it comes to rest nowhere near without feed-forward.
+        NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
-    robot = check_standing(robot, stand)
+    robot = check_stand_base(robot, stand)
     if not feedforward:
         pose = steady_state(robot, stand, kp=kp)
         return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)
-    held = begin_stand(robot, stand, kp=kp, kd=kd, integrator=integrator)
+    held = make_stand_start(robot, stand, kp=kp, kd=kd, integrator=integrator)
     return evaluate_stability(held.drive, held.start, held.ctrl)
 
 
@@ -84,46 +84,50 @@ def rest_stability(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Stability:
-    """Judges where the servos, commanded the stand alone, let a robot come to rest.
+    """Judge the stability of the equilibrium that servos reach without feed-forward.
 
     Args:
         robot: The robot.
-        stand: The stand that is commanded.
-        pose: Where it comes to rest: ``steady_state``.
-        kp: As for ``stand_stability``, like the next two.
-        kd: Likewise.
-        integrator: Likewise.
+        stand: The stand whose joint positions are commanded.
+        pose: Equilibrium of the servos, from ``steady_state``.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
+        integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
-        The modes that grow there, and the margin.
+        The modes that grow at the equilibrium, and the stability margin.
     """
-    held = begin_stand(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
+    held = make_stand_start(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
     start = rest_state(held.robot, held.drive, pose.qpos, held.ctrl)
-    return evaluate_stability(held.drive, start, held.ctrl, MEETING)
+    return evaluate_stability(held.drive, start, held.ctrl, CONTACT_SETTLING_TIME)
 
 
-RESTING = 5e-3
-"""What moves faster does not rest (m/s, rad/s): feet creep by less."""
+MAX_RESTING_SPEED = 5e-3
+"""Largest speed of a state at rest [m/s, rad/s]; feet creep more slowly. Chosen, not tuned."""
 
 
-def stability_after(
-    drive: Servos, start: Array, end: Array, ctrl: Array, *, lost: bool = False
+def evaluate_final_stability(
+    drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> Stability:
-    """Judges where a simulation has come to rest under a command.
+    """Judge the stability of the final state of a simulation, or of its initial state.
 
-    Where it was begun, if it has come to no rest; what threw off one that is lost grew there, and a
-    wreck that lies at rest has a spectrum of its own.
+    The initial state is judged if the simulation has failed (``has_fallen``), since the modes that
+    upset the robot grow there, or if the final state is not at rest.
     """
-    found = evaluate_stability(drive, start if lost else end, ctrl, 0.0)
-    return found if lost or found.speed <= RESTING else evaluate_stability(drive, start, ctrl)
+    stability = evaluate_stability(drive, start if has_fallen else end, ctrl, 0.0)
+    return (
+        stability
+        if has_fallen or stability.speed <= MAX_RESTING_SPEED
+        else evaluate_stability(drive, start, ctrl)
+    )
 
 
 def evaluate_stability(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge a state (mjSTATE_FULLPHYSICS) under a command; see ``judge_stability``."""
+    """Judge the stability of a state under a command; see ``judge_stability``."""
     data = mujoco.MjData(drive.model)
-    mujoco.mj_setState(drive.model, data, state, STATE)
+    mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl
     return judge_stability(drive.model, data, settle=settle)
 
@@ -131,7 +135,7 @@ def evaluate_stability(
 def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
     """Compute the spectrum at a state (mjSTATE_FULLPHYSICS) under a command; see ``Stability``."""
     data = mujoco.MjData(drive.model)
-    mujoco.mj_setState(drive.model, data, state, STATE)
+    mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl
     return step_stability(drive.model, data)
 
@@ -142,42 +146,46 @@ def judge_stability(
     """Judge the stability of a state: the one rule for all commands.
 
     A mode of the spectrum (``step_stability``) that would leave the state counts only if a nudged
-    simulation of the unmodified model confirms it; see ``confirm_growth``.
+    simulation of the unmodified model confirms the mode; see ``confirm_growth``.
 
     Args:
         model: MuJoCo model.
-        data: State, with ``ctrl``; it is not changed.
-        settle: Time for which the state is simulated first (s).
+        data: State, with ``ctrl``; not changed.
+        settle: Time for which the state is simulated first [s].
     """
-    found, judged = judge_settled(model, data, settle)
-    return confirm_growth(found, model, judged, data.ctrl.copy())
+    spectrum, settled = judge_settled(model, data, settle)
+    return confirm_growth(spectrum, model, settled, data.ctrl.copy())
 
 
-LEFT = 1e-2
-"""A joint that is further from where it was before the nudge has left it (rad, m)."""
+MAX_JOINT_DISPLACEMENT = 1e-2
+"""Largest displacement of a joint after a nudge, from its position before the nudge, at which the
+joint has stayed [rad, m]. Chosen, not tuned."""
 
-_DECAYING = 0.9
-"""Motion in the last third of the time is at most this part of that in the second third: what
-swings on, or in a cycle of its own, is as fast in both."""
+_MAX_SPEED_RATIO = 0.9
+"""Largest ratio of the speeds in the last and the second third of the time for a nudge that decays. A
+sustained oscillation has a ratio of 1. Chosen, not tuned."""
 
-_GONE = 1e-2
-"""Part of the nudge below which motion is what contacts and the solver make: it has decayed."""
+_DECAYED_RATIO = 1e-2
+"""Speed relative to the nudge below which the motion has decayed: contacts and the constraint solver
+cause motion of this size. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nudge(Result):
-    """What became of a nudge.
+    """Response of a stand to a nudge.
 
     Attributes:
-        speed: Of the nudge (m/s, rad/s), in each coordinate up to this.
-        time: When it was given (s).
-        duration: What was simulated of it (s).
-        motion: Greatest speed in the second third of that time, by creep apart (m/s, rad/s).
-        left: The same in the last third.
-        moved: The greatest way of a joint from where it was before, in the last third, beyond what
-            it had crept already (rad, m).
-        farthest: The same at any time after the nudge: what comes back has left all the same.
-        decayed: Whether the motion ``left`` is less, or nothing to speak of.
+        speed: Largest initial velocity of a coordinate (m/s, rad/s).
+        time: Simulated time of the nudge (s).
+        duration: Simulated time after the nudge (s).
+        motion: Largest speed in the second third of that time, without creep (m/s, rad/s).
+        left: Largest speed in the last third of that time, without creep (m/s, rad/s).
+        moved: Largest displacement of a joint in the last third, from its position before the nudge,
+            beyond the creep (rad, m).
+        farthest: Largest displacement of a joint at any time after the nudge, beyond the creep (rad,
+            m).
+        decayed: Whether the simulation did not diverge and ``left`` is small: at most 90 % of
+            ``motion``, or at most 1 % of the nudge.
     """
 
     speed: float = field(metadata={"unit": "m/s or rad/s"})
@@ -191,54 +199,56 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether no joint ever left where it was."""
-        return self.farthest < LEFT
+        """Whether no joint was displaced by ``MAX_JOINT_DISPLACEMENT`` at any time."""
+        return self.farthest < MAX_JOINT_DISPLACEMENT
 
 
 def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
-    """Simulates what becomes of a state when everything is nudged, base and joints.
+    """Simulate a state after a velocity perturbation of all coordinates, base and joints.
 
     Args:
-        model: The model.
-        state: The state (mjSTATE_FULLPHYSICS) at rest.
-        ctrl: (nu,) what is commanded.
-        duration: s.
+        model: MuJoCo model.
+        state: State (mjSTATE_FULLPHYSICS) at rest.
+        ctrl: Actuator commands, shape (model.nu,).
+        duration: Simulated time [s].
 
     Returns:
-        (n, size) the states after each step.
+        States after each step, shape (n, size).
     """
     start, first = state.copy(), 1 + model.nq
     start[first : first + model.nv] += nudge_velocity(model)
     steps = max(3, round(duration / model.opt.timestep))
-    return simulate(model, start, np.tile(ctrl, (steps, 1)))
+    return simulate_commands(model, start, np.tile(ctrl, (steps, 1)))
 
 
-@np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it has not decayed
+@np.errstate(invalid="ignore", over="ignore")  # diverged values: not decayed
 def measure_response(
     model: mujoco.MjModel, before: Array, states: Array, creep: Array | None = None
 ) -> Nudge:
-    """Measures what became of a nudge.
+    """Measure the response to a nudge.
 
-    Feet creep on MuJoCo's friction, at a speed that hardly changes: only what differs from a
-    straight line in time is motion.
+    Feet creep on MuJoCo's friction at a speed that hardly changes. Speeds are therefore deviations from
+    a straight line in time.
 
     Args:
-        model: The model.
-        before: (size,) the state before it.
-        states: (n, size) those after it.
-        creep: (n, size) states before it, over which feet creep: what goes on at most so fast is
-            not the nudge's.
+        model: MuJoCo model.
+        before: State before the nudge, shape (size,).
+        states: States after the nudge, shape (n, size).
+        creep: States before the nudge, shape (m, size), from which creep rates of the joints are
+            measured; displacements are reduced by the creep. None: no creep.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
-    motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
-    whole = not monitor.has_diverged(states, timestep)
+    motion, left = (
+        _detrended_amplitude(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows
+    )
+    is_finite = not monitor.has_diverged(states, timestep)
     hinges = model.jnt_qposadr[scalar_joints(model)]
     distances = np.abs(states[:, 1 + hinges] - before[1 + hinges])
     if creep is not None:
         rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
         distances = np.maximum(distances - np.outer(states[:, 0] - before[0], rates), 0.0)
-    gone = left <= max(_DECAYING * motion, _GONE * NUDGE_SPEED)
+    is_decayed = left <= max(_MAX_SPEED_RATIO * motion, _DECAYED_RATIO * NUDGE_SPEED)
     return Nudge(
         speed=NUDGE_SPEED,
         time=float(before[0]),
@@ -247,12 +257,14 @@ def measure_response(
         left=left,
         moved=float(distances[-third:].max(initial=0.0)),
         farthest=float(distances.max(initial=0.0)),
-        decayed=bool(whole and gone),
+        decayed=bool(is_finite and is_decayed),
     )
 
 
-def _swinging(rates: Array) -> float:
-    """Returns the greatest deviation of rates (n, nv) from straight lines in time."""
-    time = np.linspace(-1.0, 1.0, len(rates))
-    rates_found = (time @ rates) / (time @ time)
-    return float(np.abs(rates - rates.mean(axis=0) - np.outer(time, rates_found)).max(initial=0.0))
+def _detrended_amplitude(velocities: Array) -> float:
+    """Return the largest deviation of velocities (n, nv) from straight lines in time."""
+    time = np.linspace(-1.0, 1.0, len(velocities))
+    slopes = (time @ velocities) / (time @ time)
+    return float(
+        np.abs(velocities - velocities.mean(axis=0) - np.outer(time, slopes)).max(initial=0.0)
+    )

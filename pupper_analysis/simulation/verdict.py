@@ -1,6 +1,7 @@
-"""The verdict of a stance: what a simulation makes of it, and what that rests on.
+"""Verdict of a stance: result of its simulations, and the assumptions behind the result.
 
-One function makes it, ``judge_stance``; whatever prints, draws or exits by it has it from here.
+``judge_stance`` forms each verdict of a simulated stance, ``predict_verdict`` that of a stance that
+has not been simulated. Documents, drawings and exit statuses use these verdicts.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 class VerdictCode(StrEnum):
-    """A verdict in one word, from the best to the worst."""
+    """Verdict in one word, from the best to the worst."""
 
     HOLDS = "holds"
     HOLDS_ON_ADDED_SERVOS = "holds on servos that were added"
@@ -40,21 +41,21 @@ class VerdictCode(StrEnum):
     FAILS = "fails"
 
 
-HOLDING = (
+PASSING_CODES = (
     VerdictCode.HOLDS,
     VerdictCode.HOLDS_ON_ADDED_SERVOS,
     VerdictCode.HOLDS_ALTERED,
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
-"""The verdicts that let pass; exit status 0."""
+"""Verdicts that pass, with exit status 0."""
 
 
-UNKNOWN = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
-"""The verdicts of stances that hold in simulation, with values that no file states."""
+UNKNOWN_CODES = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
+"""Verdicts of stances that hold in simulation, with values that no file states."""
 
 
-class Asked(StrEnum):
-    """What a verdict answers."""
+class Question(StrEnum):
+    """Question that a verdict answers."""
 
     STANDS = "whether it holds"
     CARRIES = "whether it carries its payload"
@@ -62,12 +63,12 @@ class Asked(StrEnum):
     LASTS = "whether it bears pushes"
 
 
-ABOUT_LOAD = (Asked.CARRIES, Asked.LASTS)
-"""Questions that no simulation with motors of unknown torque answers."""
+LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
+"""Questions that a simulation cannot answer if the torque limit of a motor is unknown."""
 
 
 class Ending(StrEnum):
-    """How a simulation ended."""
+    """End of a simulation."""
 
     HOLDS = "holds"
     DISAGREES = "stands, and not as predicted"
@@ -78,17 +79,16 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a verdict needs to know of a simulation; of a payload or a path no more is known.
+    """Result of a simulation, as far as a verdict depends on the simulation.
 
     Attributes:
-        passed: Whether it did what was asked.
-        failures: If not, why.
-        duration: What was simulated (s).
-        collapses: Whether it fell.
-        torque_error: Largest deviation / largest predicted torque; not a number where none is
-            predicted.
-        force_error: Of a foot's force, likewise; None where no foot carries.
-        stability: Of where it settled; None where that was not asked.
+        passed: Whether the simulation did what was requested.
+        failures: Reasons of the failure.
+        duration: Simulated time (s).
+        collapses: Whether the robot fell.
+        torque_error: Largest torque deviation / largest predicted torque; NaN without a prediction.
+        force_error: Largest relative deviation of a foot force; None if no foot carries load.
+        stability: Stability of the settled state; None if not evaluated.
         creep: Motion over the last 10 s; None if it was not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
         stays: Whether the robot stands still on its feet, even if not as predicted.
@@ -112,7 +112,7 @@ class Creep(Result):
 
     Attributes:
         duration: Time over which the motion is measured (s).
-        speed: Speed of the base's CoM-fixed point, or of the foot that moves most (m/s).
+        speed: Speed of the base, or of the stance foot that moves most (m/s).
         rate: Rate of the joint or of the base's orientation that turns most (rad/s).
     """
 
@@ -122,48 +122,48 @@ class Creep(Result):
 
     @property
     def matters(self) -> bool:
-        """Whether the robot creeps by more than ``NOTABLE_SPEED`` or ``NOTABLE_RATE``."""
-        return self.speed > NOTABLE_SPEED or self.rate > NOTABLE_RATE
+        """Whether the creep exceeds ``NOTABLE_CREEP_SPEED`` or ``NOTABLE_CREEP_RATE``."""
+        return self.speed > NOTABLE_CREEP_SPEED or self.rate > NOTABLE_CREEP_RATE
 
 
-NOTABLE_SPEED, NOTABLE_RATE = 1e-3 / 60, 10e-3 / 60
-"""Creep above which the verdict states it in its first lines: 1 mm/min, 10 mrad/min. Chosen, not
-tuned: v3's nominal stand creeps by less than a tenth of both."""
+NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
+"""Creep above which the verdict states the creep in its first lines: 1 mm/min [m/s] and 10 mrad/min
+[rad/s]. Chosen, not tuned: v3's nominal stand creeps by less than a tenth of both."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict(Result):
-    """Whether a stance holds, or does what is asked of it, and what that rests on.
+    """Verdict on a stance, or on a payload, path or push in that stance, with its assumptions.
 
     Attributes:
-        code: The verdict: of all that applies, the worst.
-        asked: What it answers.
-        passed: Whether it holds; the exit status of commands.
-        seconds: The simulated time (s).
-        with_feedforward: How it ends with gravity feed-forward, ctrl = q* + tau / kp.
-        commands_alone: How it ends on position commands alone, ctrl = q*; None if it was not asked.
+        code: The worst verdict that applies.
+        asked: Question that the verdict answers.
+        passed: Whether the stance holds; the exit status of commands.
+        seconds: Simulated time (s).
+        with_feedforward: End of the simulation with gravity feed-forward, ctrl = q* + tau / kp.
+        commands_alone: End of the simulation with position commands only, ctrl = q*; None if not
+            simulated.
         torque_error: With feed-forward, largest deviation / largest predicted torque.
         force_error: With feed-forward, largest deviation of a vertical foot force / its prediction;
-            None where no foot carries.
-        failures: Why it fails with feed-forward, if it does.
-        failures_alone: Why it fails without, if it does.
+            None if no foot carries load.
+        failures: Reasons of a failure with feed-forward.
+        failures_alone: Reasons of a failure without feed-forward.
         overloaded: Motors above their limits.
-        servos: The servos that it rests on.
-        own: What the file does by itself, from its keyframe as a reset leaves it; None of robots
-            that have no file.
-        published: How the MJCF as it was published differs; None where it was not looked at.
-        doubling_time: Doubling time of a deviation (s), with feed-forward, if that makes the stand
-            fail; infinite otherwise. It is measured in a nudged simulation.
-        creep: Motion over the last 10 s of the simulation with feed-forward; None if that was not
-            simulated.
+        servos: Servos of the simulation.
+        own: Simulation of the published file from its keyframe; None for robots without a file.
+        published: Differences between the published MJCF and the simulated model; None if not
+            compared.
+        doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes that
+            leave the stand within the simulated time; infinite without such a mode.
+        creep: Motion over the last 10 s of the simulation with feed-forward; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
-        converted: Which of the robot's models was made of the other one, ``"urdf"`` or ``"mjcf"``:
-            both engines read one file then; empty if each read its own.
-        remarks: What else it rests on: balls in the place of soles, limbs without feet.
+        converted: Model that was converted from the other one, ``"urdf"`` or ``"mjcf"``: both engines
+            read one file then; empty if each engine read its own file.
+        remarks: Other assumptions, such as balls in place of soles, or limbs without feet.
     """
 
     code: VerdictCode
-    asked: Asked
+    asked: Question
     passed: bool
     seconds: float = field(metadata={"unit": "s"})
     with_feedforward: Ending
@@ -188,7 +188,7 @@ def judge_stance(
     alone: Outcome | None,
     servos: ServosUsed,
     *,
-    asked: Asked = Asked.STANDS,
+    asked: Question = Question.STANDS,
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
@@ -197,30 +197,30 @@ def judge_stance(
     masses_unknown: bool = False,
     remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
-    """Weighs what was simulated of a stance, of a posture, or of what is asked of them.
+    """Form the verdict on the simulations of a stance, posture, payload, path or push.
 
     Args:
-        fed: The simulation with feed-forward.
-        alone: The simulation without; None if there is none.
-        servos: Those that were simulated.
-        asked: What the simulation is of.
+        fed: Simulation with feed-forward.
+        alone: Simulation without feed-forward; None if there is none.
+        servos: Servos of the simulation.
+        asked: Question that the simulation answers.
         overloaded: Motors above their limits.
-        own: What the file does by itself, from its keyframe.
-        published: How the MJCF as it was published differs from what was simulated.
-        converted: Which of the robot's models was made of the other one, if one was.
+        own: Simulation of the published file from its keyframe.
+        published: Differences between the published MJCF and the simulated model.
+        converted: Model that was converted from the other one; empty without a conversion.
         unknown: Whether the answer depends on torque limits that no file states.
         masses_unknown: Whether moving links have masses that no file states.
-        remarks: What else of the robot it rests on; an error lets it not pass.
+        remarks: Other assumptions; a remark with severity error prevents that the stance passes.
     """
-    code = _code(fed, alone, servos, overloaded, own, published, remarks)
-    if unknown and code in HOLDING:
+    code = _find_worst_code(fed, alone, servos, overloaded, own, published, remarks)
+    if unknown and code in PASSING_CODES:
         code = VerdictCode.LIMITS_UNKNOWN
-    if masses_unknown and code in HOLDING:
+    if masses_unknown and code in PASSING_CODES:
         code = VerdictCode.MASSES_UNKNOWN
     return Verdict(
         code=code,
         asked=asked,
-        passed=code in HOLDING,
+        passed=code in PASSING_CODES,
         seconds=fed.duration,
         with_feedforward=describe_ending(fed),
         commands_alone=None if alone is None else describe_ending(alone),
@@ -232,7 +232,7 @@ def judge_stance(
         servos=servos,
         own=own,
         published=published,
-        doubling_time=_leaving_time(fed.stability),
+        doubling_time=_min_doubling_time(fed.stability),
         converted=converted,
         remarks=remarks,
         creep=fed.creep,
@@ -240,8 +240,8 @@ def judge_stance(
     )
 
 
-def _leaving_time(stability: Stability | None) -> float:
-    """Return the least doubling time of the modes that leave a state (s); infinite without any."""
+def _min_doubling_time(stability: Stability | None) -> float:
+    """Return the smallest doubling time of the modes that leave a resting state [s]."""
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
     )
@@ -251,37 +251,37 @@ def _leaving_time(stability: Stability | None) -> float:
 def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
-    """Weighs what is known of a stance that balances before it is simulated; it never passes.
+    """Form the verdict on a balanced stance before its simulation; the verdict never passes.
 
     Args:
-        statics: Its balance.
-        servos: Those that hold it.
-        stability: Whether it is stable with feed-forward; None where that is not known yet.
+        statics: Statics of the stance.
+        servos: Servos of the robot.
+        stability: Stability with feed-forward; None if not evaluated.
     """
-    overloaded = beyond_limits(statics)
+    overloaded = find_overloaded_motors(statics)
     leaves = stability is not None and not stability.lasts()
     code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
-    doubling = _leaving_time(stability)
+    doubling_time = _min_doubling_time(stability)
     return Verdict(
         code=VerdictCode.OVERLOADED if overloaded else code,
-        asked=Asked.STANDS,
+        asked=Question.STANDS,
         passed=False,
         seconds=0.0,
         with_feedforward=Ending.UNTRIED,
         overloaded=overloaded,
         servos=servos,
-        doubling_time=doubling,
+        doubling_time=doubling_time,
     )
 
 
-def beyond_limits(statics: GravityCompensation) -> tuple[str, ...]:
-    """Returns the motors that hold more than their limits."""
-    used = zip(statics.joint_names, statics.motor_utilisation, strict=True)
-    return tuple(name for name, share in used if share > 1)
+def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
+    """Return the motors with a utilisation above 1."""
+    utilisations = zip(statics.joint_names, statics.motor_utilisation, strict=True)
+    return tuple(name for name, utilisation in utilisations if utilisation > 1)
 
 
 def describe_ending(run: Outcome) -> Ending:
-    """Tells how a simulation ended."""
+    """Return the end of a simulation."""
     if run.passed:
         return Ending.HOLDS
     if run.stays:
@@ -289,7 +289,7 @@ def describe_ending(run: Outcome) -> Ending:
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
-def _code(
+def _find_worst_code(
     fed: Outcome,
     alone: Outcome | None,
     servos: ServosUsed,
@@ -298,15 +298,19 @@ def _code(
     published: Published | None,
     remarks: tuple[Diagnostic, ...],
 ) -> VerdictCode:
-    """Returns the worst that applies."""
+    """Return the worst verdict that applies; unknown torque limits are not considered."""
     if not fed.passed:
         return VerdictCode.DISAGREES if fed.stays and not overloaded else VerdictCode.FAILS
-    given = servos.source is ServoSource.GIVEN  # then the file's own are not what holds it
-    if (own is not None and own.fails and not given) or servos.replaced:
+    user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
+    if (own is not None and own.fails and not user_gains) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
-    off = published.worst if published is not None and differs else None
-    if off is not None and published is not None and not (off.close or published.is_altered_only):
+    deviation = published.worst if published is not None and differs else None
+    if (
+        deviation is not None
+        and published is not None
+        and not (deviation.close or published.is_altered_only)
+    ):
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):
         return VerdictCode.LIMB_WITHOUT_FOOT

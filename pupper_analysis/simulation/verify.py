@@ -1,6 +1,7 @@
-"""Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
+"""Verify stands: MuJoCo's simulation of a free base against the prediction by Pinocchio.
 
-First the stand itself by MuJoCo's kinematics and dynamics.
+`verify_stand` simulates a stand, nudges the robot, and compares settled torques, forces and
+positions with the statics. `mujoco_balance_residual` evaluates the balance without a simulation.
 """
 
 from __future__ import annotations
@@ -30,19 +31,24 @@ from pupper_analysis.simulation.causes import (
     find_creep,
     find_instability,
 )
-from pupper_analysis.simulation.monitor import LAST, SimulationSettings, Watch, watch_contacts
+from pupper_analysis.simulation.monitor import (
+    MEASURING_TIME,
+    ContactRecord,
+    SimulationSettings,
+    record_contacts,
+)
 from pupper_analysis.simulation.rollout import (
-    STATE,
-    begin_stand,
+    STATE_SPEC,
     check_stand,
-    simulate,
-    weld_pushes,
+    make_stand_start,
+    simulate_commands,
+    weld_generalized_forces,
 )
 from pupper_analysis.simulation.stability import (
     Nudge,
+    evaluate_final_stability,
     measure_response,
     simulate_nudge,
-    stability_after,
 )
 from pupper_analysis.simulation.verdict import Creep, Outcome
 from pupper_analysis.stance.sag.steady_state import SteadyState
@@ -52,8 +58,12 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 Array = NDArray[np.float64]
 
 
-def balance_by_mujoco(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
-    """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
+def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
+    """Return the largest element of MuJoCo's balance residual in a stand [N, N m].
+
+    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g and contact Jacobian J of the MJCF,
+    and the predicted contact forces f, weld forces and motor torques tau.
+    """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_fwdPosition(model, data)
@@ -66,7 +76,7 @@ def balance_by_mujoco(robot: Robot, stand: Stand, prediction: GravityCompensatio
         point = centres[foot] + contact_offset(radius, stand.normals[foot], depth)
         mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
         remainder -= jacobian.T @ prediction.contact_forces[foot]
-    for push in weld_pushes(robot, stand, prediction).values() if robot.welds else ():
+    for push in weld_generalized_forces(robot, stand, prediction).values() if robot.welds else ():
         remainder[robot.mj_convention.qvel_index] -= push
     joints = robot.mj_convention.qvel_index[-robot.nu :]
     if robot.closure is not None:
@@ -76,76 +86,86 @@ def balance_by_mujoco(robot: Robot, stand: Stand, prediction: GravityCompensatio
 
 
 STABLE_DEVIATION = 5e-3
-"""A stand is stable if the base's height deviates by less than this in the last second (m)."""
+"""Standard deviation of the base's height in the last second below which a stand is steady [m].
+Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Joint error that a verified stand may have with feed-forward (rad)."""
+"""Largest joint error of a verified stand with feed-forward [rad]. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Relative error that a verified stand's torques and foot forces may have with feed-forward."""
+"""Largest relative error of torques and foot forces of a verified stand with feed-forward. Chosen, not
+tuned."""
 
-LIGHT = 0.05
-"""Share of the weight below which a foot's force is not what its error is measured by."""
+MIN_FORCE_SCALE = 0.05
+"""Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen, not
+tuned."""
 
-ANOTHER_ROBOT = 1e-3
-"""Share of the weight by which MuJoCo's balance may be off; 1e-6 is what rounded files leave."""
+MAX_BALANCE_RESIDUAL = 1e-3
+"""Largest residual of MuJoCo's balance, relative to the weight, of two files of one robot. Rounded
+files leave 1e-6."""
 
-LEVER = 1e-3
-"""The robot's weight on this lever (m) is what deviations of torques are measured by where less is
-predicted: joints about vertical axes hold nothing."""
+TORQUE_SCALE_LEVER = 1e-3
+"""Lever [m] on which the weight gives the smallest torque by which torque deviations are divided:
+joints about vertical axes hold no torque. Chosen, not tuned."""
 
 SETTLED_DRIFT = 5e-4
-"""A base whose height changes faster than this in the last second has not settled (m/s)."""
+"""Largest height rate of the base in the last second of a settled stand [m/s]. Chosen, not tuned."""
 
-_SAMPLE_TIME = 0.02  # s between the states that are looked at closely
-NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
-_FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
+_SAMPLE_TIME = 0.02
+"""Time between the height samples of the result [s]. Chosen, not tuned."""
+
+NUDGED_FRACTION = 7 / 12
+"""Default fraction of the simulated time after the nudge: of 12 s, 5 s to settle and 7 s in which the
+nudge must decay. Chosen, not tuned."""
+
+_FRAME_TIME = 0.1
+"""Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StandVerification(Outcome, SimulationSettings, Tabular):
-    """What a simulation made of a stand, against the prediction, and the ``SimulationSettings``.
+    """Simulation of a stand compared with its prediction, with the ``SimulationSettings``.
 
-    Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
-    from the URDF. Of a robot that its file fixes, heights, ways and tilts of the base are 0.
+    Settled values are means over the last second before the nudge. Predictions are Pinocchio's, from
+    the URDF. For a robot with a fixed base, heights and tilts of the base are 0.
 
     Attributes:
         passed: Whether the stand is verified.
-        failures: If not, why.
-        stays: Whether it stands still on its feet and does so again after the nudge, as predicted
-            or not.
-        collapses: Whether it has diverged, fallen over, sunk or been thrown up by 30 % of its
-            height at the end; of one whose base is fixed, whether a joint ends far from the stand.
-        base_height: Settled (m).
+        failures: Reasons of the failure.
+        stays: Whether the robot stands still on its feet, also after the nudge, as predicted or not.
+        collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown up
+            or left its place at the end; for a fixed base, whether a joint ends far from the stand.
+        base_height: Settled height of the base (m).
         height_deviation: Standard deviation of the base's height in that second (m).
-        height_drift: Rate of the base's height in that second (m/s): still sinking if negative.
-        height_loss: Task's height less the settled one (m); the sum of the next two.
-        servo_sag: The part lost in the joints (m).
-        contact_sag: The part lost in the softness of feet and ground (m).
-        tilt: Angle of the base's orientation at the end against the task's (rad).
-        foot_slip: {foot: horizontal distance from its target} at the end (m); of one on a plane of
-            its own along that.
-        joint_error: The largest deviation of a joint from the stand in that second (rad).
-        joint_positions: (nu,) settled (rad, m).
-        joint_torques: (nu,) of the motors, settled (N m).
-        predicted_torques: (nu,) (N m).
-        torque_error: Largest deviation / largest predicted torque, or that of the weight on
-            ``LEVER``, if that is more.
-        foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N); of what is
-            welded or grips, that of MuJoCo's constraint.
-        predicted_forces: {foot: (3,)} (N); likewise.
-        force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
-            the weight, where a foot is predicted to carry less than that); on a plane of its own
-            the force that presses counts, and of a grip all of it. None where no foot carries.
+        height_drift: Rate of the base's height in that second (m/s); negative if the base sinks.
+        height_loss: Height of the stand less ``base_height`` (m); the sum of the next two fields.
+        servo_sag: Height lost by joint deflection (m).
+        contact_sag: Height lost by the softness of feet and ground (m).
+        tilt: Angle between the base's orientation at the end and that of the task (rad).
+        foot_slip: {foot: settled distance from its target} along the ground or along the foot's plane
+            (m).
+        joint_error: Largest deviation of a joint from the stand in that second (rad).
+        joint_positions: (nu,) settled joint positions (rad, m).
+        joint_torques: (nu,) settled motor torques (N m).
+        predicted_torques: (nu,) predicted motor torques (N m).
+        torque_error: Largest torque deviation / largest predicted torque, or / torque of the weight on
+            ``TORQUE_SCALE_LEVER``, if that torque is larger.
+        foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for welds
+            and grips, force of MuJoCo's constraint.
+        predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
+        force_error: Largest deviation of a foot force along the contact normal / its prediction (or /
+            ``MIN_FORCE_SCALE`` of the weight, if the prediction is smaller); for a grip, deviation of
+            the force vector. None if no foot carries load.
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
-            predicted f and tau (N, N m), less what closed loops carry.
-        stability: Of where it settled: the modes that grow, and the margin; where it fell, of
-            where it began.
-        nudge: What became of the nudge; None if it was not given.
-        time: (n,) samples (s).
-        height: (n,) the base's height at these (m).
-        motion_time: (m,) fewer samples (s).
-        motion: (m, nq) the configurations at these, to six digits: to be looked at.
+            predicted f and tau (N, N m), less the load of closed loops.
+        stability: Growing modes and stability margin of the settled state; of the initial state if the
+            robot fell or did not come to rest.
+        nudge: Response to the nudge; None if the robot was not nudged.
+        time: (n,) times of the height samples (s).
+        height: (n,) base heights at these times (m).
+        motion_time: (m,) times of the configurations (s).
+        motion: (m, nq) configurations at these times, rounded to six digits, for animations.
     """
 
     stays: bool
@@ -188,34 +208,33 @@ def verify_stand(
     nudged: float | None = None,
     settled: SteadyState | None = None,
 ) -> StandVerification:
-    """Simulates a stand on the floating base, and compares it with Pinocchio's prediction.
+    """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
 
-    Or a posture of a robot whose base is fixed (``held_stand``).
+    A posture of a robot with a fixed base is verified likewise (``held_stand``).
 
-    The prediction is ``gravity_compensation`` with minimum tangential forces: the equilibrium that
-    lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
-    loads a stand for rigid ground tilts by milliradians, and the loads change by percents;
-    ``solve_stand_on_soft_ground`` is the stand that does hold as predicted.
+    The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
+    MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
+    stand for rigid ground tilts by milliradians and the loads change by percents. Use
+    ``solve_stand_on_soft_ground`` for a stand that holds as predicted.
 
-    What it settles at is measured first. Then everything is nudged (``NUDGE``), and must come to
-    rest again; and no mode of the step's spectrum may grow within ``HOLD_DURATION`` (12 s), nor
-    shake at all, so that it stands for longer than is simulated.
+    The settled values are measured first. Then all coordinates are nudged (``NUDGE``), and the robot
+    must come to rest again. No mode of the spectrum may grow within ``LASTING`` (12 s).
 
     Args:
         robot: The robot.
-        stand: How it shall stand.
+        stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
-        duration: Simulated time (s), at least 2.
-        nudged: The part of it after the nudge (s); 7 of 12 by default. 0: it is not nudged, and
-            what it settles at is measured at the end.
-        settled: Where it is predicted to rest without feed-forward: what nothing but its fixed base
-            holds, so that nothing creeps, is to do so.
+        duration: Simulated time [s], 2 to 600.
+        nudged: Part of the duration after the nudge [s]; 7/12 by default. With 0 there is no nudge, and
+            settled values are measured at the end.
+        settled: Predicted equilibrium without feed-forward. The settled state of a robot with a fixed
+            base and no stance feet is compared with this equilibrium.
 
     Returns:
-        The comparison; ``failures`` says why a stand is not verified.
+        The comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or a stand's base is fixed.
@@ -223,34 +242,40 @@ def verify_stand(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
-    after = _time_after(duration, nudged)
-    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
+    nudge_duration = _nudge_duration(duration, nudged)
+    held = make_stand_start(
+        robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
+    )
     robot, drive, prediction = held.robot, held.drive, held.prediction
     start, ctrl = held.start, held.ctrl
-    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
-    run = settle_and_nudge(drive, start, ctrl, duration - after, after, upright.has_collapsed)
+    reference = monitor.StandReference.of(robot, stand.qpos, stand.task.rotation())
+    run = settle_and_nudge(
+        drive, start, ctrl, duration - nudge_duration, nudge_duration, reference.has_collapsed
+    )
     predicted = robot.per_foot(prediction.contact_forces)
-    out = stand.lift_directions(robot)
-    borne = sum(force[2] for force in predicted.values())
-    if robot.welds:  # which may bear more than all, and hands hold down
-        borne = robot.weight
-    light = LIGHT * borne
-    shares = {foot: float(force @ out[foot]) / borne for foot, force in predicted.items()}
-    loaded = {foot for foot, share in shares.items() if share >= monitor.LIGHT_FOOT}
-    watch = watch_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
-    found = replace(
-        _measured(robot, stand, drive, prediction, run, watch, upright, light),
+    normals = stand.lift_directions(robot)
+    total_load = sum(force[2] for force in predicted.values())
+    if robot.welds:  # a weld may carry more than the weight, or pull down
+        total_load = robot.weight
+    force_scale = MIN_FORCE_SCALE * total_load
+    shares = {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
+    loaded = {foot for foot, share in shares.items() if share >= monitor.LIGHT_FOOT_LOAD}
+    record = record_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
+    result = replace(
+        _compare_with_prediction(
+            robot, stand, drive, prediction, run, record, reference, force_scale
+        ),
         feedforward=feedforward,
     )
-    failures = _failures(robot, upright, run.states, watch, found)
+    failures = _find_standing_failures(robot, reference, run.states, record, result)
     if failures:
         failures += find_creep(robot, stand, prediction)
-    failures += find_instability(found.stability, found.nudge)
+    failures += find_instability(result.stability, result.nudge)
     stays = not failures
     if feedforward:
-        failures += _deviations(robot, stand, watch, found)
+        failures += _find_deviations(robot, stand, record, result)
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
-        failures += _off_rest(robot, found, settled)
+        failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
     notes = [
         diagnose(
@@ -259,22 +284,22 @@ def verify_stand(
             share=Quantity(shares.get(foot, 0.0), "1"),
             time=Quantity(moment, "s"),
         )
-        for foot, moment in watch.lifted.items()
+        for foot, moment in record.lifted.items()
     ]
-    if not found.collapses:
-        notes += describe_refuted(found.stability)
+    if not result.collapses:
+        notes += describe_refuted(result.stability)
     return replace(
-        found,
+        result,
         passed=not failures,
         failures=tuple(failures),
         stays=stays,
-        creep=None if found.collapses else measure_creep(robot, stand, drive.model, run.states),
+        creep=None if result.collapses else measure_creep(robot, stand, drive.model, run.states),
         notes=tuple(notes),
     )
 
 
 CREEP_TIME = 10.0
-"""Time at the end of a simulation over which creep is measured (s)."""
+"""Time at the end of a simulation over which creep is measured [s]. Chosen, not tuned."""
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
@@ -284,47 +309,51 @@ def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Arr
     duration = float(last[0] - first[0])
     data, centres = mujoco.MjData(model), []
     for state in (first, last):
-        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_setState(model, data, state, STATE_SPEC)
         mujoco.mj_kinematics(model, data)
         centres.append(monitor.foot_centres(robot, data))
-    ways = [np.linalg.norm(centres[1][foot] - centres[0][foot]) for foot in stand.stance_feet]
+    displacements = [
+        np.linalg.norm(centres[1][foot] - centres[0][foot]) for foot in stand.stance_feet
+    ]
     joints = np.abs(last - first)[1 + robot.mj_convention.qpos_index[-robot.nu :]]
-    turned = 0.0
+    base_rotation = 0.0
     if robot.floating:
-        place = 1 + robot.mj_convention.qpos_index[:7]
-        ways.append(np.linalg.norm(last[place[:3]] - first[place[:3]]))
-        rotation = rotation_from_quaternion(first[place[3:]])
-        turned = monitor.turned_by(robot, rotation, last)
-    rate = max(float(joints.max(initial=0.0)), turned) / duration
-    return Creep(duration, float(max(ways, default=0.0)) / duration, rate)
+        pose_columns = 1 + robot.mj_convention.qpos_index[:7]
+        displacements.append(np.linalg.norm(last[pose_columns[:3]] - first[pose_columns[:3]]))
+        rotation = rotation_from_quaternion(first[pose_columns[3:]])
+        base_rotation = monitor.rotation_angle(robot, rotation, last)
+    rate = max(float(joints.max(initial=0.0)), base_rotation) / duration
+    return Creep(duration, float(max(displacements, default=0.0)) / duration, rate)
 
 
-def _time_after(duration: float, nudged: float | None) -> float:
-    """Returns for how long a nudge is simulated (s).
+def _nudge_duration(duration: float, nudged: float | None) -> float:
+    """Return the simulated time after the nudge [s].
 
     Raises:
-        ConfigurationError: If it leaves less than a second, in which it settles.
+        ConfigurationError: If less than a second would be left for settling.
     """
-    most = duration - LAST
+    max_duration = duration - MEASURING_TIME
     if nudged is None:
-        return min(NUDGED * duration, most)
-    if not 0 <= nudged <= most:
-        problem = diagnose("not-between", given=f"{nudged} s", low=0, high=Quantity(most, "s"))
+        return min(NUDGED_FRACTION * duration, max_duration)
+    if not 0 <= nudged <= max_duration:
+        problem = diagnose(
+            "not-between", given=f"{nudged} s", low=0, high=Quantity(max_duration, "s")
+        )
         raise ConfigurationError("nudged", problem)
     return nudged
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
-    """What became of a command.
+class SettlingRun:
+    """Simulation of a constant command, followed by a nudge.
 
     Attributes:
-        states: (n, size) after each step.
-        settling: How many of them are before the nudge.
-        last: The last second of these.
-        diverged: Whether they broke down.
-        stability: Of where it settled.
-        nudge: What became of the nudge; None if it was not given.
+        states: States after each step, shape (n, size).
+        settling: Number of states before the nudge.
+        last: States of the last second before the nudge.
+        diverged: Whether the simulation diverged before the nudge.
+        stability: Stability of the settled state; see ``evaluate_final_stability``.
+        nudge: Response to the nudge; None without a nudge.
     """
 
     states: Array
@@ -340,73 +369,85 @@ def settle_and_nudge(
     start: Array,
     ctrl: Array,
     seconds: float,
-    after: float,
-    lost: Callable[[Array], bool],
-) -> Settled:
-    """Simulates what a state settles at under a command, and then what becomes of a nudge.
+    nudge_duration: float,
+    has_failed: Callable[[Array], bool],
+) -> SettlingRun:
+    """Simulate a state under a constant command until it settles, then nudge all coordinates.
+
+    There is no nudge if ``nudge_duration`` is 0 or the simulation diverges.
 
     Args:
-        drive: What is simulated.
-        start: (size,) the state.
-        ctrl: (nu,) the command.
-        seconds: For how long it settles (s).
-        after: How long the nudge is simulated (s); 0: there is none.
-        lost: Tells whether a state is no longer what was to be held.
+        drive: Servos and MuJoCo model.
+        start: Initial state, shape (size,).
+        ctrl: Actuator commands, shape (model.nu,).
+        seconds: Simulated time before the nudge [s].
+        nudge_duration: Simulated time after the nudge [s].
+        has_failed: Predicate of a state that is no longer the expected stand.
     """
     model = drive.model
     timestep = float(model.opt.timestep)
-    quiet = simulate(model, start, np.tile(ctrl, (max(2, round(seconds / timestep)), 1)))
-    diverged, last = monitor.has_diverged(quiet, timestep), quiet[-round(LAST / timestep) :]
-    gone = diverged or lost(quiet[-1])
-    judged, states, nudge = stability_after(drive, start, quiet[-1], ctrl, lost=gone), quiet, None
-    if after and not diverged:
-        later = simulate_nudge(model, quiet[-1], ctrl, after)
-        nudge = measure_response(model, quiet[-1], later, last)
-        states = np.concatenate([quiet, later])
-    return Settled(states, len(quiet), last, diverged, judged, nudge)
+    settling_states = simulate_commands(
+        model, start, np.tile(ctrl, (max(2, round(seconds / timestep)), 1))
+    )
+    diverged, last_second = (
+        monitor.has_diverged(settling_states, timestep),
+        settling_states[-round(MEASURING_TIME / timestep) :],
+    )
+    is_lost = diverged or has_failed(settling_states[-1])
+    stability, states, nudge = (
+        evaluate_final_stability(drive, start, settling_states[-1], ctrl, has_fallen=is_lost),
+        settling_states,
+        None,
+    )
+    if nudge_duration and not diverged:
+        nudged_states = simulate_nudge(model, settling_states[-1], ctrl, nudge_duration)
+        nudge = measure_response(model, settling_states[-1], nudged_states, last_second)
+        states = np.concatenate([settling_states, nudged_states])
+    return SettlingRun(states, len(settling_states), last_second, diverged, stability, nudge)
 
 
-@np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it is judged to have
-def _measured(
+@np.errstate(invalid="ignore", over="ignore")  # diverged values are reported by ``collapses``
+def _compare_with_prediction(
     robot: Robot,
     stand: Stand,
     drive: Servos,
     prediction: GravityCompensation,
-    run: Settled,
-    watch: Watch,
-    upright: monitor.Upright,
-    light: float,
+    run: SettlingRun,
+    record: ContactRecord,
+    reference: monitor.StandReference,
+    force_scale: float,
 ) -> StandVerification:
-    """Compares a rollout with what was predicted, and does not judge it yet.
+    """Compare a simulation with the prediction, without a judgement (``passed`` is True).
 
-    A foot's force is compared with what was predicted for it, or with ``light`` (N) if that is
-    more.
+    The error of a foot's force is relative to its prediction, or to ``force_scale`` [N] if that is
+    larger.
     """
     timestep = float(drive.model.opt.timestep)
-    states, settled, drops = run.states, run.last, watch.drops(stand)
+    states, settled, drops = run.states, run.last, record.foot_drops(stand)
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0
     contact_sag = stand.base_drop(robot, drops)
     joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
     joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
-    off = float(np.abs(watch.torques - prediction.joint_torques).max())
+    torque_deviation = float(np.abs(record.torques - prediction.joint_torques).max())
     predicted = robot.per_foot(prediction.contact_forces)
-    out = stand.lift_directions(robot)
+    normals = stand.lift_directions(robot)
     errors = [
-        abs(float((watch.forces[foot] - force) @ out[foot])) / max(float(force @ out[foot]), light)
+        abs(float((record.forces[foot] - force) @ normals[foot]))
+        / max(float(force @ normals[foot]), force_scale)
         for foot, force in predicted.items()
     ]
-    held = {name: wrench[:3] for name, wrench in prediction.weld_wrenches.items()}
+    weld_forces = {name: wrench[:3] for name, wrench in prediction.weld_wrenches.items()}
     for name in robot.grips:
-        off_grip = float(np.linalg.norm(watch.forces[name] - held[name]))
-        errors.append(off_grip / max(float(np.linalg.norm(held[name])), light))
-    step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
+        grip_deviation = float(np.linalg.norm(record.forces[name] - weld_forces[name]))
+        errors.append(grip_deviation / max(float(np.linalg.norm(weld_forces[name])), force_scale))
+    step, frame = (max(1, round(period / timestep)) for period in (_SAMPLE_TIME, _FRAME_TIME))
     return StandVerification(
         passed=True,
         failures=(),
         stays=True,
-        collapses=upright.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep),
+        collapses=reference.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep),
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
@@ -419,23 +460,23 @@ def _measured(
         height_loss=height_loss,
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
-        tilt=monitor.turned_by(robot, stand.task.rotation(), states[-1]),
+        tilt=monitor.rotation_angle(robot, stand.task.rotation(), states[-1]),
         foot_slip={
             foot: max(
-                float(np.linalg.norm(project_perpendicular(drops[point], out[foot])))
+                float(np.linalg.norm(project_perpendicular(drops[point], normals[foot])))
                 for point in robot.feet[foot]
             )
             for foot in robot.feet_with(drops)
         },
         joint_error=joint_error,
         joint_positions=joints.mean(axis=0),
-        joint_torques=watch.torques,
+        joint_torques=record.torques,
         predicted_torques=prediction.joint_torques,
-        torque_error=off / torque_scale(robot, prediction.joint_torques),
-        foot_forces=watch.forces,
-        predicted_forces=predicted | held,
+        torque_error=torque_deviation / torque_scale(robot, prediction.joint_torques),
+        foot_forces=record.forces,
+        predicted_forces=predicted | weld_forces,
         force_error=max(errors, default=None),
-        mujoco_residual=balance_by_mujoco(robot, stand, prediction),
+        mujoco_residual=mujoco_balance_residual(robot, stand, prediction),
         stability=run.stability,
         nudge=run.nudge,
         time=states[::step, 0].copy(),
@@ -445,133 +486,155 @@ def _measured(
     )
 
 
-def _failures(
-    robot: Robot, upright: monitor.Upright, states: Array, watch: Watch, found: StandVerification
+def _find_standing_failures(
+    robot: Robot,
+    reference: monitor.StandReference,
+    states: Array,
+    record: ContactRecord,
+    result: StandVerification,
 ) -> list[Diagnostic]:
-    """Says why the robot does not stand still on its feet, if it does not."""
-    failures = list(watch.failures)
-    if monitor.has_diverged(states, found.timestep):
-        failures.insert(0, monitor.tell_divergence(found.integrator, found.timestep))
-    if upright.has_fallen(states[-1]):
+    """Report why a robot does not stand still on its feet."""
+    failures = list(record.failures)
+    if monitor.has_diverged(states, result.timestep):
+        failures.insert(0, monitor.describe_divergence(result.integrator, result.timestep))
+    if reference.has_fallen(states[-1]):
         height = float(monitor.base_heights(robot, states[-1]))
-        failures.insert(0, monitor.tell_fall(upright.lean(states[-1]), height))
-    if robot.bolted and upright.has_collapsed(states[-1]):
+        failures.insert(0, monitor.describe_fall(reference.tilt(states[-1]), height))
+    if robot.bolted and reference.has_collapsed(states[-1]):
         failures.append(diagnose("posture-left"))
-    if not found.height_deviation < STABLE_DEVIATION:
-        deviation = Quantity(found.height_deviation, "m")
+    if not result.height_deviation < STABLE_DEVIATION:
+        deviation = Quantity(result.height_deviation, "m")
         failures.append(diagnose("height-deviates", deviation=deviation))
-    if not abs(found.height_drift) < SETTLED_DRIFT:
-        drift = Quantity(found.height_drift, "m/s")
+    if not abs(result.height_drift) < SETTLED_DRIFT:
+        drift = Quantity(result.height_drift, "m/s")
         failures.append(diagnose("height-drifts", drift=drift))
     return failures
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Returns what deviations of torques are measured by (N m): the largest; see ``LEVER``."""
-    return max(float(np.abs(torques).max()), LEVER * robot.usual_weight)
+    """Return the torque by which deviations are divided [N m]; see ``TORQUE_SCALE_LEVER``."""
+    return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
 
-def dry_friction(robot: Robot, kp: Array) -> tuple[Array, Array]:
-    """Returns what joints (nu,) rub with (N m, N), and how far servos let them stick (rad, m)."""
-    rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
-    return rubbing, np.divide(rubbing, kp, out=np.zeros(robot.nu), where=kp > 0)
+def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
+    """Return friction loss [N m, N] and friction / kp [rad, m] of each joint, shape (nu,) each.
+
+    The second is the position deviation at which dry friction balances the servo; 0
+    without stiffness.
+    """
+    friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
+    return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)
 
 
-def _off_rest(robot: Robot, found: StandVerification, settled: SteadyState) -> list[Diagnostic]:
-    """Says so if it rests elsewhere than predicted, by more than dry friction may hold it."""
-    rubbing, way = dry_friction(robot, found.kp)
+def _compare_with_equilibrium(
+    robot: Robot, result: StandVerification, settled: SteadyState
+) -> list[Diagnostic]:
+    """Report deviations from the predicted equilibrium that dry friction cannot explain."""
+    friction, deadband = friction_and_deadband(robot, result.kp)
     scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
-    torques = float(np.abs(found.joint_torques - settled.joint_torques).max()) / scale
-    moved = float(np.abs(found.joint_positions - joints).max())
-    off = deviations(moved, torques, float(way.max()), rubbing.max() / scale)
-    return [*off, *drive_limits(robot, found, settled.joint_torques, joints)] if off else []
+    torques = float(np.abs(result.joint_torques - settled.joint_torques).max()) / scale
+    moved = float(np.abs(result.joint_positions - joints).max())
+    messages = describe_deviations(moved, torques, float(deadband.max()), friction.max() / scale)
+    return (
+        [*messages, *describe_drive_limits(robot, result, settled.joint_torques, joints)]
+        if messages
+        else []
+    )
 
 
-def deviations(
+def describe_deviations(
     joint: float,
     torque: float,
-    way: float = 0.0,
-    share: float = 0.0,
+    deadband: float = 0.0,
+    friction_share: float = 0.0,
     details: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Diagnostic]:
-    """Return the deviations of joints and torques that exceed the tolerances.
+    """Report deviations of joints [rad] or torques (relative) from the prediction.
 
     Args:
-        joint: Largest deviation of a joint [rad].
-        torque: Largest deviation of a torque, in parts of the largest torque.
-        way: Deviation of a joint that dry friction may cause [rad].
-        share: Deviation of a torque that dry friction may cause, in parts of the largest torque.
-        details: Joint with the largest deviation of a torque; predicted and simulated torque.
+        joint: Largest joint deviation [rad].
+        torque: Largest torque deviation, relative to ``torque_scale``.
+        deadband: Joint deviation that dry friction can hold [rad].
+        friction_share: Torque deviation that dry friction can hold, relative to ``torque_scale``.
+        details: Joint with the largest torque deviation; predicted and simulated torque.
     """
-    off = []
-    if not joint < JOINT_TOLERANCE + way:
-        off.append(diagnose("joint-off", error=Quantity(joint, "rad")))
-    if not torque < FORCE_TOLERANCE + share:
+    messages = []
+    if not joint < JOINT_TOLERANCE + deadband:
+        messages.append(diagnose("joint-off", error=Quantity(joint, "rad")))
+    if not torque < FORCE_TOLERANCE + friction_share:
         numbers = dict.fromkeys(("joint", "predicted", "simulated")) | dict(details)
-        off.append(diagnose("motor-torque-off", error=torque, **numbers))
-    return off
+        messages.append(diagnose("motor-torque-off", error=torque, **numbers))
+    return messages
 
 
-_SATURATED = 1e-6
-"""A motor that is so near to its limit, in parts of it, gives all it can."""
+_SATURATION_RTOL = 1e-6
+"""Relative distance from the limit at which a motor is saturated. Chosen, not tuned."""
 
 
-def drive_limits(
+def describe_drive_limits(
     robot: Robot, run: StandVerification, predicted: Array, positions: Array
 ) -> list[Diagnostic]:
-    """Says which motors give all they can, and which servos cannot be commanded so far.
+    """Report saturated motors, and servos whose commands exceed the command range.
 
     Args:
         robot: The robot.
-        run: A simulation that is not as predicted.
-        predicted: (nu,) as predicted (N m).
-        positions: (nu,) where its joints were predicted to be (rad).
+        run: Simulation that deviates from its prediction.
+        predicted: Predicted motor torques, shape (nu,) [N m].
+        positions: Predicted joint positions, shape (nu,) [rad].
     """
-    weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
-    full = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)
+    weakest, strongest = robot.effort_ranges.T * (1 - _SATURATION_RTOL)
+    saturated = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)
     low, high = command_ranges(robot).T
     command = positions + compute_command_lead(predicted, run.kp)
-    cut = ((command < low) | (command > high)) & run.feedforward
-    names, told = np.array(robot.joint_names), []
-    if full.any():
-        joints = names[full].tolist()
-        told.append(diagnose("motors-give-all", joints=joints, released=not run.feedforward))
-    if cut.any():
-        told.append(diagnose("commands-cut-off", joints=names[cut].tolist()))
-    return told
+    is_clipped = ((command < low) | (command > high)) & run.feedforward
+    names, messages = np.array(robot.joint_names), []
+    if saturated.any():
+        joints = names[saturated].tolist()
+        messages.append(diagnose("motors-give-all", joints=joints, released=not run.feedforward))
+    if is_clipped.any():
+        messages.append(diagnose("commands-cut-off", joints=names[is_clipped].tolist()))
+    return messages
 
 
-def two_robots(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
-    """Says so if MuJoCo's balance is off (N, N m) by more of a weight (N) than one robot's is."""
-    if not residual > ANOTHER_ROBOT * weight:
+def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
+    """Report that both files describe different robots, if MuJoCo's balance residual is too large.
+
+    Args:
+        robot: The robot.
+        residual: Largest element of the residual [N, N m].
+        weight: Weight of the robot [N].
+    """
+    if not residual > MAX_BALANCE_RESIDUAL * weight:
         return []
     mjcf = Quantity(robot.mj_model.body_subtreemass[0], "kg")
     urdf = Quantity(robot.total_mass, "kg")
     return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]
 
 
-def _deviations(
+def _find_deviations(
     robot: Robot,
     stand: Stand,
-    watch: Watch,
-    found: StandVerification,
+    record: ContactRecord,
+    result: StandVerification,
 ) -> list[Diagnostic]:
-    """Says what is not as predicted."""
-    errors = np.abs(found.joint_torques - found.predicted_torques)
+    """Report deviations from the prediction, with a cause if one is known."""
+    errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
     details = {
         "joint": robot.joint_names[worst],
-        "predicted": Quantity(float(found.predicted_torques[worst]), "N m"),
-        "simulated": Quantity(float(found.joint_torques[worst]), "N m"),
+        "predicted": Quantity(float(result.predicted_torques[worst]), "N m"),
+        "simulated": Quantity(float(result.joint_torques[worst]), "N m"),
     }
-    off = deviations(found.joint_error, found.torque_error, details=details)
-    if found.force_error is not None and not found.force_error < FORCE_TOLERANCE:
-        off.append(diagnose("foot-force-off", error=found.force_error))
+    messages = describe_deviations(result.joint_error, result.torque_error, details=details)
+    if result.force_error is not None and not result.force_error < FORCE_TOLERANCE:
+        messages.append(diagnose("foot-force-off", error=result.force_error))
     weight = robot.usual_weight
-    if off:
-        off += drive_limits(robot, found, found.predicted_torques, stand.joint_positions(robot))
-    if off and (two := two_robots(robot, found.mujoco_residual, weight)):
-        return [*off, *two]
-    if off and watch.touching:
-        return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
-    return off
+    if messages:
+        messages += describe_drive_limits(
+            robot, result, result.predicted_torques, stand.joint_positions(robot)
+        )
+    if messages and (mismatch := describe_model_mismatch(robot, result.mujoco_residual, weight)):
+        return [*messages, *mismatch]
+    if messages and record.touching:
+        return [*messages, *(diagnose("parts-touch", bodies=pair) for pair in record.touching)]
+    return messages

@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import place_on_ground, simulate
+from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest
@@ -239,7 +239,7 @@ def test_constraint_opening_equals_mujoco_at_rest(tmp_path: Path) -> None:
     torques = pa.stance.stand_statics(robot, stand).joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
-    end = simulate(drive.model, start, np.tile(ctrl, (2000, 1)))[-1]
+    end = simulate_commands(drive.model, start, np.tile(ctrl, (2000, 1)))[-1]
     model, data = drive.model, mujoco.MjData(drive.model)
     mujoco.mj_setState(model, data, end, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     data.ctrl[:] = ctrl

@@ -13,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import Mode, step_derivative
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.rollout import full_state, simulate
+from pupper_analysis.simulation.rollout import full_state, simulate_commands
 from pupper_analysis.simulation.stability import measure_response
 from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
@@ -122,11 +122,11 @@ def test_own_differences_are_mujocos() -> None:
 
 def test_stability_of_a_robot_that_still_sinks_is_not_judged() -> None:
     """On servos of which it sags by centimetres, v3 is half way down after half a second."""
-    from pupper_analysis.simulation.rollout import begin_stand
+    from pupper_analysis.simulation.rollout import make_stand_start
     from pupper_analysis.simulation.stability import evaluate_stability
 
     robot, stand = load("v3"), stand_of("v3")
-    held = begin_stand(robot, stand, feedforward=False, kp=2.5, kd=0.4)
+    held = make_stand_start(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     found = evaluate_stability(held.drive, held.start, held.ctrl)
     assert not found.at_rest
     rest = pa.simulation.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
@@ -238,7 +238,7 @@ def test_transient_excursion_counts_as_leaving() -> None:
     before = full_state(model, mujoco.MjData(model))
     start = before.copy()
     start[1 + model.nq] = speed
-    found = measure_response(model, before, simulate(model, start, np.zeros((8000, 0))))
+    found = measure_response(model, before, simulate_commands(model, start, np.zeros((8000, 0))))
     angle = math.acos(damping)
     way = speed / natural * math.exp(-damping * angle / math.sin(angle))
     assert found.farthest == pytest.approx(way, rel=1e-4)

@@ -10,7 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.causes import find_chatter
-from pupper_analysis.simulation.rollout import place_on_ground, simulate
+from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from tests.support.legged import quadruped
 
 
@@ -36,7 +36,7 @@ def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
     start = place_on_ground(
         robot, drive, stand, pa.stance.stand_statics(robot, stand).joint_torques
     )
-    states = simulate(drive.model, start, np.tile(ctrl, (200, 1)))
+    states = simulate_commands(drive.model, start, np.tile(ctrl, (200, 1)))
     assert find_chatter(robot, drive, states, ctrl) == []
     states = np.tile(states[-1], (200, 1))
     states[::2, 3] += 2e-3  # the base's height, every other step: it bears all, or nothing

@@ -29,7 +29,7 @@ def test_a_stand_with_a_light_foot_holds_at_every_load(name: str, tilt: float, m
     run = pa.verify_stand(robot, stand)
     weight = sum(force[2] for force in run.predicted_forces.values())
     shares = [force[2] / weight for force in run.predicted_forces.values()]
-    assert min(shares) < monitor.LIGHT_FOOT
+    assert min(shares) < monitor.LIGHT_FOOT_LOAD
     assert run.passed, run.failures
     assert run.creep is not None
     assert run.creep.rate < 5e-3 / 60

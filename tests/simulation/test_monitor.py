@@ -14,7 +14,7 @@ from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import full_state, simulate
+from pupper_analysis.simulation.rollout import full_state, simulate_commands
 from tests.support.states import quaternion
 from tests.support.variants import load, stand_of
 
@@ -32,22 +32,22 @@ def state_at(
 def test_watcher_reports_contacts_of_feet_above_on_and_below_the_ground() -> None:
     robot, stand = load(NAME), stand_of(NAME)
     drive = model_with_servos(robot)
-    watcher = monitor.Watcher(robot, drive.model)
+    watcher = monitor.ContactSampler(robot, drive.model)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     above, in_ground = stand.qpos.copy(), stand.qpos.copy()
     above[2] += 0.01
     in_ground[2] -= 0.002
-    seen = watcher.look(state_at(robot, drive.model, above), ctrl)
+    seen = watcher.sample(state_at(robot, drive.model, above), ctrl)
     assert seen.forces == {}
     assert seen.bodies == set()
-    assert seen.idle(robot.contact_points) == list(robot.contact_points)
+    assert seen.unloaded_feet(robot.contact_points) == list(robot.contact_points)
     for foot, centre in monitor.foot_centres(robot, watcher.data).items():
         expected = stand.foot_targets[foot] + [0, 0, 0.01]
         np.testing.assert_allclose(centre, expected, atol=1e-9)
-    seen = watcher.look(state_at(robot, drive.model, in_ground), ctrl)
+    seen = watcher.sample(state_at(robot, drive.model, in_ground), ctrl)
     assert set(seen.forces) == set(robot.contact_points)
-    assert seen.idle(robot.contact_points) == []
-    assert watcher.touching(state_at(robot, drive.model, in_ground)) == set()
+    assert seen.unloaded_feet(robot.contact_points) == []
+    assert watcher.find_ground_bodies(state_at(robot, drive.model, in_ground)) == set()
 
 
 def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
@@ -57,11 +57,11 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
     qpos[2] = 0.02
     qpos[3:7] = quaternion(np.array([math.pi, 0.0, 0.0]))
     state = state_at(robot, drive.model, qpos)
-    watcher = monitor.Watcher(robot, drive.model)
-    assert "base_link" in watcher.touching(state)
-    assert watcher.look(state, np.zeros(robot.nu)).bodies == watcher.touching(state)
-    assert monitor.base_lean(robot, np.eye(3), state) == pytest.approx(math.pi)
-    assert "tilt 180 deg, height 0.020 m" in str(monitor.tell_fall(math.pi, 0.02))
+    watcher = monitor.ContactSampler(robot, drive.model)
+    assert "base_link" in watcher.find_ground_bodies(state)
+    assert watcher.sample(state, np.zeros(robot.nu)).bodies == watcher.find_ground_bodies(state)
+    assert monitor.base_tilt(robot, np.eye(3), state) == pytest.approx(math.pi)
+    assert "tilt 180 deg, height 0.020 m" in str(monitor.describe_fall(math.pi, 0.02))
 
 
 @pytest.mark.parametrize(
@@ -75,13 +75,13 @@ def test_fallen_is_leaning_too_far_or_too_low(
     """As high above the ground as its base's frame may be, or as deep below."""
     robot, stand = load(NAME), stand_of(NAME)
     there = stand.qpos.copy()
-    upright = monitor.Upright.of(robot, there)
-    assert upright.size == pytest.approx(stand.qpos[2], rel=0.3)
-    there[2] -= lost * upright.size
+    upright = monitor.StandReference.of(robot, there)
+    assert upright.com_height == pytest.approx(stand.qpos[2], rel=0.3)
+    there[2] -= lost * upright.com_height
     there[3:7] = quaternion(np.array([leaning, 0.0, 0.0]))
     turned = rotation_from_quaternion(there[3:7])
-    there[:3] += upright.lever - turned @ upright.lever  # about its centre of mass
-    lowered = replace(upright, place=upright.place - [0, 0, under])
+    there[:3] += upright.com_offset - turned @ upright.com_offset  # about its centre of mass
+    lowered = replace(upright, com_position=upright.com_position - [0, 0, under])
     there[2] -= under
     assert lowered.has_fallen(state_at(robot, robot.mj_model, there)) is fallen
 
@@ -102,11 +102,11 @@ def test_a_robot_stands_if_it_is_upright_at_its_height_and_only_its_feet_touch(
     tilt: float, lost: float, touching: tuple[str, ...], stands: bool
 ) -> None:
     robot, stand = load(NAME), stand_of(NAME)
-    upright, there = monitor.Upright.of(robot, stand.qpos), stand.qpos.copy()
-    there[2] -= lost * upright.size
+    upright, there = monitor.StandReference.of(robot, stand.qpos), stand.qpos.copy()
+    there[2] -= lost * upright.com_height
     there[3:7] = quaternion(np.array([tilt, 0.0, 0.0]))
     turned = rotation_from_quaternion(there[3:7])
-    there[:3] += upright.lever - turned @ upright.lever
+    there[:3] += upright.com_offset - turned @ upright.com_offset
     found = upright.check_stand(state_at(robot, robot.mj_model, there), touching)
     assert found.tilt == pytest.approx(tilt, abs=1e-7)
     assert found.height == pytest.approx((1 - lost) * found.expected_height)
@@ -119,9 +119,9 @@ def test_yaw_is_no_lean_and_a_turn_is() -> None:
     for vector, lean in (((0, 0, 0.7), 0.0), ((0.3, 0, 0), 0.3), ((0, -0.2, 0), 0.2)):
         qpos[3:7] = quaternion(np.array(vector, dtype=float))
         state = state_at(robot, robot.mj_model, qpos)
-        assert monitor.base_lean(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
+        assert monitor.base_tilt(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
         turn = float(np.linalg.norm(vector))
-        assert monitor.turned_by(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
+        assert monitor.rotation_angle(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
 
 
 def test_diverged_rollout_is_detected() -> None:
@@ -129,7 +129,7 @@ def test_diverged_rollout_is_detected() -> None:
     drive = model_with_servos(robot)
     timestep = float(drive.model.opt.timestep)
     ctrl = np.tile(drive.command(robot, stand.joint_positions(robot)), (50, 1))
-    states = simulate(drive.model, state_at(robot, drive.model, stand.qpos), ctrl)
+    states = simulate_commands(drive.model, state_at(robot, drive.model, stand.qpos), ctrl)
     assert not monitor.has_diverged(states, timestep)
     states[30:, 0] -= states[30, 0]  # MuJoCo resets the time
     assert monitor.has_diverged(states, timestep)

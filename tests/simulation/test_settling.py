@@ -7,7 +7,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.simulation import settling
-from pupper_analysis.simulation.rollout import begin_stand
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.settling import comes_to_rest
 from pupper_analysis.stance.stand import Stand
 from tests.support.variants import load
@@ -40,14 +40,14 @@ def test_settling_ends_as_soon_as_the_robot_is_at_rest(
 ) -> None:
     robot, stand = standing
     simulated = []
-    run = settling.simulate
+    run = settling.simulate_commands
     step = float(robot.mj_model.opt.timestep)
 
     def counted(*given: object) -> object:
         simulated.append(len(given[2]) * step)  # type: ignore[arg-type]
         return run(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(settling, "simulate", counted)
+    monkeypatch.setattr(settling, "simulate_commands", counted)
     assert comes_to_rest(robot, stand)
     assert sum(simulated) == pytest.approx(1.0)  # of 5 s in which a stand may settle
     simulated.clear()
@@ -59,14 +59,14 @@ def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
     standing: tuple[pa.Robot, Stand],
 ) -> None:
     """In parts of each bound: how the height deviates, how fast it drifts, how far a foot went."""
-    held = begin_stand(*standing)
+    held = make_stand_start(*standing)
     duration = 499 * held.drive.model.opt.timestep
     height = 1 + int(held.robot.mj_convention.qpos_index[2])
     for wave, drift, slip, expected in (
         (0.0, 0.0, 0.0, 0.0),
-        (2 * settling.STILL, 0.0, 0.0, 2.0),
+        (2 * settling.MAX_HEIGHT_DEVIATION, 0.0, 0.0, 2.0),
         (0.0, -3e-4 / duration, 0.0, 3e-4 / duration / settling.SETTLED_DRIFT),
-        (0.0, 0.0, 3 * settling.STAYED, 3.0),
+        (0.0, 0.0, 3 * settling.MAX_FOOT_DISPLACEMENT, 3.0),
     ):
         states, ways = np.tile(held.start, (500, 1)), np.zeros((4, 3))
         states[:, height] += wave * np.tile([1, -1, -1, 1], 125)

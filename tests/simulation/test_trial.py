@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.simulation.trial import _limits, may_be_upset, simulate_nudges
+from pupper_analysis.simulation.trial import _limits, is_near_limit, simulate_nudges
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped
 from tests.support.variants import load
@@ -43,5 +43,5 @@ def test_foot_with_negligible_load_may_lift_without_failure() -> None:
     for tilt in (0.0, 0.15):
         task = pa.StandTask(contacts={"FL": pa.Contact(pa.Slope(tilt))} if tilt else {})
         stand = pa.solve_stand_as_simulated(robot, task)
-        upset[tilt] = may_be_upset(robot, stand, stand_statics(robot, stand))
+        upset[tilt] = is_near_limit(robot, stand, stand_statics(robot, stand))
     assert upset == {0.0: False, 0.15: True}

@@ -20,7 +20,7 @@ from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.robot.tool import find_tool
-from pupper_analysis.simulation.rollout import begin_stand, simulate
+from pupper_analysis.simulation.rollout import make_stand_start, simulate_commands
 from pupper_analysis.statics.contacts import stated_forces
 from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 from pupper_analysis.tools.stand.stance import study_stance
@@ -187,16 +187,16 @@ def test_hand_is_welded_at_the_given_place_or_at_home(
 def test_welded_stand_falls_in_mujoco_without_the_weld() -> None:
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=BOLTED))
-    held = begin_stand(robot, stand)
+    held = make_stand_start(robot, stand)
     model = held.drive.model
     assert model.eq_active0.tolist() == [1]
     assert held.robot.mj_model.eq_active0.tolist() == [0]  # the robot itself has none
     ctrl = np.tile(held.ctrl, (500, 1))
     height = 1 + robot.mj_convention.qpos_index[2]
-    kept = simulate(model, held.start, ctrl)[-1, height]
+    kept = simulate_commands(model, held.start, ctrl)[-1, height]
     model.eq_active0[:] = 0
     assert kept == pytest.approx(stand.qpos[2], abs=1e-9)
-    assert simulate(model, held.start, ctrl)[-1, height] < stand.qpos[2] - 1e-3
+    assert simulate_commands(model, held.start, ctrl)[-1, height] < stand.qpos[2] - 1e-3
 
 
 @pytest.mark.parametrize("pressing", [True, False])
@@ -237,10 +237,10 @@ def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> N
     for force in statics.contact_forces.values():
         assert force[2] > 0
         np.testing.assert_allclose(force[:2], 0.0, atol=1e-12)
-    held = begin_stand(armed, stand)
+    held = make_stand_start(armed, stand)
     model, data = held.drive.model, mujoco.MjData(held.drive.model)
     spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-    rest = simulate(model, held.start, np.tile(held.ctrl, (2000, 1)))[-1]
+    rest = simulate_commands(model, held.start, np.tile(held.ctrl, (2000, 1)))[-1]
     mujoco.mj_setState(model, data, rest, spec)
     data.ctrl[:] = held.ctrl
     mujoco.mj_forward(model, data)

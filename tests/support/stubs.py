@@ -21,7 +21,7 @@ from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.simulation.trial import Failure
-from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
+from pupper_analysis.simulation.verdict import Outcome, Question, judge_stance
 from pupper_analysis.stance.task import StandTask
 
 
@@ -236,7 +236,7 @@ def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
-    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.LASTS)
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, asked=Question.LASTS)
     return Stub(
         name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict, **KNOWN
     )
@@ -304,7 +304,7 @@ def loaded(*unknown: str) -> Any:
         joint_torques=(1.0, 2.0),
         continuous=(),
         trial=trial,
-        verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.CARRIES),
+        verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Question.CARRIES),
     )
 
 
@@ -332,7 +332,7 @@ def there(**changes: Any) -> Any:
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
     verdict = judge_stance(
-        Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, asked=Asked.TRACKED
+        Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, asked=Question.TRACKED
     )
     return Stub(**fields, **{"verdict": verdict, **changes})
 

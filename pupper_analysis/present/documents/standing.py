@@ -14,7 +14,7 @@ from pupper_analysis.present.document import Column, Text, Words, diagnostic_tex
 from pupper_analysis.present.documents.loads import proof_text
 from pupper_analysis.present.documents.sources import cite_page, files_text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.monitor import LAST
+from pupper_analysis.simulation.monitor import MEASURING_TIME
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
@@ -124,7 +124,7 @@ def _mean_loss(run: StandVerification, task: float) -> doc.Words:
 
     ``run.height_loss`` is the mean over the second before the nudge instead.
     """
-    last = run.time > run.time[-1] - LAST
+    last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
     shown = doc.number_cell(loss, ".2f", scale=1e3).text
     return text("loss-fails", loss=shown) if run.failures else doc.Name(f"{shown} mm")

@@ -64,7 +64,7 @@ class Tile:
         width: Of the tile (pixels).
         height: Of the tile (pixels).
         scale: Pixels per metre.
-        centre: (2,) what is in the tile's middle: m along ``RIGHT`` and ``UP``.
+        centre: (2,) what is in the tile's middle: m along ``CAMERA_RIGHT`` and ``CAMERA_UP``.
     """
 
     robot: Robot

@@ -23,16 +23,16 @@ from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
-    FORCED,
+    FORCED_CONTROL_SPEC,
     check_stand,
-    forced_commands,
+    make_forced_controls,
     place_on_ground,
     rest_state,
     roll_out,
 )
 from pupper_analysis.simulation.stability import (
-    MEETING,
-    RESTING,
+    CONTACT_SETTLING_TIME,
+    MAX_RESTING_SPEED,
     evaluate_stability,
 )
 from pupper_analysis.stance.sag.steady_state import steady_state
@@ -113,7 +113,8 @@ def sweep_gains(
     Args:
         robot: The robot.
         stand: How it stands.
-        kp: Stiffnesses (N m/rad); by default ``FACTORS`` of the model's (of the median joint's).
+        kp: Stiffnesses (N m/rad); by default ``GAIN_FACTORS`` of the model's (of the median
+            joint's).
         kd: Dampings (N m s/rad), likewise.
         amplitude: N.
         frequency: Hz.
@@ -189,7 +190,7 @@ class _Trial:
             resolve_servo_gains(robot, *cell)
         first = model_with_servos(robot, *cells[0], self.integrator)
         ctrl = first.command(robot, stand.joint_positions(robot))
-        control, force = forced_commands(robot, first.model, ctrl, 1, self.steps)
+        control, force = make_forced_controls(robot, first.model, ctrl, 1, self.steps)
         phase = 2 * math.pi * frequency * self.timestep * np.arange(self.steps)
         force[0, :, 2] = amplitude * np.sin(phase)
 
@@ -204,14 +205,16 @@ class _Trial:
 
         def simulate(cell: GainPair) -> tuple[float, bool]:
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
-            watcher = monitor.Watcher(robot, drive.model)
-            states = roll_out(drive.model, watcher.data, start, control, control_spec=FORCED)[0]
+            watcher = monitor.ContactSampler(robot, drive.model)
+            states = roll_out(
+                drive.model, watcher.data, start, control, control_spec=FORCED_CONTROL_SPEC
+            )[0]
             deviation = self._deviation(watcher, states)
             if cell[0] not in rests and math.isfinite(deviation):
                 return deviation, self._lasts_at_the_end(drive, watcher, start, ctrl)
             rest = rests.get(cell[0])
             return deviation, rest is not None and evaluate_stability(
-                drive, rest, ctrl, MEETING
+                drive, rest, ctrl, CONTACT_SETTLING_TIME
             ).lasts()
 
         with ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool:
@@ -226,7 +229,7 @@ class _Trial:
             return dict(zip(cells, found, strict=True))
 
     def _lasts_at_the_end(
-        self, drive: Servos, watcher: monitor.Watcher, start: Array, ctrl: Array
+        self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
     ) -> bool:
         """Tells whether where it is in the end, undisturbed, is a rest on its feet that lasts."""
         steps = round(HOLD_DURATION / self.timestep)
@@ -234,18 +237,18 @@ class _Trial:
         if not self._stands(watcher, states):
             return False
         found = evaluate_stability(drive, states[-1], ctrl, 0.0)
-        return found.speed <= RESTING and found.lasts()
+        return found.speed <= MAX_RESTING_SPEED and found.lasts()
 
-    def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
+    def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
         if not self._stands(watcher, states):
             return math.inf
         last = round(1.0 / self.timestep)
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
-    def _stands(self, watcher: monitor.Watcher, states: Array) -> bool:
+    def _stands(self, watcher: monitor.ContactSampler, states: Array) -> bool:
         """Return whether a robot stands at the end of a rollout."""
         if monitor.has_diverged(states, self.timestep):
             return False
-        upright = monitor.Upright.of(self.robot, self.stand.qpos, self.stand.task.rotation())
-        return upright.check_stand(states[-1], watcher.touching(states[-1])).stands
+        upright = monitor.StandReference.of(self.robot, self.stand.qpos, self.stand.task.rotation())
+        return upright.check_stand(states[-1], watcher.find_ground_bodies(states[-1])).stands

@@ -68,11 +68,11 @@ def best_stance(
 
     The bounds are: of the height, the reachable ones less ``HEIGHT_RESERVE`` at either end; of the
     base's other coordinates, how far it can go from the task with the feet planted and the legs
-    bent as they are, turns by at most ``MOST_TURN``; of each foot, ``SPREAD`` of the greatest
-    height outwards and no more than ``CLOSING`` of the least distance from the middle inwards. Legs
-    keep ``LEAST_SINGULAR_VALUE``: stretched ones would win, needing no torque. A stance is also
-    refused if it has parts touching each other or the ground (not: its steps) that do not in the
-    task's.
+    bent as they are, turns by at most ``MAX_BASE_ROTATION``; of each foot, ``MAX_OUTWARD_STEP`` of
+    the greatest height outwards and no more than ``MAX_INWARD_STEP`` of the least distance from
+    the middle inwards. Legs keep ``MIN_SINGULAR_VALUE_RATIO``: stretched ones would win, needing
+    no torque. A stance is also refused if it has parts touching each other or the ground (not: its
+    steps) that do not in the task's.
 
     The best of a stance is the least of the greatest of many smooth functions: a kink, at which
     descents that see one number get stuck. So the common bound of all these functions is itself

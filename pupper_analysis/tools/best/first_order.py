@@ -25,12 +25,12 @@ from pupper_analysis.statics.equilibrium import hold_loads
 
 Array = NDArray[np.float64]
 
-SMALL = 0.1
+SMALL_PAYLOAD_RATIO = 0.1
 """A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
 
 
 class SmallPayload:
-    """A payload of ``SMALL`` that tells what bears larger ones.
+    """A payload of ``SMALL_PAYLOAD_RATIO`` that tells what bears larger ones.
 
     Args:
         robot: The robot.
@@ -43,7 +43,7 @@ class SmallPayload:
 
     def __init__(self, robot: Robot, point: Tool, kp: Array) -> None:
         self._robot, self._point, self._kp = robot, point, kp
-        self.mass = SMALL * robot.total_mass
+        self.mass = SMALL_PAYLOAD_RATIO * robot.total_mass
         loaded = with_payload(robot, self.mass, point)
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
 
@@ -92,7 +92,7 @@ class SmallPayload:
         return found
 
 
-def bearable(rows: Array) -> float:
+def largest_feasible_mass(rows: Array) -> float:
     """Returns the greatest mass (kg) that satisfies rows of a payload; infinite if none binds."""
     binding = rows[rows[:, 1] < 0]
     return float(np.min(-binding[:, 0] / binding[:, 1], initial=math.inf))

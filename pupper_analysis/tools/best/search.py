@@ -22,8 +22,8 @@ from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import peak_utilisation
-from pupper_analysis.tools.best.first_order import SmallPayload, bearable
-from pupper_analysis.tools.best.space import STEP_OVER, Room, StanceSpace
+from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
+from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack, StanceSpace
 
 Array = NDArray[np.float64]
 _SAMPLES = 128
@@ -176,14 +176,14 @@ class StanceSearch:
         left = room.less(_INSIDE)
         allowed = bool(
             room.singular_values.min() >= 0
-            and room.joints.min() >= -STEP_OVER
+            and room.joints.min() >= -JOINT_LIMIT_OVERSHOOT
             and room.edges.min() >= 0
             and room.touching >= 0
         )
         kept = np.column_stack([left, np.zeros(len(left))])
         return EvaluatedStance(coordinates, stand, level, np.concatenate([rows, kept]), allowed)
 
-    def _level(self, stand: Stand, room: Room) -> tuple[float, Array]:
+    def _level(self, stand: Stand, room: StanceSlack) -> tuple[float, Array]:
         """Returns the level, and the rows (k, 2) of which it is the least that satisfies all."""
         if self.objective is Objective.PAYLOAD:
             return self._payload_level(stand)
@@ -200,7 +200,7 @@ class StanceSearch:
         rows = self.payload.rows(stand)
         if rows is None:
             raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
-        return -bearable(rows) / self.scale, rows * (1.0, -self.scale)
+        return -largest_feasible_mass(rows) / self.scale, rows * (1.0, -self.scale)
 
     def run(self) -> None:
         """Searches, with the feet together first, and then with each free."""

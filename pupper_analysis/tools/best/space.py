@@ -27,7 +27,7 @@ from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
-BASE = ("height", "x", "y", "roll", "pitch", "yaw")
+BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
 
 _TURNS = ("roll", "pitch", "yaw")
 """The base's coordinates: see ``BestStance.coordinates``."""
@@ -35,16 +35,16 @@ _TURNS = ("roll", "pitch", "yaw")
 HEIGHT_RESERVE = 0.05
 """Share of the reachable heights that is left out at either end: legs stretched or folded up."""
 
-SPREAD = 0.25
+MAX_OUTWARD_STEP = 0.25
 """Most that a foot is moved outwards, fore-aft or sideways, in parts of the greatest height."""
 
-CLOSING = 0.5
+MAX_INWARD_STEP = 0.5
 """Most that a foot is moved inwards, in parts of its distance from the middle of the feet."""
 
-MOST_TURN = 0.3
+MAX_BASE_ROTATION = 0.3
 """Most that the base rolls, pitches or yaws away from the task (rad)."""
 
-LEAST_SINGULAR_VALUE = 0.5
+MIN_SINGULAR_VALUE_RATIO = 0.5
 """The least singular value of a leg's Jacobian that is kept, in parts of the nominal one.
 
 A stretched leg has none. It holds the greatest loads without torque, and falls when it is pushed.
@@ -55,13 +55,13 @@ JOINT_RESERVE = 0.02
 stance leaves as much: what a servo gives way, and a foot that sinks into soft ground stretches its
 leg. On a limit a nudge is enough: Go1 bore 61 kg with its knees on theirs, and failed with 1."""
 
-STEP_OVER = 1e-4
+JOINT_LIMIT_OVERSHOOT = 1e-4
 """The same where it leaves less: a search that follows a limit steps over it by a little, where
 there is no stance to evaluate."""
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
+class StanceSlack:
     """What a stance has left of what it may not use up; all >= 0 where it is allowed.
 
     Attributes:
@@ -104,14 +104,14 @@ class StanceSpace:
         # The floor turned, but without steps, which would have to follow the feet.
         ground = Ground(task.ground.slope, task.ground.uphill)
         left = self._from_limits(self.nominal) - task.joint_margin
-        self._reserve = np.clip(left, STEP_OVER, JOINT_RESERVE)
+        self._reserve = np.clip(left, JOINT_LIMIT_OVERSHOOT, JOINT_RESERVE)
         self._grounded = build_on_ground(robot, ground, {})
         self._data = mujoco.MjData(self._grounded.mj_model)
         self._touching = self._touches(nominal)
         self._nominal_values = _singular_values(Configuration(robot, nominal.qpos))
         self.centre = nominal.centre(robot)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
-        self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
+        self.names = (*BASE_COORDINATES, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
         height, place = nominal.task.height, nominal.qpos[:2] - self.centre
         assert height is not None
         base = [height, *place, task.roll, task.pitch, task.yaw]
@@ -121,23 +121,27 @@ class StanceSpace:
     def _bounds(self) -> tuple[Array, Array]:
         """Returns the coordinates' least and greatest values; the task's are between."""
         # Turns go no further than that, so that their ends need not be found.
-        most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
+        most = dict.fromkeys(BASE_COORDINATES, math.inf) | dict.fromkeys(_TURNS, MAX_BASE_ROTATION)
         within = {
             name: find_interval(self.robot, self.nominal, name, most[name], usual_starts_only=True)
-            for name in BASE
+            for name in BASE_COORDINATES
         }
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]
-        for name, value in zip(BASE[1:], self.start[1:], strict=False):
+        for name, value in zip(BASE_COORDINATES[1:], self.start[1:], strict=False):
             low.append(max(within[name].low, value - most[name]))
             high.append(min(within[name].high, value + most[name]))
         outwards = self.outwards()
         apart = [abs(self._from_centre(foot)) for foot in self.free]
-        inwards = np.minimum(SPREAD * height.high, CLOSING * np.min(apart, axis=0)) if apart else 0
+        inwards = (
+            np.minimum(MAX_OUTWARD_STEP * height.high, MAX_INWARD_STEP * np.min(apart, axis=0))
+            if apart
+            else 0
+        )
         for foot in self.free:
             way = np.where(outwards[foot] > 0, 1.0, -1.0)
-            ends = np.sort([-way * inwards, way * SPREAD * height.high], axis=0)
+            ends = np.sort([-way * inwards, way * MAX_OUTWARD_STEP * height.high], axis=0)
             low += ends[0].tolist()
             high += ends[1].tolist()
         return np.minimum(low, self.start), np.maximum(high, self.start)
@@ -167,24 +171,26 @@ class StanceSpace:
         Columns: the base's coordinates (of these only height, x and pitch if the task is
         symmetric), the length of the stance, its width in front, and its width behind.
         """
-        keep = (0, 1, 4) if self.symmetric else range(len(BASE))
+        keep = (0, 1, 4) if self.symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
         outwards = self.outwards()
         for axis, side in ((0, 0.0), (1, 1.0), (1, -1.0)):
             column = np.zeros(len(self.start))
             for index, foot in enumerate(self.free):
                 if side in (0.0, outwards[foot][0]):
-                    column[len(BASE) + 2 * index + axis] = outwards[foot][axis]
+                    column[len(BASE_COORDINATES) + 2 * index + axis] = outwards[foot][axis]
             if column.any():
                 columns.append(column)
         return np.array(columns).T
 
     def task(self, coordinates: Array) -> StandTask:
         """Returns the task of a vector of coordinates."""
-        height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE)])
+        height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE_COORDINATES)])
         task = self.nominal.task
         offsets: dict[str, Point] = dict(task.foot_offsets)
-        for foot, move in zip(self.free, coordinates[len(BASE) :].reshape(-1, 2), strict=True):
+        for foot, move in zip(
+            self.free, coordinates[len(BASE_COORDINATES) :].reshape(-1, 2), strict=True
+        ):
             had = task.foot_offsets.get(foot, (0.0, 0.0))
             offsets[foot] = (float(had[0] + move[0]), float(had[1] + move[1]))
         # An offset is from the centre of the feet as they are then: the feet may move it.
@@ -222,17 +228,17 @@ class StanceSpace:
                 stand = continue_stand(context, goal, near.qpos)
         return stand.for_task(task) if stand is not None and stand.solved else None
 
-    def room(self, stand: Stand) -> Room:
+    def room(self, stand: Stand) -> StanceSlack:
         """Returns what a stand leaves of what it may not use up."""
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
-        least = LEAST_SINGULAR_VALUE * self._nominal_values
+        least = MIN_SINGULAR_VALUE_RATIO * self._nominal_values
         scale = np.where(self._nominal_values > 0, self._nominal_values, 1.0)
         limits = self._from_limits(stand) - self._reserve - task.joint_margin
         sides = polygon_sides(stand.corners(self.robot))
         edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
         new = self._touches(stand)
         added = sum(depth for pair, depth in new.items() if pair not in self._touching)
-        return Room(
+        return StanceSlack(
             singular_values=(_singular_values(config) - least) / scale,
             joints=np.minimum(limits, 1.0),
             edges=edges - task.com_margin,

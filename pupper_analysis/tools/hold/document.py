@@ -26,7 +26,7 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
-from pupper_analysis.tools.hold.hold import TRIED, Hold, ReachLoad
+from pupper_analysis.tools.hold.hold import VERIFIED_FRACTION, Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
 _RINGS = 12
@@ -172,7 +172,7 @@ def _limit_cell(value: float) -> doc.Cell:
 
 def _tried(hold: Hold) -> Iterator[doc.Text]:
     """Yields what became of the payload that was simulated, if one was."""
-    trial, share = hold.payload_trial, f"{TRIED:.0%}"
+    trial, share = hold.payload_trial, f"{VERIFIED_FRACTION:.0%}"
     if trial is not None and trial.passed:
         yield text("payload-trial-holds", share=share)
     elif trial is not None:

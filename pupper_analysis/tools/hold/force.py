@@ -75,13 +75,13 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
         posture: The posture.
         tool: Where it is pushed.
     """
-    rows, room = polytope(robot, posture, tool)
+    rows, room = force_polytope(robot, posture, tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
-    forces, numbers = edges(rows, room, directions)
+    forces, numbers = force_limits_along(rows, room, directions)
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     round_about = np.column_stack([np.cos(angles), np.sin(angles)])
     sections = [
-        edges(rows, room, round_about @ np.eye(3)[list(axes)])[0]
+        force_limits_along(rows, room, round_about @ np.eye(3)[list(axes)])[0]
         for axes in ((0, 1), (0, 2), (1, 2))
     ]
     weakest, way, joint = _weakest(rows, room)
@@ -99,11 +99,13 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     )
 
 
-def edges(rows: Array, room: Array, directions: Array) -> tuple[Array, NDArray[np.int64]]:
+def force_limits_along(
+    rows: Array, room: Array, directions: Array
+) -> tuple[Array, NDArray[np.int64]]:
     """Returns the greatest forces (n,) of a polytope along directions (n, 3), unit vectors.
 
     Args:
-        rows: (2 nu, 3) see ``polytope``.
+        rows: (2 nu, 3) see ``force_polytope``.
         room: (2 nu,) likewise.
         directions: (n, 3).
 
@@ -121,7 +123,7 @@ def edges(rows: Array, room: Array, directions: Array) -> tuple[Array, NDArray[n
     return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
 
 
-def polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
+def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
     """Returns rows (2 nu, 3) and room (2 nu,) of the forces f withstood: rows f <= room."""
     config, limits = Configuration(robot, posture.qpos), robot.effort_limits
     load = config.by_motors(config.load())

@@ -44,7 +44,7 @@ from pupper_analysis.statics.equilibrium import (
     utilise,
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
-from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
+from pupper_analysis.tools.hold.motions import JointMotions, group_coupled_joints
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
     return ReachLoad(distances, heights, utilisation)
 
 
-UNLIMITED = 1e4
+UNLIMITED_MASS_RATIO = 1e4
 """A payload above this many times the robot's mass is as good as unlimited."""
 
 _ROUNDS = 6
@@ -186,7 +186,7 @@ def tool_payload(
             mass=mass, joint=joint, somewhere=math.nan, weakest="", code=code, **known
         )
     most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
-    most = min(most, UNLIMITED * robot.total_mass)
+    most = min(most, UNLIMITED_MASS_RATIO * robot.total_mass)
     loaded = worst
     for _ in range(_ROUNDS if most > 0 else 0):
         loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
@@ -223,7 +223,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     mass = borne_by_motors(empty, rates, limits)
     if (np.abs(rates)[np.isinf(limits)] > MIN_TORQUE_PER_MASS).any():
         return math.nan, ""
-    if not mass <= UNLIMITED * robot.total_mass:  # a lever that is all but none
+    if not mass <= UNLIMITED_MASS_RATIO * robot.total_mass:  # a lever that is all but none
         return math.inf, ""
     left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
     return mass, robot.joint_names[int(np.argmin(left))]
@@ -275,14 +275,14 @@ def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     """Tells which motors (nu,) may bear a payload: those that move it, or what moves with them."""
     bears = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure
-    for joints in [] if closure is None else bound_in_common(closure, posture.qpos):
+    for joints in [] if closure is None else group_coupled_joints(closure, posture.qpos):
         bears[joints] |= bears[joints].any()
     if closure is not None:
         bears[closure.following] = False
     return bears
 
 
-TRIED = 0.95
+VERIFIED_FRACTION = 0.95
 """Part of the payload that is simulated, the lesser of what motors and servos hold: at the
 limit rounding decides whether it holds."""
 
@@ -312,8 +312,8 @@ class Hold(Tabular):
         worst: The worst posture of each motor.
         carried: Mass at the tool, which all is of (kg).
         payload: What the motors hold at the tool besides.
-        payload_trial: The simulation, with feed-forward, of ``TRIED`` of it in the posture; None
-            where nothing is carried, or nothing limits it.
+        payload_trial: The simulation, with feed-forward, of ``VERIFIED_FRACTION`` of it in the
+            posture; None where nothing is carried, or nothing limits it.
         force: How hard the tool can be pushed.
         reach: What the motors hold over the tool's reach.
     """
@@ -405,7 +405,7 @@ def hold_posture(
     more = tool_payload(robot, posture, point, worst, kp=kp)
     trial, most = None, min(more.mass, more.servos)
     if 0 < most < math.inf:
-        loaded = with_payload(robot, TRIED * most, point)
+        loaded = with_payload(robot, VERIFIED_FRACTION * most, point)
         stood = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
         trial = verify_stand(loaded, stood, kp=kp, kd=kd)
     return Hold(

@@ -147,7 +147,7 @@ class JointMotions:
         self.moved = [np.flatnonzero(np.abs(step) > _UNMOVED) for step in self.steps.T]
         self.shares = np.eye(count) - closure.push(self.origin)
         self.bent = np.zeros(len(self.free), dtype=bool)
-        loops = bound_in_common(closure, self.origin)
+        loops = group_coupled_joints(closure, self.origin)
         self._loop = [
             next((one for one in loops if lead in one), np.array([lead])) for lead in self.free
         ]
@@ -168,7 +168,7 @@ class JointMotions:
         )
 
 
-def bound_in_common(closure: Closure, qpos: Array) -> list[IntArray]:
+def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     """Returns the joints that loops and couplings bind to each other near a posture, by sets."""
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]

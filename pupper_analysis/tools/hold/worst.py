@@ -44,7 +44,7 @@ _OUT = 1e300
 _NO_SHARE = 1e-12
 
 
-class Search:
+class TorqueSearch:
     """Climbs from posture to posture to where a motor holds most.
 
     Args:
@@ -275,7 +275,7 @@ def worst_postures(
     motions = JointMotions(robot, posture)
     starts = motions.random(_STARTS)
     asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
-    search = Search(robot, motions, tool, payload)
+    search = TorqueSearch(robot, motions, tool, payload)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]

@@ -21,7 +21,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.monitor import StandCheck, Upright, Watcher
+from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
@@ -85,8 +85,8 @@ def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
     if robot.floating and robot.contact_points:
         qpos[2] -= _foot_clearance(robot, qpos)
     state = full_state(robot.mj_model, data)
-    touching = Watcher(robot, robot.mj_model).touching(state)
-    return Upright.of(robot, qpos).check_stand(state, touching)
+    touching = ContactSampler(robot, robot.mj_model).find_ground_bodies(state)
+    return StandReference.of(robot, qpos).check_stand(state, touching)
 
 
 def _foot_clearance(robot: Robot, qpos: Array) -> float:

@@ -29,9 +29,9 @@ from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import describe_growth
-from pupper_analysis.simulation.rollout import place_on_ground, simulate
+from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from pupper_analysis.simulation.stability import stand_stability
-from pupper_analysis.simulation.verdict import Asked, Outcome, Verdict
+from pupper_analysis.simulation.verdict import Outcome, Question, Verdict
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -307,7 +307,13 @@ def study_path(
         path=path,
         tracking=tracking,
         verdict=judge_simulation(
-            robot, stand, ran, statics=stand_statics(robot, held), asked=Asked.TRACKED, kp=kp, kd=kd
+            robot,
+            stand,
+            ran,
+            statics=stand_statics(robot, held),
+            asked=Question.TRACKED,
+            kp=kp,
+            kd=kd,
         ),
     )
 
@@ -421,7 +427,7 @@ def track_path(
         robot, path, lambda there: model_with_servos(there, kp, kd, integrator), timestep
     )
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
-    states = simulate(model, plan.start, plan.ctrl)
+    states = simulate_commands(model, plan.start, plan.ctrl)
     simulated = states[:, 1 + robot.mj_convention.qpos_index]
     deviation = simulated[:, joints] - plan.qpos[:, joints]
     joint_error = float(np.abs(deviation).max())
@@ -432,7 +438,7 @@ def track_path(
     evaluations = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
     if monitor.has_diverged(states, timestep):
-        failures = [monitor.tell_divergence(plan.drive.integrator, timestep)]
+        failures = [monitor.describe_divergence(plan.drive.integrator, timestep)]
     else:
         failures, tilt, slip = _check_states(plan, states, evaluations)
         saturated, torque_error = _compare_torques(plan, states)
@@ -505,14 +511,14 @@ def _check_states(
         slip of each foot along the ground [m].
     """
     path, robot = plan.path, plan.robot
-    watcher = monitor.Watcher(robot, plan.drive.model)
+    watcher = monitor.ContactSampler(robot, plan.drive.model)
     events: dict[Diagnostic, float] = {}
     normals = ground_normals(robot, path.stances[0].task.ground)
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.weight
     tilt = 0.0
     for index in evaluations:
-        sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
+        sight = watcher.sample(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
         found = [
             diagnose("body-touches-ground", subject=("body", body), time=None)
             for body in sorted(sight.bodies)
@@ -522,11 +528,11 @@ def _check_states(
         base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if monitor.Upright.of(robot, goal, rotation).has_fallen(states[index]):
+        if monitor.StandReference.of(robot, goal, rotation).has_fallen(states[index]):
             found.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres = monitor.foot_centres(robot, watcher.data)
         targets = Configuration(robot, goal).foot_positions()
-        idle = sight.idle(robot.feet)
+        idle = sight.unloaded_feet(robot.feet)
         sample = int(np.abs(path.time - sight.time).argmin())
         for column, foot in enumerate(path.feet):
             load, parent = path.loads[sample, column] / weight, robot.foot_of(foot)

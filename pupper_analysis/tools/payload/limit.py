@@ -26,15 +26,15 @@ from pupper_analysis.robot.servos import command_ranges, compute_command_lead, m
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import touching
-from pupper_analysis.simulation.rollout import begin_stand
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
 from pupper_analysis.simulation.verdict import (
-    UNKNOWN,
-    Asked,
+    UNKNOWN_CODES,
+    Question,
     Verdict,
     VerdictCode,
-    beyond_limits,
+    find_overloaded_motors,
 )
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import SearchContext
@@ -95,21 +95,21 @@ def simulate_payload(
 
 Array = NDArray[np.float64]
 
-UNLIMITED = 1e4
+UNLIMITED_MASS_RATIO = 1e4
 """A payload above this many times the robot's mass is as good as unlimited."""
 
-FURTHER = 10.0
+MAX_BOUND_RATIO = 10.0
 """Bounds of more than so many times the least are not looked for."""
 
-TRIED = 0.97
+VERIFIED_FRACTION = 0.97
 """The part of the limit with which the loaded stance is judged, and simulated nudged: just below
 it, as no servo, floor or hand is exact to a percent."""
 
-FINE = 0.02
+SIMULATION_RTOL = 0.02
 """To what part of itself a mass is found that holds in simulation, where that of the equilibrium
 does not; to its square of the equilibrium's, below which it is as good as none."""
 
-EXACT, NEAR = 1e-6, 1e-3
+BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """To what part of itself a bound of motors or of the stance is found that binds, rounded down, and
 others."""
 
@@ -127,7 +127,7 @@ class Bound(Result):
     """One of the limits of a payload.
 
     Attributes:
-        mass: kg; infinite if there is none, or only one far above the least (``FURTHER``).
+        mass: kg; infinite if there is none, or only one far above the least (``MAX_BOUND_RATIO``).
         failure: What gives way just above.
         where: The motors, joints, feet or bodies concerned.
     """
@@ -158,8 +158,8 @@ class PayloadLimit(Result):
         servos: Up to where the servos can be commanded so far, and no deviation grows within 12 s
             by the spectrum of MuJoCo's step, without the help of dry friction, however strong the
             motors are.
-        simulation: Up to where ``TRIED`` of it holds in simulation, where that is less; 0 where the
-            stance does not hold without payload.
+        simulation: Up to where ``VERIFIED_FRACTION`` of it holds in simulation, where that is
+            less; 0 where the stance does not hold without payload.
         point: (3,) where the mass is attached, in the frame of ``link`` (m).
         link: Of the URDF, that carries it.
         unknown_limits: The motors that bear the load and whose torque limit no file states.
@@ -168,8 +168,8 @@ class PayloadLimit(Result):
         joint_names: (nu,) in actuator order.
         joint_torques: (nu,) in it (N m).
         contact_forces: {foot: (3,)} in it, in world axes (N).
-        verdict: The one judge's, of the stance with ``TRIED`` of ``mass``; without payload, if
-            that is nothing or infinite.
+        verdict: The one judge's, of the stance with ``VERIFIED_FRACTION`` of ``mass``; without
+            payload, if that is nothing or infinite.
         trial: The simulation of the same nudged from all sides; None without one.
         continuous: Joints whose effort limit is a torque that lasts; of the others it is the peak.
     """
@@ -275,7 +275,7 @@ def payload_limit(
         loaded = with_payload(robot, mass, place)
         trial = tried(mass) if mass else None
         found = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
-        return replace(found, asked=Asked.CARRIES)
+        return replace(found, asked=Question.CARRIES)
 
     @cache
     def tried(mass: float) -> PayloadTrial:
@@ -294,7 +294,7 @@ def payload_limit(
     known = EffortCode.ZERO if null else EffortCode.STATED
     assert held.stand is not None
     assert held.statics is not None
-    verdict = judged(TRIED * most if carries else 0.0)
+    verdict = judged(VERIFIED_FRACTION * most if carries else 0.0)
     massless = verdict.code is VerdictCode.MASSES_UNKNOWN
     return PayloadLimit(
         name=robot.name,
@@ -313,7 +313,7 @@ def payload_limit(
         joint_torques=held.statics.joint_torques,
         contact_forces=held.statics.contact_forces,
         verdict=verdict,
-        trial=tried(TRIED * most) if carries else None,
+        trial=tried(VERIFIED_FRACTION * most) if carries else None,
     )
 
 
@@ -326,44 +326,44 @@ def _unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
     return tuple(name for name in unknown if name not in aside)
 
 
-Trouble = tuple[Failure, tuple[str, ...]] | None
+FailureCause = tuple[Failure, tuple[str, ...]] | None
 """What fails, and where: the motors, joints, feet or bodies concerned; None if nothing does."""
 
 
 def _simulated(
     most: float, judged: Callable[[float], Verdict], tried: Callable[[float], PayloadTrial]
 ) -> Bound:
-    """Returns up to where ``TRIED`` of a mass holds in simulation; no bound if that is ``most``.
+    """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
 
     What equilibria say is exact for a stand that is let alone; how far a nudge takes feet that
     lift, soles that pivot and motors that saturate, and what else is wrong with a file, simulation
     alone tells.
     """
 
-    def trouble(mass: float) -> Trouble:
-        trial = tried(TRIED * mass)
+    def trouble(mass: float) -> FailureCause:
+        trial = tried(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
             return trial.failure, trial.where
-        return None if _holds(judged(TRIED * mass)) else (Failure.SIMULATED, ())
+        return None if _holds(judged(VERIFIED_FRACTION * mass)) else (Failure.SIMULATED, ())
 
     found = trouble(most)
     if found is None:
         return Bound(math.inf, Failure.NOTHING, ())
     if not _holds(judged(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
-    return _bisect(trouble, 0.0, most, found, FINE**2 * most, FINE)
+    return _bisect(trouble, 0.0, most, found, SIMULATION_RTOL**2 * most, SIMULATION_RTOL)
 
 
 def _holds(verdict: Verdict) -> bool:
     """Return True if a stance holds in simulation, even if torque limits or masses are unknown."""
-    return verdict.passed or verdict.code in UNKNOWN
+    return verdict.passed or verdict.code in UNKNOWN_CODES
 
 
 def _bisect(
-    trouble: Callable[[float], Trouble],
+    trouble: Callable[[float], FailureCause],
     low: float,
     high: float,
-    found: Trouble,
+    found: FailureCause,
     least: float,
     part: float = 0.0,
 ) -> Bound:
@@ -393,7 +393,7 @@ class _Held:
 
     robot: Robot
     stand: Stand | None
-    trouble: Trouble
+    trouble: FailureCause
 
     @cached_property
     def statics(self) -> GravityCompensation | None:
@@ -421,8 +421,8 @@ class _Search:
         """Returns the bounds {name: bound} by the stand, the motors and the servos."""
         asked = {"stance": self.stance, "motors": self.motors, "servos": self.spectrum}
         low = dict.fromkeys(asked, 0.0)
-        high: dict[str, tuple[float, Trouble]] = {}
-        mass, ceiling = 0.0, UNLIMITED * self._robot.total_mass
+        high: dict[str, tuple[float, FailureCause]] = {}
+        mass, ceiling = 0.0, UNLIMITED_MASS_RATIO * self._robot.total_mass
         while len(high) < len(asked) and "stance" not in high and mass < ceiling:
             for name in [name for name in asked if name not in high]:
                 found = asked[name](mass)
@@ -433,12 +433,12 @@ class _Search:
                     if name == "stance":
                         break
             if high:
-                ceiling = min(ceiling, FURTHER * max(mass, self._robot.total_mass))
+                ceiling = min(ceiling, MAX_BOUND_RATIO * max(mass, self._robot.total_mass))
             step = _GROWTH if not high else _FASTER
             mass = max(step * mass, _FIRST * self._robot.total_mass)
         none = Bound(math.inf, Failure.NOTHING, ())
         bounds = {
-            name: _bisect(asked[name], low[name], *high[name], NEAR * high[name][0])
+            name: _bisect(asked[name], low[name], *high[name], BOUND_RTOL * high[name][0])
             if name in high
             else none
             for name in asked
@@ -447,9 +447,9 @@ class _Search:
         first = min(bounds, key=lambda name: bounds[name].mass)
         near = bounds[first].mass
         if 0 < near < math.inf and first != "servos":  # whose edge is a doubling time
-            above = min(high[first][0], near * (1 + 2 * NEAR))
+            above = min(high[first][0], near * (1 + 2 * BOUND_RTOL))
             found = asked[first](above) or (bounds[first].failure, bounds[first].where)
-            bounds[first] = _bisect(asked[first], near, above, found, EXACT * near)
+            bounds[first] = _bisect(asked[first], near, above, found, BINDING_BOUND_RTOL * near)
         return bounds
 
     def at(self, mass: float) -> _Held:
@@ -473,7 +473,7 @@ class _Search:
         except NotSettlingError:  # it almost tips
             return _Held(self._robot, None, (Failure.TIPPING, ()))
 
-    def stance(self, mass: float) -> Trouble:
+    def stance(self, mass: float) -> FailureCause:
         """Tells why there is no loaded stand with a mass (kg)."""
         held = self.at(mass)
         if held.stand is None or held.statics is None:
@@ -486,10 +486,10 @@ class _Search:
             lowest = shapes.lowest_part(*there, {})
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
-    def motors(self, mass: float) -> Trouble:
+    def motors(self, mass: float) -> FailureCause:
         """Tells which motors are beyond their limits with a mass (kg)."""
         statics = self.at(mass).statics
-        over = () if statics is None else beyond_limits(statics)
+        over = () if statics is None else find_overloaded_motors(statics)
         return (Failure.MOTOR, over) if over else None
 
     def _confirmed(self, bounds: dict[str, Bound]) -> Bound:
@@ -504,21 +504,21 @@ class _Search:
         most = min(found.mass, *others)
         if not 0 < most < math.inf:
             return found
-        below = (1 - NEAR) * most
+        below = (1 - BOUND_RTOL) * most
         if (trouble := self.servos(below)) is not None:
             if self.servos(0.0) is not None:
                 return Bound(0.0, *trouble)
-            return _bisect(self.servos, 0.0, below, trouble, NEAR * below, FINE)
+            return _bisect(self.servos, 0.0, below, trouble, BOUND_RTOL * below, SIMULATION_RTOL)
         if found.mass > most:
             return found
-        low, high = found.mass, (1 + FINE) * found.mass
+        low, high = found.mass, (1 + SIMULATION_RTOL) * found.mass
         while (trouble := self.servos(high)) is None:
             low, high = high, _GROWTH * high
             if high > min(others):
                 return Bound(math.inf, Failure.NOTHING, ())
-        return _bisect(self.servos, low, high, trouble, FINE * low)
+        return _bisect(self.servos, low, high, trouble, SIMULATION_RTOL * low)
 
-    def spectrum(self, mass: float) -> Trouble:
+    def spectrum(self, mass: float) -> FailureCause:
         """Return why servos do not hold a mass (kg) by the spectrum alone; see ``servos``.
 
         Modes that dry friction hides are left out, and modes that depend on the finite-difference
@@ -526,7 +526,7 @@ class _Search:
         """
         return self.servos(mass, simulated=False)
 
-    def servos(self, mass: float, *, simulated: bool = True) -> Trouble:
+    def servos(self, mass: float, *, simulated: bool = True) -> FailureCause:
         """Return why servos do not hold a mass (kg): a command out of range, or a mode that grows.
 
         Motors are taken to be as strong as needed: a motor that saturates has no stiffness, and is
@@ -535,7 +535,7 @@ class _Search:
         held = self.at(mass)
         if held.stand is None or held.statics is None:
             return None
-        begun = begin_stand(held.robot, held.stand, kp=self._kp, kd=self._kd)
+        begun = make_stand_start(held.robot, held.stand, kp=self._kp, kd=self._kd)
         drive, names = begun.drive, held.robot.joint_names
         lead = compute_command_lead(held.statics.joint_torques, drive.kp)
         target = held.stand.joint_positions(held.robot) + lead

@@ -21,11 +21,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.monitor import SimulationSettings
 from pupper_analysis.simulation.rollout import (
-    FORCED,
-    Standing,
-    begin_stand,
+    FORCED_CONTROL_SPEC,
+    StandStart,
     check_stand,
-    forced_commands,
+    make_forced_controls,
+    make_stand_start,
     roll_out,
 )
 from pupper_analysis.simulation.stability import evaluate_stability
@@ -34,10 +34,10 @@ from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-PULSE = 0.02
+PULSE_DURATION = 0.02
 """How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
 
-REST_SPEED = 0.01
+MAX_RESTING_SPEED = 0.01
 """A base that is faster than this in the last half second has not come to rest (m/s), where it
 creeps by no more without a push."""
 
@@ -59,7 +59,7 @@ _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
 @dataclass(frozen=True, eq=False)
-class Pushed(SimulationSettings):
+class PushSettings(SimulationSettings):
     """What a stand was pushed with, and simulated with.
 
     Attributes:
@@ -72,7 +72,7 @@ class Pushed(SimulationSettings):
 
 
 @dataclass(eq=False)
-class Bench:
+class PushBench:
     """Where a robot is pushed; counts how often.
 
     Attributes:
@@ -84,7 +84,7 @@ class Bench:
             does, as predicted or not.
     """
 
-    held: Standing
+    held: StandStart
     axes: Array
     duration: float
     feedforward: bool
@@ -96,24 +96,30 @@ class Bench:
         self.robot, self.stand, self.drive = held.robot, held.stand, held.drive
         self.start, self.ctrl = held.start, held.ctrl
         model = self.drive.model
-        self.upright = monitor.Upright.of(self.robot, self.stand.qpos, self.stand.task.rotation())
+        self.upright = monitor.StandReference.of(
+            self.robot, self.stand.qpos, self.stand.task.rotation()
+        )
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
-        self.pulse_steps = max(1, round(PULSE / self.timestep))
-        self.watcher = monitor.Watcher(self.robot, model)
+        self.pulse_steps = max(1, round(PULSE_DURATION / self.timestep))
+        self.watcher = monitor.ContactSampler(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     @cached_property
     def creep(self) -> float:
         """How fast the base moves at the end without a push (m/s): on a slope friction creeps."""
-        (states,) = self.simulate(np.zeros(1, dtype=np.int64), np.zeros(1))
+        (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._last_speed(states)
 
-    def whole(self, directions: NDArray[np.int64], impulses: Array) -> list[Diagnostic | None]:
+    def simulate_fully(
+        self, directions: NDArray[np.int64], impulses: Array
+    ) -> list[Diagnostic | None]:
         """Simulates pushes to the end, and says of each how the robot fails, or None."""
-        return [self.failure(run) for run in self.simulate(directions, impulses)]
+        return [self.find_failure(run) for run in self.simulate_pushes(directions, impulses)]
 
-    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[Diagnostic | None]:
+    def simulate_until_decided(
+        self, directions: NDArray[np.int64], impulses: Array
+    ) -> list[Diagnostic | None]:
         """Says the same, but ends each simulation once its result is known.
 
         That is where something else than feet touches the ground, and where it is at rest with no
@@ -145,7 +151,7 @@ class Bench:
                 break
         return found
 
-    def simulate(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
+    def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
         """Simulates pushes and yields, of each, the states after each step (n, size).
 
         Args:
@@ -168,14 +174,14 @@ class Bench:
         size = max(1, _BATCH // (steps * (width + len(self.start))))
         for begin in range(0, len(forces), size):
             batch = forces[begin : begin + size]
-            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), steps)
+            control, force = make_forced_controls(self.robot, model, self.ctrl, len(batch), steps)
             if pushed:
                 force[:, : self.pulse_steps, :2] = batch[:, None]
             workers = self.workers[: len(batch)]
             first = starts[begin : begin + size]
-            yield from roll_out(model, workers, first, control, control_spec=FORCED)
+            yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
-    def failure(self, states: Array) -> Diagnostic | None:
+    def find_failure(self, states: Array) -> Diagnostic | None:
         """Returns why a run is no recovery, or None if it is one."""
         broken = self._broken(states)
         if broken is not None and monitor.has_diverged(states, self.timestep):
@@ -186,9 +192,9 @@ class Bench:
     def _broken(self, states: Array) -> Diagnostic | None:
         """Says so if some states cannot be part of a recovery, whatever comes next."""
         if monitor.has_diverged(states, self.timestep):
-            return monitor.tell_divergence(self.drive.integrator, self.timestep)
+            return monitor.describe_divergence(self.drive.integrator, self.timestep)
         for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
-            if touching := sorted(self.watcher.touching(state)):
+            if touching := sorted(self.watcher.find_ground_bodies(state)):
                 moment = Quantity(self.watcher.data.time, "s")
                 return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
         return None
@@ -198,9 +204,9 @@ class Bench:
         failures = []
         if self.upright.has_fallen(states[-1]):
             height = float(monitor.base_heights(self.robot, states[-1]))
-            failures.append(monitor.tell_fall(self.upright.lean(states[-1]), height))
+            failures.append(monitor.describe_fall(self.upright.tilt(states[-1]), height))
         speed = self._last_speed(states)
-        if speed > REST_SPEED and speed > REST_SPEED + self.creep:
+        if speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep:
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
         return failures
 
@@ -214,7 +220,7 @@ class Bench:
         last = states[-self._resting :, 1 + self.drive.model.nq :]
         rates = last[:, self.robot.mj_convention.qvel_index[:6]]
         linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
-        return float((linear + self.upright.size * angular).max())
+        return float((linear + self.upright.com_height * angular).max())
 
     def _rests(self, states: Array) -> bool:
         """Tells whether it has come to rest where it stands, and stays."""
@@ -234,11 +240,11 @@ class Bench:
             direction: Index of the axis.
             impulse: N s.
         """
-        (states,) = self.simulate(np.array([direction]), np.array([impulse]))
+        (states,) = self.simulate_pushes(np.array([direction]), np.array([impulse]))
         dofs = self.robot.mj_convention.qvel_index[-self.robot.nu :]
         peaks = np.zeros(self.robot.nu)
         for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
-            self.watcher.look(state, self.ctrl)
+            self.watcher.sample(state, self.ctrl)
             peaks = np.maximum(peaks, np.abs(self.watcher.data.qfrc_actuator[dofs]))
         return peaks
 
@@ -247,8 +253,8 @@ class Bench:
         data = self.robot.placed(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
-    def fields(self) -> dict[str, Any]:
-        """Returns the fields of ``Pushed``."""
+    def settings(self) -> dict[str, Any]:
+        """Returns the fields of ``PushSettings``."""
         return {
             "feedforward": self.feedforward,
             "integrator": self.drive.integrator,
@@ -268,7 +274,7 @@ def _combine(failures: list[Diagnostic]) -> Diagnostic | None:
     return diagnose("failures-together", failures=failures)
 
 
-def bench_of(
+def make_push_bench(
     robot: Robot,
     stand: Stand,
     angles: Array,
@@ -279,7 +285,7 @@ def bench_of(
     feedforward: bool,
     integrator: str | None,
     verification: StandVerification | None = None,
-) -> Bench:
+) -> PushBench:
     """Puts a robot where it can be pushed; see ``push_recovery``.
 
     Args:
@@ -302,9 +308,11 @@ def bench_of(
     alone = verification or verify_stand(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
-    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
+    held = make_stand_start(
+        robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
+    )
     in_world = angles + math.atan2(forward[1], forward[0])
-    return Bench(
+    return PushBench(
         held=held,
         axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
         duration=duration,
@@ -316,12 +324,12 @@ def bench_of(
 _FRAME = 1 / 30
 """s between the configurations that are kept: a fall of 0.3 s has ten of them."""
 
-HARDEST = 1e6  # N s: of much more, numbers overflow
+MAX_IMPULSE = 1e6  # N s: of much more, numbers overflow
 
 
 @dataclass(frozen=True, eq=False)
-class PushTrial(Pushed):
-    """What one push makes of a stand, and how it was ``Pushed``.
+class PushTrial(PushSettings):
+    """What one push makes of a stand, and how it was ``PushSettings``.
 
     Attributes:
         recovered: Whether it recovers, as ``push_recovery`` judges it.
@@ -382,13 +390,13 @@ def simulate_push(
     robot = check_stand(robot, stand, duration)
     robot.check_not_welded("how hard it can be pushed")
     impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
-    if not 0 <= impulse <= HARDEST:
-        problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=HARDEST)
+    if not 0 <= impulse <= MAX_IMPULSE:
+        problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=MAX_IMPULSE)
         raise ConfigurationError("impulse", problem)
     if abs(direction) > 2 * math.pi:
         problem = diagnose("direction-not-valid", given=Quantity(direction, "rad"))
         raise ConfigurationError("direction", problem)
-    bench = bench_of(
+    bench = make_push_bench(
         robot,
         stand,
         np.array([direction]),
@@ -398,8 +406,8 @@ def simulate_push(
         feedforward=feedforward,
         integrator=integrator,
     )
-    (states,) = bench.simulate(np.zeros(1, dtype=np.int64), np.array([impulse]))
-    failure = bench.failure(states)
+    (states,) = bench.simulate_pushes(np.zeros(1, dtype=np.int64), np.array([impulse]))
+    failure = bench.find_failure(states)
     if bench.unpushed:
         failure = diagnose("without-a-push", failures=bench.unpushed)
     # What a run was before it broke down can still be looked at.
@@ -413,5 +421,5 @@ def simulate_push(
         velocity_step=impulse / robot.total_mass,
         motion_time=shown[:, 0].copy(),
         motion=np.round(shown[:, 1 + robot.mj_convention.qpos_index], 6),
-        **bench.fields(),
+        **bench.settings(),
     )

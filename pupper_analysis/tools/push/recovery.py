@@ -23,12 +23,12 @@ from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.rollout import check_stand
-from pupper_analysis.simulation.verdict import Asked, Verdict
+from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.push.bench import HARDEST, Bench, Pushed, bench_of
+from pupper_analysis.tools.push.bench import MAX_IMPULSE, PushBench, PushSettings, make_push_bench
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def study_pushes(
         )
         statics = stand_statics(robot, held)
         verdict = judge_simulation(
-            robot, stand, fed, statics=statics, asked=Asked.LASTS, kp=kp, kd=kd
+            robot, stand, fed, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
         )
         unknown = unknown_push_limits(robot)
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
@@ -123,7 +123,7 @@ def study_pushes(
             if not recovery.unpushed:
                 angle = np.array([recovery.weakest_direction])
                 length = recovery.duration
-                bench = bench_of(
+                bench = make_push_bench(
                     robot,
                     held,
                     angle,
@@ -150,13 +150,13 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
     return tuple(name for name in unknown if name not in aside)
 
 
-LEVELS = 8
+CHECKED_LEVELS = 8
 """So many smaller pushes per direction are tried once a limit is found."""
 
 
 @dataclass(frozen=True, eq=False)
-class PushRecovery(Pushed, Tabular):
-    """How hard a stand can be pushed, in each of n directions, and how it was ``Pushed``.
+class PushRecovery(PushSettings, Tabular):
+    """How hard a stand can be pushed, in each of n directions, and how it was ``PushSettings``.
 
     Attributes:
         directions: (n,) where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
@@ -203,7 +203,7 @@ class PushRecovery(Pushed, Tabular):
         return dict(zip(names, values, strict=True))
 
 
-FINEST = 1e-6
+MIN_RESOLUTION = 1e-6
 """N s: no simulation is true to so little."""
 
 
@@ -269,12 +269,12 @@ def push_recovery(
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)
         raise ConfigurationError("directions", problem)
-    if not FINEST <= resolution <= HARDEST:
-        high = Quantity(HARDEST, "N s")
-        problem = diagnose("not-between", given=f"{resolution} N s", low=FINEST, high=high)
+    if not MIN_RESOLUTION <= resolution <= MAX_IMPULSE:
+        high = Quantity(MAX_IMPULSE, "N s")
+        problem = diagnose("not-between", given=f"{resolution} N s", low=MIN_RESOLUTION, high=high)
         raise ConfigurationError("resolution", problem)
     angles = 2 * math.pi * np.arange(directions) / directions
-    bench = bench_of(
+    bench = make_push_bench(
         robot,
         stand,
         angles,
@@ -303,7 +303,7 @@ def push_recovery(
         resolution=float(resolution),
         rollouts=bench.rollouts,
         unpushed=bench.unpushed,
-        **bench.fields(),
+        **bench.settings(),
     )
 
 
@@ -364,7 +364,7 @@ def tipping_impulses(
 
 
 def _limits(
-    bench: Bench, estimate: Array, resolution: float
+    bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Returns the limits, those before the check of smaller pushes, and how it fails."""
     count = len(bench.axes)
@@ -376,10 +376,12 @@ def _limits(
     search.bisect(first, resolution)
     bisected = search.survived.copy()
     steady = np.ones(count, dtype=np.bool_)
-    for level in range(1, LEVELS + 1):
-        step = bisected / (LEVELS + 1)
+    for level in range(1, CHECKED_LEVELS + 1):
+        step = bisected / (CHECKED_LEVELS + 1)
         tried = np.flatnonzero(steady & (step > resolution))
-        for index, failure in zip(tried, bench.push(tried, level * step[tried]), strict=True):
+        for index, failure in zip(
+            tried, bench.simulate_until_decided(tried, level * step[tried]), strict=True
+        ):
             if failure is not None:
                 steady[index] = False
                 search.survived[index] = (level - 1) * step[index]
@@ -394,7 +396,7 @@ def _limits(
 class _Search:
     """For each direction a push that is survived, and a larger one that is not, and how."""
 
-    bench: Bench
+    bench: PushBench
     survived: Array
     failed: Array
     failures: dict[int, Diagnostic]
@@ -403,7 +405,7 @@ class _Search:
         """Simulates what is survived to the end; where it is not, the limit is below."""
         doubtful = np.flatnonzero(self.survived > 0)
         while doubtful.size:
-            ends = self.bench.whole(doubtful, self.survived[doubtful])
+            ends = self.bench.simulate_fully(doubtful, self.survived[doubtful])
             doubtful = doubtful[[failure is not None for failure in ends]]
             for index, failure in zip(doubtful, filter(None, ends), strict=True):
                 self.failed[index], self.failures[index] = self.survived[index], failure
@@ -416,7 +418,7 @@ class _Search:
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
             low, high = self.survived[wide], self.failed[wide]
             tried = np.where(np.isinf(high), np.maximum(2 * low, first[wide]), (low + high) / 2)
-            pushed = self.bench.push(wide, tried)
+            pushed = self.bench.simulate_until_decided(wide, tried)
             for index, impulse, failure in zip(wide, tried, pushed, strict=True):
                 if failure is None:
                     self.survived[index] = impulse

@@ -66,7 +66,7 @@ def _passes(loading: Preparation) -> doc.Table:
     return doc.Table(text("passes-run"), columns, tuple(rows))
 
 
-DISAGREEMENT = 1e-4
+MAX_BALANCE_RESIDUAL = 1e-4
 """What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
 
 
@@ -101,7 +101,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 
 def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
     """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
-    if run.mujoco_residual > DISAGREEMENT:
+    if run.mujoco_residual > MAX_BALANCE_RESIDUAL:
         yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
             "warn"
         )

@@ -19,8 +19,8 @@ from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.monitor import FALLEN_HEIGHT
-from pupper_analysis.simulation.rollout import STATE
+from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
+from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
@@ -346,7 +346,7 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         for foot in robot.feet
     }
     base_rotations = rotations_from_quaternions(sampled_states[:, 1 + convention.qpos_index[3:7]])
-    fall_limits = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
+    fall_limits = (FALLEN_TILT, (1 - FALLEN_HEIGHT_RATIO) * stage.upright.com_height)
     used_fraction = (
         1.0 if run.fallen else max(run.lean / fall_limits[0], run.lost / fall_limits[1], 0.0)
     )
@@ -389,7 +389,7 @@ def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
     time, end = Quantity(duration, "s"), run.states[-1]
     if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)
-    tilt = Quantity(stage.upright.lean(end), "rad")
+    tilt = Quantity(stage.upright.tilt(end), "rad")
     height = Quantity(float(end[1 + stage.robot.mj_convention.qpos_index[2]]), "m")
     return diagnose("fell-over", tilt=tilt, height=height, time=time)
 
@@ -424,7 +424,7 @@ def find_ground_contacts(
     robot, data = stage.robot, mujoco.MjData(model)
     samples, other_bodies = [], set()
     for state in states:
-        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_setState(model, data, state, STATE_SPEC)
         if statics:
             data.qvel[:] = 0.0
             mujoco.mj_fwdPosition(model, data)

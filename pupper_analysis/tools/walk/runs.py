@@ -26,8 +26,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos, resolve_servo_gains
-from pupper_analysis.simulation.monitor import FALLEN_HEIGHT, Upright
-from pupper_analysis.simulation.rollout import FORCED, full_state
+from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO, StandReference
+from pupper_analysis.simulation.rollout import FORCED_CONTROL_SPEC, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
 from pupper_analysis.tools.walk.policy import Policy
 
@@ -118,7 +118,7 @@ class Stage:
     ctrl: Array
     default: Array
     substeps: int
-    upright: Upright
+    upright: StandReference
 
     @property
     def timestep(self) -> float:
@@ -182,7 +182,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         ctrl=servos.command(robot, default[7:]),
         default=default,
         substeps=substeps,
-        upright=Upright.of(robot, default),
+        upright=StandReference.of(robot, default),
     )
 
 
@@ -294,7 +294,7 @@ class Lockstep:
             repeated_forces = np.repeat(forces[:, None], stage.substeps, axis=1)
             controls, spec = (
                 np.concatenate([control, repeated_forces], axis=2),
-                {"control_spec": FORCED},
+                {"control_spec": FORCED_CONTROL_SPEC},
             )
         states, _ = self._runner.rollout(models, self._data, self.current, controls, **spec)
         self._data.xfrc_applied[:] = (
@@ -338,7 +338,9 @@ def _simulate_batch(
             worst[active] = np.fmax(worst[active], np.column_stack([lean, lost]))
         near_fall = (lean > _CHECKED_FALL_FRACTION * FALLEN_TILT) | (
             lost
-            > _CHECKED_FALL_FRACTION * (1 - FALLEN_HEIGHT) * (stage.upright.size + lifts[active])
+            > _CHECKED_FALL_FRACTION
+            * (1 - FALLEN_HEIGHT_RATIO)
+            * (stage.upright.com_height + lifts[active])
         )
         for row in np.flatnonzero(near_fall & ~broken):
             broken[row] = uprights[active[row]].has_fallen(lockstep.current[row])
@@ -372,10 +374,10 @@ def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> A
     return (forces / (stage.substeps * stage.timestep)).reshape(len(impulses), -1)
 
 
-def raise_upright(upright: Upright, lift: float) -> Upright:
+def raise_upright(upright: StandReference, lift: float) -> StandReference:
     """Return the reference of the fall criterion for a robot that stands higher by `lift` [m]."""
-    place = upright.place + np.array([0.0, 0.0, lift])
-    return replace(upright, place=place, size=upright.size + lift)
+    place = upright.com_position + np.array([0.0, 0.0, lift])
+    return replace(upright, place=place, size=upright.com_height + lift)
 
 
 def _make_start_state(stage: Stage, case: Case) -> Array:
@@ -427,8 +429,8 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     up = rotations_from_quaternions(states[..., 1 + index[3:7]])[..., 2, :]
     with np.errstate(invalid="ignore"):
         lean = np.arccos(np.clip(up @ upright.rotation[2], -1.0, 1.0))
-    height = states[..., 1 + index[2]] + up @ upright.lever
-    return lean, upright.place[2] - height
+    height = states[..., 1 + index[2]] + up @ upright.com_offset
+    return lean, upright.com_position[2] - height
 
 
 class Observer:

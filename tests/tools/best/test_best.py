@@ -15,9 +15,9 @@ from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.best import best, search
 from pupper_analysis.tools.best.best import best_stance
-from pupper_analysis.tools.best.first_order import SmallPayload, bearable
+from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
-from pupper_analysis.tools.best.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
+from pupper_analysis.tools.best.space import BASE_COORDINATES, MIN_SINGULAR_VALUE_RATIO, StanceSpace
 from tests.support.engines import with_efforts
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
@@ -65,7 +65,7 @@ def neighbours(robot: pa.Robot, found: pa.analysis.BestStance, count: int) -> li
             stand = pa.solve_stand(robot, task, explain=False)
         except pa.StanceUnreachableError:
             continue
-        if (bent(robot, stand) >= LEAST_SINGULAR_VALUE * bent(robot, found.nominal)).all():
+        if (bent(robot, stand) >= MIN_SINGULAR_VALUE_RATIO * bent(robot, found.nominal)).all():
             stands.append(stand)
     return stands
 
@@ -78,7 +78,7 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
     assert (joints <= robot.upper_limits + 1e-9).all()
     for name, interval in found.bounds.items():
         assert interval.low - 1e-12 <= found.coordinates[name] <= interval.high + 1e-12
-    least = LEAST_SINGULAR_VALUE * bent(robot, found.nominal)
+    least = MIN_SINGULAR_VALUE_RATIO * bent(robot, found.nominal)
     assert (bent(robot, found.stand) >= least * (1 - 1e-9)).all()
     statics = stand_statics(robot, found.stand, distribution=EVEN)
     assert statics.residual_force < 1e-9
@@ -156,7 +156,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
 
     def carried(stand: pa.Stand) -> float:
         rows = small.rows(stand)
-        return 0.0 if rows is None else bearable(rows)
+        return 0.0 if rows is None else largest_feasible_mass(rows)
 
     best = carried(found.best.stand)
     assert best > 2 * carried(found.space.nominal)
@@ -202,7 +202,7 @@ def test_best_stance_keeps_the_fixed_part_of_the_task() -> None:
     assert replace(found.stand.task, foot_offsets={}, **free) == task
     np.testing.assert_allclose(found.stand.foot_targets["FL"][:2], (0.07, 0.10))
     assert "FL x" not in found.coordinates
-    assert set(BASE) < set(found.coordinates)
+    assert set(BASE_COORDINATES) < set(found.coordinates)
     joints = found.stand.joint_positions(robot)
     assert (joints >= robot.lower_limits + 0.1 - 1e-9).all()
     assert (joints <= robot.upper_limits - 0.1 + 1e-9).all()

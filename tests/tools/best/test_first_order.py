@@ -12,7 +12,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.best import first_order
-from pupper_analysis.tools.best.first_order import SmallPayload, bearable
+from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
 from tests.support.variants import NAMES, load
 
 
@@ -42,10 +42,12 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
     kp, mass, sunk = model_with_servos(robot).kp, 0.3, stand
     for _ in range(4):
         _, sunk = solve_loaded_stand(robot, task, mass, place)
-        monkeypatch.setattr(first_order, "SMALL", mass / robot.total_mass)  # as stiff as under it
+        monkeypatch.setattr(
+            first_order, "SMALL_PAYLOAD_RATIO", mass / robot.total_mass
+        )  # as stiff as under it
         rows = SmallPayload(robot, place, kp).rows(sunk)
         assert rows is not None
-        mass = bearable(rows[:1])
+        mass = largest_feasible_mass(rows[:1])
     signs = []
     for share in (0.98, 1.02):
         heavy, held = solve_loaded_stand(robot, task, share * mass, place)

@@ -9,7 +9,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import split_verdict_lines
-from pupper_analysis.simulation.verdict import Asked, Verdict
+from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.tools.path.tracking import study_path
 from tests.prepare.test_imported import four_legs
 from tests.prepare.test_own_run import codes, slipped
@@ -22,7 +22,7 @@ def judged(robot: pa.Robot) -> Verdict:
 @pytest.mark.slow
 def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
-    assert verdict.asked is Asked.TRACKED
+    assert verdict.asked is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.

@@ -13,8 +13,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import STATE, simulate
-from pupper_analysis.simulation.verdict import Asked, Verdict
+from pupper_analysis.simulation.rollout import STATE_SPEC, simulate_commands
+from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
@@ -107,9 +107,9 @@ def test_commands_include_the_foot_depth_on_soft_ground() -> None:
     plan, joints = path_commands(robot, path), robot.mj_convention.qvel_index[6:]
     model, largest = plan.drive.model, np.abs(path.torques).max()
     model.opt.timestep = 1e-3
-    last = simulate(model, plan.start, np.tile(plan.ctrl[0], (1000, 1)))[-1]
+    last = simulate_commands(model, plan.start, np.tile(plan.ctrl[0], (1000, 1)))[-1]
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, last, STATE)
+    mujoco.mj_setState(model, data, last, STATE_SPEC)
     data.ctrl[:] = plan.ctrl[0]
     mujoco.mj_forward(model, data)
     held = data.qfrc_actuator[joints]
@@ -152,7 +152,7 @@ def test_tangential_and_rolling_friction_share_one_cone() -> None:
     """
     robot, path = load("v3"), fast_sway()
     plan = path_commands(robot, path)
-    states, model = simulate(plan.drive.model, plan.start, plan.ctrl), plan.drive.model
+    states, model = simulate_commands(plan.drive.model, plan.start, plan.ctrl), plan.drive.model
     slide, _, spin, roll, _ = robot.contacts["FR"].friction
     axes, data = (slide, slide, spin, roll, roll), mujoco.MjData(model)
     for share in (0.4, 0.42, 0.6, 0.62):
@@ -235,7 +235,7 @@ def judged(robot: pa.Robot) -> Verdict:
 @pytest.mark.slow
 def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
-    assert verdict.asked is Asked.TRACKED
+    assert verdict.asked is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.

@@ -19,15 +19,15 @@ import pupper_analysis as pa
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import Place, find_tool, with_payload
 from pupper_analysis.simulation import trial
-from pupper_analysis.simulation.rollout import STATE, begin_stand
+from pupper_analysis.simulation.rollout import STATE_SPEC, make_stand_start
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
 from pupper_analysis.tools.payload.limit import (
-    FINE,
-    TRIED,
+    SIMULATION_RTOL,
+    VERIFIED_FRACTION,
     Bound,
     payload_limit,
     simulate_payload,
@@ -175,12 +175,12 @@ def test_a_loaded_stand_buckles_as_fast_as_in_bare_mujoco(mass: float, lasts: bo
     The linearisation without the torsional friction of the feet said 2.2 s for 5.7 kg.
     """
     loaded, stand = solve_loaded_stand(load("v3"), pa.StandTask(), mass, (0.0, 0.0, 0.08))
-    begun = begin_stand(loaded, stand)
+    begun = make_stand_start(loaded, stand)
     model = begun.drive.model
     found = stand_stability(loaded, stand)
     assert found.lasts() is lasts
     still, nudged = mujoco.MjData(model), mujoco.MjData(model)
-    mujoco.mj_setState(model, still, begun.start, STATE)
+    mujoco.mj_setState(model, still, begun.start, STATE_SPEC)
     still.ctrl[:] = begun.ctrl
     mujoco.mj_copyData(nudged, model, still)
     nudged.qvel[6:] += 0.1 * np.random.default_rng(0).uniform(-1, 1, model.nv - 6)
@@ -226,10 +226,10 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
 def test_failed_trial_load_is_bisected(most: float) -> None:
     """To a part of itself, and not of the equilibrium's: 1.03 kg were stated where 1.13 hold."""
     found = simulated(most, nudged=3.0)
-    assert 3.0 / (1 + FINE) <= TRIED * found.mass <= 3.0
+    assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
     assert (found.failure, found.where) == (Failure.TIPPING, ("FL",))
     found = simulated(most, verdict=3.0)
-    assert 3.0 / (1 + FINE) <= TRIED * found.mass <= 3.0
+    assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
     assert found.failure is Failure.SIMULATED
     assert simulated(most).mass == math.inf
     nothing = simulated(most, verdict=-1.0)
@@ -274,7 +274,7 @@ def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
 def test_nudges_between_the_tried_directions_do_not_decide(
     mass: float, stands: bool, biped: pa.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    nudges = trial.nudge_velocities
+    nudges = trial.make_nudge_velocities
 
     def turned(by: float, size: float) -> Callable[..., NDArray[np.float64]]:
         cos, sin = math.cos(by), math.sin(by)
@@ -288,10 +288,10 @@ def test_nudges_between_the_tried_directions_do_not_decide(
 
     held, falls = [], 0
     for by in math.pi / 16 * np.arange(2):
-        monkeypatch.setattr(trial, "nudge_velocities", turned(by, 1.0))
+        monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, 1.0))
         held.append(simulate_payload(biped, pa.StandTask(), mass, ABOVE).held)
         # As fast as is said, no faster: the same circle for every turn.
-        monkeypatch.setattr(trial, "nudge_velocities", turned(by, math.cos(math.pi / 8)))
+        monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, math.cos(math.pi / 8)))
         falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).fell
     assert held == [stands] * 2
     assert (falls == 0) is stands

@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
-from pupper_analysis.tools.push.bench import bench_of
+from pupper_analysis.tools.push.bench import make_push_bench
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
 from tests.support.engines import changed, mujoco_at, with_efforts
 from tests.support.legged import quadruped
@@ -115,10 +115,12 @@ class Bench:
 
         self.unpushed = ()
 
-    def whole(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
-        return self.push(directions, impulses)
+    def simulate_fully(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
+        return self.simulate_until_decided(directions, impulses)
 
-    def push(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
+    def simulate_until_decided(
+        self, directions: np.ndarray, impulses: np.ndarray
+    ) -> list[str | None]:
         pairs = zip(directions, impulses, strict=True)
         return [None if self.survives(*pair) else f"{pair[1]:.3f}" for pair in pairs]
 
@@ -206,13 +208,16 @@ def test_push_limit_is_zero_if_the_stand_fails(tmp_path: Path, kd: float, stands
 def test_early_termination_does_not_change_the_outcome(name: str) -> None:
     """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
     robot, stand, found = load(name), stand_of(name), pushed(name)
-    bench = bench_of(
+    bench = make_push_bench(
         robot, stand, found.directions, duration=3.0, kp=None, kd=None, feedforward=True,
         integrator=None,
     )  # fmt: skip
     tried = np.repeat(np.arange(4), 3)
     impulses = (found.impulses[:, None] * [0.5, 1.0, 1.05]).ravel()
-    early, whole = bench.push(tried, impulses), bench.whole(tried, impulses)
+    early, whole = (
+        bench.simulate_until_decided(tried, impulses),
+        bench.simulate_fully(tried, impulses),
+    )
     assert [one is None for one in early] == [one is None for one in whole]
     assert None in whole
     assert any(whole)
@@ -223,7 +228,7 @@ def test_push_outcome_depends_on_the_final_state() -> None:
     options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
     known = SimpleNamespace(stays=True, failures=())
     robot, stand = load("v3"), stand_of("v3")
-    bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
+    bench = make_push_bench(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
     place = 1 + robot.mj_convention.qpos_index
     for where, value in (
         (place[3:7], (math.cos(0.5), math.sin(0.5), 0.0, 0.0)),
