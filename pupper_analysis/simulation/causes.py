@@ -34,13 +34,13 @@ MAX_CREEP_SPEED = 1e-3
 
 
 _SOLVER_NOISE_RATIO = 0.2
-"""Largest remaining speed after a nudge, relative to the speed of the nudge, that is attributed to the
-constraint solver. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots at
-rest move at 0.02 to 0.12 of the nudge without end."""
+"""Largest remaining speed after a nudge, relative to the speed of the nudge, that is attributed to
+the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots
+at rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
-    """Report the fastest growing mode of a state, or else a nudge that does not decay; and moved joints.
+    """Report the fastest growing mode, a nudge that does not decay, and displaced joints.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.

@@ -55,8 +55,8 @@ _CHUNK_DURATION = 2.0
 """Simulated time between two evaluations of growth and decay [s]. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Deviation relative to the initial deviation below which the modes are refuted at once. Chosen, not
-tuned."""
+"""Deviation relative to the initial deviation below which the modes are refuted at once. Chosen,
+not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Time (s) after which the modes are refuted if D is less than this factor above its least value;
@@ -101,7 +101,7 @@ def confirm_growth(
 
     Nothing is simulated if there is no such mode, or if the state is not at rest. Modes that dry
     friction hides (``Mode.freed``) are tested after the others, and only if none of the others is
-    confirmed to leave the state within ``LASTING``.
+    confirmed to leave the state within ``HOLD_DURATION``.
 
     Args:
         stability: Result of the spectrum at the state.

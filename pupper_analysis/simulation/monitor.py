@@ -80,8 +80,8 @@ class StandReference:
         rotation: Expected orientation of the base, base to world, shape (3, 3).
         com_position: Expected position of the judged point in the world, shape (3,) [m].
         com_offset: Position of the judged point in the base frame, shape (3,) [m].
-        com_height: Expected height of the judged point above the lowest foot contact [m]; for a welded
-            robot, distance between base and CoM plus the stand height; 1 for a fixed base.
+        com_height: Expected height of the judged point above the lowest foot contact [m]; for a
+            welded robot, distance between base and CoM plus the stand height; 1 for a fixed base.
         joints: Expected joint positions, shape (nu,) [rad, m].
     """
 
@@ -152,7 +152,7 @@ class StandReference:
         )
 
     def has_fallen(self, state: Array) -> bool:
-        """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM height ratio is too small.
+        """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
         A robot with a fixed base never falls.
         """
@@ -323,11 +323,12 @@ class ContactRecord:
     """Contacts of a rollout, sampled, with the settled forces and torques.
 
     Attributes:
-        failures: Bodies that touch the ground and must not; stance feet that unload and must not; and,
-            for a fixed base without stance feet, all pairs of bodies that push on each other.
+        failures: Bodies that touch the ground and must not; stance feet that unload and must not;
+            and, for a fixed base without stance feet, all pairs of bodies that push on each other.
         touching: Pairs of robot bodies that push on each other in the settled state.
         torques: Settled motor torques, shape (nu,) [N m].
-        forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,) [N].
+        forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)
+            [N].
         feet_settled: Settled position of each foot centre in the world, shape (3,) [m].
         lifted: {light foot that left the ground: time at which the foot first did [s]}.
     """
@@ -355,7 +356,9 @@ def record_contacts(
     settling: int,
     loaded: Container[str],
 ) -> ContactRecord:
-    """Sample the contacts of a rollout; average torques and forces over the last second of settling.
+    """Sample the contacts of a rollout; average settled torques and forces.
+
+    Torques and forces are means over the last second before the nudge.
 
     Args:
         robot: The robot.

@@ -36,8 +36,8 @@ _DROP_RESOLUTION = 1e-12
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command, and equals
-the command at rest."""
+"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command, and
+equals the command at rest."""
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """MuJoCo's specification of the states that rollouts return: time, qpos, qvel, act and more."""
@@ -118,11 +118,11 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal, with
-    the joint positions kept, until the vertical balance is zero. The simulation then starts at rest
-    instead of with a fall of some millimetres. A stand is not lowered if the base is fixed, a contact
-    is welded, or feet on planes of their own have a depth already. If no depth carries the weight, the
-    state at the largest depth is returned.
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal,
+    with the joint positions kept, until the vertical balance is zero. The simulation then starts
+    at rest instead of with a fall of some millimetres. A stand is not lowered if the base is
+    fixed, a contact is welded, or feet on planes of their own have a depth already. If no depth
+    carries the weight, the state at the largest depth is returned.
 
     Args:
         robot: The robot.
@@ -183,8 +183,8 @@ def settled_activations(
 ) -> Array:
     """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    The activation of an actuator with filter dynamics is its command, clipped to ``ctrlrange``. Other
-    activations are zero, as are those with a time constant above ``max_time_constant`` [s].
+    The activation of an actuator with filter dynamics is its command, clipped to ``ctrlrange``.
+    Other activations are zero, as are those with a time constant above ``max_time_constant`` [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -295,12 +295,10 @@ def check_stand_base(robot: Robot, stand: Stand) -> Robot:
     The returned robot has the contacts of the stand.
 
     Raises:
-        ConfigurationError: If the stand belongs to another robot, or the base is fixed and the stand
-            has stance feet.
+        ConfigurationError: If the stand belongs to another robot, or the base is fixed and the
+            stand has stance feet.
     """
-    if (
-        stand.stance_feet and not stand.task.contacts
-    ):  # contacts of the task may add a weld, which frees the base
+    if stand.stance_feet and not stand.task.contacts:  # a weld frees the base
         robot.check_floating()
     robot = stand.check(robot)
     if stand.stance_feet:

@@ -43,12 +43,12 @@ MAX_FOOT_DISPLACEMENT = 5e-3
 tuned."""
 
 MAX_BASE_ROTATION = 0.1
-"""Largest rotation of the base against the stand [rad]. A robot that rotates further is not held up by
-its servos. Chosen, not tuned."""
+"""Largest rotation of the base against the stand [rad]. A robot that rotates further is not held
+up by its servos. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Largest ratio of the rest quantities to their bounds, over one second, at which settling ends early.
-The spectrum then decides whether the robot stays at rest. Chosen, not tuned."""
+"""Largest ratio of the rest quantities to their bounds, over one second, at which settling ends
+early. The spectrum then decides whether the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
 """Ratio of foot displacement or base rotation to its bound above which the simulation ends with
@@ -56,15 +56,16 @@ failure: feet are held there by friction, and a base that starts at rest oversho
 its final tilt."""
 
 _CHECK_INTERVAL = 0.25
-"""Simulated time between two checks [s]; longer than a foot that is thrown up stays off the ground."""
+"""Simulated time between two checks [s]; longer than a foot that is thrown up stays off the
+ground."""
 
 _DECAY_TIME_CONSTANTS = 3.0
-"""Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge is
-left after three."""
+"""Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge
+is left after three."""
 
 _MIN_NUDGE_TIME = 1.5
-"""Shortest simulated time after a nudge [s]. Measured: a stand that a nudge of 1 mm/s upsets is left
-within a second."""
+"""Shortest simulated time after a nudge [s]. Measured: a stand that a nudge of 1 mm/s upsets is
+left within a second."""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
@@ -80,8 +81,9 @@ def comes_to_rest(
 ) -> bool:
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    The settling simulation lasts as long as in ``verify_stand``, but ends once the robot is at rest or
-    lost. Then no mode of the spectrum may grow within ``LASTING``, and a nudge must decay.
+    The settling simulation lasts as long as in ``verify_stand``, but ends once the robot is at
+    rest or lost. Then no mode of the spectrum may grow within ``HOLD_DURATION``, and a nudge must
+    decay.
 
     Args:
         robot: The robot.
@@ -117,12 +119,12 @@ def comes_to_rest(
     nudge = measure_response(model, state, nudged_states, last_second)
     if find_instability(stability, nudge) or _has_left_stand(reference, nudged_states[-1]):
         return False
-    touching = monitor.ContactSampler(held.robot, model).touching(nudged_states[-1])
+    touching = monitor.ContactSampler(held.robot, model).find_ground_bodies(nudged_states[-1])
     return reference.check_stand(nudged_states[-1], touching).stands
 
 
 def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:
-    """Simulate a stand until it is at rest; return the states of the last second, None without rest."""
+    """Simulate a stand until it is at rest; return its last second, None without rest."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
@@ -153,7 +155,7 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
 
 
 def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
-    """Return the largest ratio of height deviation, drift and foot displacement (feet, 3) to its bound."""
+    """Return the largest ratio of height deviation, drift and foot displacement to its bound."""
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration

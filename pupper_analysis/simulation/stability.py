@@ -46,9 +46,10 @@ def stand_stability(
 ) -> Stability:
     """Judge whether a stand is stable, from the eigenvalues of one of MuJoCo's steps.
 
-    The evaluation takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s tests
-    whether the mode does grow (``confirm_growth``). With feed-forward the stand is judged; without, the
-    equilibrium of the servos (``steady_state``, feet pinned). Larger pushes are not covered.
+    The evaluation takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s
+    tests whether the mode does grow (``confirm_growth``). With feed-forward the stand is judged;
+    without, the equilibrium of the servos (``steady_state``, feet pinned). Larger pushes are not
+    covered.
 
     Args:
         robot: The robot.
@@ -162,12 +163,12 @@ MAX_JOINT_DISPLACEMENT = 1e-2
 joint has stayed [rad, m]. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
-"""Largest ratio of the speeds in the last and the second third of the time for a nudge that decays. A
-sustained oscillation has a ratio of 1. Chosen, not tuned."""
+"""Largest ratio of the speeds in the last and the second third of the time for a nudge that
+decays. A sustained oscillation has a ratio of 1. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Speed relative to the nudge below which the motion has decayed: contacts and the constraint solver
-cause motion of this size. Chosen, not tuned."""
+"""Speed relative to the nudge below which the motion has decayed: contacts and the constraint
+solver cause motion of this size. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +181,10 @@ class Nudge(Result):
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of that time, without creep (m/s, rad/s).
         left: Largest speed in the last third of that time, without creep (m/s, rad/s).
-        moved: Largest displacement of a joint in the last third, from its position before the nudge,
-            beyond the creep (rad, m).
-        farthest: Largest displacement of a joint at any time after the nudge, beyond the creep (rad,
-            m).
+        moved: Largest displacement of a joint in the last third, from its position before the
+            nudge, beyond the creep (rad, m).
+        farthest: Largest displacement of a joint at any time after the nudge, beyond the creep
+            (rad, m).
         decayed: Whether the simulation did not diverge and ``left`` is small: at most 90 % of
             ``motion``, or at most 1 % of the nudge.
     """
@@ -227,8 +228,8 @@ def measure_response(
 ) -> Nudge:
     """Measure the response to a nudge.
 
-    Feet creep on MuJoCo's friction at a speed that hardly changes. Speeds are therefore deviations from
-    a straight line in time.
+    Feet creep on MuJoCo's friction at a speed that hardly changes. Speeds are therefore deviations
+    from a straight line in time.
 
     Args:
         model: MuJoCo model.

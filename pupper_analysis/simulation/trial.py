@@ -51,9 +51,10 @@ MAX_FOOT_LIFT = 2e-3
 load rises by less after a nudge."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
-"""Bounds of ``is_near_limit``: CoM margin relative to the CoM displacement by a nudge; utilisation of
-motors and friction; distance of a joint from its limits [rad, m]. Measured: of 80 random robots with
-50 to 97 % of their payloads, those that a nudge upset had a CoM margin below 3 displacements."""
+"""Bounds of ``is_near_limit``: CoM margin relative to the CoM displacement by a nudge; utilisation
+of motors and friction; distance of a joint from its limits [rad, m]. Measured: of 80 random robots
+with 50 to 97 % of their payloads, those that a nudge upset had a CoM margin below 3
+displacements."""
 
 _MIN_LOAD_RATIO = 0.02
 """Smallest load of a foot, relative to the mean load, of a foot that a nudge does not lift. Minimum
@@ -117,14 +118,16 @@ def simulate_nudges(
 ) -> NudgeTrial:
     """Simulate a stand whose base starts with a velocity, in each of twelve directions.
 
-    The velocity is ``BASE_NUDGE_SPEED`` up or down, or as a rotation about z in both senses, or along
-    the ground in one of eight directions, with a larger speed that covers the directions between.
+    The velocity is ``BASE_NUDGE_SPEED`` up or down, or as a rotation about z in both senses, or
+    along the ground in one of eight directions, with a larger speed that covers the directions
+    between.
 
-    The model is simulated unmodified, with the dry friction of joints and contacts. A stand that only
-    dry friction holds is detected by the spectrum and a larger nudge (``growth.confirm_growth``).
+    The model is simulated unmodified, with the dry friction of joints and contacts. A stand that
+    only dry friction holds is detected by the spectrum and a larger nudge
+    (``growth.confirm_growth``).
 
-    A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift if
-    the foot is back on the ground at the end.
+    A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
+    if the foot is back on the ground at the end.
 
     Args:
         robot: The robot, with its payload.
@@ -167,9 +170,10 @@ def simulate_nudges(
 def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> bool:
     """Return True if a nudge may move a stable stand to where its linearisation does not hold.
 
-    A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and torques and forces by about
-    one percent. A stand is far from its limits if the CoM is far from the edge of the support polygon,
-    motors and friction have reserves, joints are far from their limits, and each foot carries load.
+    A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and torques and forces by
+    about one percent. A stand is far from its limits if the CoM is far from the edge of the support
+    polygon, motors and friction have reserves, joints are far from their limits, and each foot
+    carries load.
 
     Args:
         robot: The robot, with its payload.

@@ -153,12 +153,12 @@ class Verdict(Result):
         own: Simulation of the published file from its keyframe; None for robots without a file.
         published: Differences between the published MJCF and the simulated model; None if not
             compared.
-        doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes that
-            leave the stand within the simulated time; infinite without such a mode.
+        doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes
+            that leave the stand within the simulated time; infinite without such a mode.
         creep: Motion over the last 10 s of the simulation with feed-forward; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
-        converted: Model that was converted from the other one, ``"urdf"`` or ``"mjcf"``: both engines
-            read one file then; empty if each engine read its own file.
+        converted: Model that was converted from the other one, ``"urdf"`` or ``"mjcf"``: both
+            engines read one file then; empty if each engine read its own file.
         remarks: Other assumptions, such as balls in place of soles, or limbs without feet.
     """
 

@@ -61,8 +61,8 @@ Array = NDArray[np.float64]
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
     """Return the largest element of MuJoCo's balance residual in a stand [N, N m].
 
-    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g and contact Jacobian J of the MJCF,
-    and the predicted contact forces f, weld forces and motor torques tau.
+    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g and contact Jacobian J of the
+    MJCF, and the predicted contact forces f, weld forces and motor torques tau.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -93,12 +93,12 @@ JOINT_TOLERANCE = 1e-3
 """Largest joint error of a verified stand with feed-forward [rad]. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Largest relative error of torques and foot forces of a verified stand with feed-forward. Chosen, not
-tuned."""
+"""Largest relative error of torques and foot forces of a verified stand with feed-forward. Chosen,
+not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen, not
-tuned."""
+"""Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen,
+not tuned."""
 
 MAX_BALANCE_RESIDUAL = 1e-3
 """Largest residual of MuJoCo's balance, relative to the weight, of two files of one robot. Rounded
@@ -109,14 +109,15 @@ TORQUE_SCALE_LEVER = 1e-3
 joints about vertical axes hold no torque. Chosen, not tuned."""
 
 SETTLED_DRIFT = 5e-4
-"""Largest height rate of the base in the last second of a settled stand [m/s]. Chosen, not tuned."""
+"""Largest height rate of the base in the last second of a settled stand [m/s]. Chosen, not
+tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the height samples of the result [s]. Chosen, not tuned."""
 
 NUDGED_FRACTION = 7 / 12
-"""Default fraction of the simulated time after the nudge: of 12 s, 5 s to settle and 7 s in which the
-nudge must decay. Chosen, not tuned."""
+"""Default fraction of the simulated time after the nudge: of 12 s, 5 s to settle and 7 s in which
+the nudge must decay. Chosen, not tuned."""
 
 _FRAME_TIME = 0.1
 """Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
@@ -127,15 +128,17 @@ tuned."""
 class StandVerification(Outcome, SimulationSettings, Tabular):
     """Simulation of a stand compared with its prediction, with the ``SimulationSettings``.
 
-    Settled values are means over the last second before the nudge. Predictions are Pinocchio's, from
-    the URDF. For a robot with a fixed base, heights and tilts of the base are 0.
+    Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
+    from the URDF. For a robot with a fixed base, heights and tilts of the base are 0.
 
     Attributes:
         passed: Whether the stand is verified.
         failures: Reasons of the failure.
-        stays: Whether the robot stands still on its feet, also after the nudge, as predicted or not.
-        collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown up
-            or left its place at the end; for a fixed base, whether a joint ends far from the stand.
+        stays: Whether the robot stands still on its feet, also after the nudge, as predicted or
+            not.
+        collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown
+            up or left its place at the end; for a fixed base, whether a joint ends far from the
+            stand.
         base_height: Settled height of the base (m).
         height_deviation: Standard deviation of the base's height in that second (m).
         height_drift: Rate of the base's height in that second (m/s); negative if the base sinks.
@@ -143,24 +146,24 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
         tilt: Angle between the base's orientation at the end and that of the task (rad).
-        foot_slip: {foot: settled distance from its target} along the ground or along the foot's plane
-            (m).
+        foot_slip: {foot: settled distance from its target} along the ground or along the foot's
+            plane (m).
         joint_error: Largest deviation of a joint from the stand in that second (rad).
         joint_positions: (nu,) settled joint positions (rad, m).
         joint_torques: (nu,) settled motor torques (N m).
         predicted_torques: (nu,) predicted motor torques (N m).
-        torque_error: Largest torque deviation / largest predicted torque, or / torque of the weight on
-            ``TORQUE_SCALE_LEVER``, if that torque is larger.
-        foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for welds
-            and grips, force of MuJoCo's constraint.
+        torque_error: Largest torque deviation / largest predicted torque, or / torque of the
+            weight on ``TORQUE_SCALE_LEVER``, if that torque is larger.
+        foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
+            welds and grips, force of MuJoCo's constraint.
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
-        force_error: Largest deviation of a foot force along the contact normal / its prediction (or /
-            ``MIN_FORCE_SCALE`` of the weight, if the prediction is smaller); for a grip, deviation of
-            the force vector. None if no foot carries load.
+        force_error: Largest deviation of a foot force along the contact normal / its prediction
+            (or / ``MIN_FORCE_SCALE`` of the weight, if the prediction is smaller); for a grip,
+            deviation of the force vector. None if no foot carries load.
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
-        stability: Growing modes and stability margin of the settled state; of the initial state if the
-            robot fell or did not come to rest.
+        stability: Growing modes and stability margin of the settled state; of the initial state if
+            the robot fell or did not come to rest.
         nudge: Response to the nudge; None if the robot was not nudged.
         time: (n,) times of the height samples (s).
         height: (n,) base heights at these times (m).
@@ -217,8 +220,8 @@ def verify_stand(
     stand for rigid ground tilts by milliradians and the loads change by percents. Use
     ``solve_stand_on_soft_ground`` for a stand that holds as predicted.
 
-    The settled values are measured first. Then all coordinates are nudged (``NUDGE``), and the robot
-    must come to rest again. No mode of the spectrum may grow within ``LASTING`` (12 s).
+    The settled values are measured first. Then all coordinates are nudged (``NUDGE``), and the
+    robot must come to rest again. No mode of the spectrum may grow within ``HOLD_DURATION`` (12 s).
 
     Args:
         robot: The robot.
@@ -228,10 +231,10 @@ def verify_stand(
         kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time [s], 2 to 600.
-        nudged: Part of the duration after the nudge [s]; 7/12 by default. With 0 there is no nudge, and
-            settled values are measured at the end.
-        settled: Predicted equilibrium without feed-forward. The settled state of a robot with a fixed
-            base and no stance feet is compared with this equilibrium.
+        nudged: Part of the duration after the nudge [s]; 7/12 by default. With 0 there is no
+            nudge, and settled values are measured at the end.
+        settled: Predicted equilibrium without feed-forward. The settled state of a robot with a
+            fixed base and no stance feet is compared with this equilibrium.
 
     Returns:
         The comparison; ``failures`` contains the reasons if the stand is not verified.
@@ -519,8 +522,8 @@ def torque_scale(robot: Robot, torques: Array) -> float:
 def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
     """Return friction loss [N m, N] and friction / kp [rad, m] of each joint, shape (nu,) each.
 
-    The second is the position deviation at which dry friction balances the servo; 0
-    without stiffness.
+    The second is the position deviation at which dry friction balances the servo; 0 without
+    stiffness.
     """
     friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
     return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)

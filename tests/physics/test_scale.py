@@ -131,7 +131,7 @@ def test_dimensionless_results_do_not_depend_on_size(
     monkeypatch.setattr(steady_state, "HOLD_DURATION", lasting)
     monkeypatch.setattr(stability, "HOLD_DURATION", lasting)
     monkeypatch.setattr(stability.Stability.modes_growing_within, "__defaults__", (lasting,))
-    for name in ("HOLD_DURATION", "LONGEST_TRIAL", "_CHUNK", "_HALF_TIME", "_LONGEST_WINDOW"):
+    for name in ("HOLD_DURATION", "LONGEST_TRIAL", "_CHUNK_DURATION", "_HALF_TIME", "_MAX_WINDOW"):
         monkeypatch.setattr(growth, name, getattr(growth, name) * size**0.5)
     for name in ("NUDGE_SPEED", "FREEING_SPEED"):
         monkeypatch.setattr(growth, name, getattr(growth, name) / size**0.5)

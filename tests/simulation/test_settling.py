@@ -72,4 +72,4 @@ def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
         states[:, height] += wave * np.tile([1, -1, -1, 1], 125)
         states[:, height] += drift * np.linspace(0.0, duration, 500)
         ways[2, 1], ways[1, 2] = slip, 1.0  # down is no way over the ground
-        assert settling._unrest(held, states, ways) == pytest.approx(expected, abs=1e-9)
+        assert settling._rest_ratio(held, states, ways) == pytest.approx(expected, abs=1e-9)

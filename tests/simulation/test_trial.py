@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.simulation.trial import _limits, is_near_limit, simulate_nudges
+from pupper_analysis.simulation.trial import _free_joint_limits, is_near_limit, simulate_nudges
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped
 from tests.support.variants import load
@@ -29,7 +29,7 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     trial = simulate_nudges(robot, stand, duration=2.0)
     assert (trial.held, trial.failure, trial.where) == (True, None, ())
-    lower, upper = _limits(robot, stand)
+    lower, upper = _free_joint_limits(robot, stand)
     nod = robot.joint_names.index("nod")
     assert np.isneginf(lower[nod]) == rests
     legs = np.arange(robot.nu) != nod
