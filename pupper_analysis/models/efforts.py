@@ -33,7 +33,7 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics with which a force never exceeds that of the largest command."""
+"""Actuator dynamics with which a force never exceeds the force of the largest command."""
 
 
 class EffortCode(StrEnum):
@@ -50,7 +50,7 @@ class EffortStatement(Result):
     """Torque limit of a joint's motor as one attribute of a file states it.
 
     Attributes:
-        file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces those of the files.
+        file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces the files' limits.
         element: ``joint`` or ``actuator``.
         name: Name of the element; of several actuators at a joint their names, separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
@@ -347,7 +347,7 @@ def placeholder_efforts(
     """Yield the efforts that are placeholders, since no motor can have them.
 
     These are: round efforts (1, 2 or 5 times 10^n, from 100) above `MAX_TORQUE_PER_LINK_MASS`;
-    efforts above `MAX_ROTOR_ACCELERATION`; and all others, if their sum is above
+    efforts above `MAX_ROTOR_ACCELERATION`; and all other efforts, if their sum is above
     `MAX_TORQUE_PER_ROBOT_MASS`.
 
     Args:

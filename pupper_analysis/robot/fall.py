@@ -146,7 +146,7 @@ def simulate_keyframe(
 
     Args:
         model: MuJoCo model.
-        start: State with its commands; it is not changed.
+        start: State with its commands; not changed.
         base: Body index of the base.
         ground: Height of the ground [m], if no geom of the ground is found below the robot.
         advance: Advances a state by a time [s], in place.
@@ -197,9 +197,9 @@ def simulate_held_keyframe(
 
 
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
-    """Return True if MuJoCo has reset the state, as it does if numbers are no longer finite.
+    """Return True if MuJoCo has reset the state because numbers were not finite.
 
-    The warning counters show it; the time does not, if the first step diverged.
+    The warning counters are evaluated, since the time is equal if the first step diverged.
     """
     return any(data.warning[kind].number > 0 for kind in _RESET_WARNINGS)
 

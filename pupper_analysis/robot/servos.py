@@ -138,7 +138,7 @@ def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArr
 def compute_command_lead(torques: Array, kp: Array) -> Array:
     """Compute the command offset, shape (..., nu) [rad], of feed-forward torques: torque / kp.
 
-    0 for joints without a servo, which are coupled to others.
+    0 for coupled joints without a servo.
     """
     ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
     return ahead
@@ -242,7 +242,7 @@ def _narrow_force_ranges(
 
 
 MAX_GAIN = 1e9
-"""Upper bound of kp [N m/rad] and kd [N m s/rad], above those of any machine and below overflow."""
+"""Upper bound of kp [N m/rad] and kd [N m s/rad]: above any machine's gains, below overflow."""
 
 MIN_STIFFNESS = 1e-9
 """Lower bound of kp [N m/rad]. Commands contain torque / kp, which overflows far below."""

@@ -127,7 +127,7 @@ limit, so that their mean is invalid. ANYmal at a hard knee limit appeared to sh
 returned from each nudge."""
 
 _NEUTRAL_RATE = 1e-4
-"""Rate of a mode that neither grows nor decays [1/s]: it takes two hours to double."""
+"""Rate below which a mode neither grows nor decays [1/s]: two hours per doubling."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Error of a well-conditioned eigenvalue."""
@@ -164,7 +164,8 @@ class Mode(Result):
         damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
             growth.
         time_constant: Time in which the mode grows or decays by a factor of e (s).
-        doubling_time: Time in which the mode doubles (s); None if it decays, or is ``sustained``.
+        doubling_time: Time in which the mode doubles (s); None if the mode decays, or is
+            ``sustained``.
         joints: Joints with the largest motion in the mode, largest first.
         freed: Whether the spectrum is that without dry friction of joints and tendons.
         repeated: Whether the spectrum with ``SECOND_STEP`` has the mode as well.
@@ -200,9 +201,9 @@ class Mode(Result):
 
     @property
     def shakes(self) -> bool:
-        """Whether the mode is an oscillation: it turns by more than 1 rad in its time constant.
+        """Whether the mode oscillates, by more than 1 rad of phase in its time constant.
 
-        Oscillations with a period above ``HOLD_DURATION`` do not count; they are creep.
+        Oscillations with a period above ``HOLD_DURATION`` are creep, and do not count.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
@@ -210,8 +211,9 @@ class Mode(Result):
     def grows_within(self, duration: float) -> bool:
         """Return True if the mode leaves the state within a duration [s].
 
-        An oscillation that grows never comes to rest, so it always counts. Other modes count if
-        they double within the duration: buckling on regularised friction may take minutes.
+        A growing oscillation never comes to rest, and always counts. Other modes count if their
+        doubling time is shorter than the duration: buckling on regularised friction may take
+        minutes.
         """
         if self.doubling_time is None:
             return self.sustained
@@ -232,7 +234,7 @@ class Stability(Result):
         speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
             rest, the spectrum does not describe its stability.
         sticks: Whether MuJoCo's no-slip solver is active. Friction then holds buckling modes until
-            it slips, and the spectrum does not show them; a simulation does.
+            the contact slips; a simulation shows such modes, the spectrum does not.
         refuted: Modes that grow in the spectrum, but not in a nudged simulation.
     """
 

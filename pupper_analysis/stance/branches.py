@@ -43,7 +43,7 @@ _FOOT_ERROR_STEP = 1e-6
 """Rounding [m] of foot errors in comparisons of branches."""
 
 _JOINT_DISTANCE_STEP = 1e-3
-"""Rounding [rad or m] of the costs of combinations: the order of equal ones does not depend on
+"""Rounding [rad or m] of the costs of combinations: the order of equal costs does not depend on
 rounding errors."""
 
 _MAX_BRANCHES = 6
@@ -82,8 +82,8 @@ class Branch:
 
     Attributes:
         positions: Joint positions, shape (n,) [rad, m].
-        foot_error: Largest distance of its contact points from their targets [m]; rounding if they
-            are in reach.
+        foot_error: Largest distance of its contact points from their targets [m]; rounding for
+            reachable targets.
     """
 
     positions: Array
@@ -272,7 +272,7 @@ def _wrap_angle(angle: Array) -> Array:
 class _Descent:
     """Levenberg-Marquardt iterations from many starts, with a damping per start and limb.
 
-    The arguments are those of `find_branches`.
+    See `find_branches` for the arguments.
     """
 
     def __init__(
@@ -395,7 +395,7 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
 
     Args:
         found: {limb: its branches}.
-        near: Joint positions, shape (nu,) [rad, m]; also those of joints outside of limbs.
+        near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs keep their positions.
     """
     groups = list(found)
     costs = []

@@ -34,7 +34,7 @@ _LEVEL_NORMAL = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Clearance(Result):
-    """Smallest distance, with the links that have it.
+    """Smallest distance, with its links.
 
     Attributes:
         distance: Distance (m); negative for a penetration depth.

@@ -28,8 +28,8 @@ TASK_TOLERANCE = 1e-9
 """Error below which a requirement counts as satisfied [m, rad]."""
 
 CLEARANCE_TOLERANCE = 1e-6
-"""Violation of a clearance that counts as rounding [m]. A search aims at half of it, which is
-needed at the limit of reach."""
+"""Violation of a clearance that counts as rounding [m]. A search aims at half of this value, since
+the limit of reach leaves no more."""
 
 _NUM_NEAREST_PAIRS = 12
 """Number of nearest pairs of links in the self clearance. Of the 300 pairs of a quadruped no more

@@ -36,7 +36,7 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _FIELDS_BY_DEMAND: dict[str, list[Field]] = {}
-"""{demand: fields that it contains}."""
+"""{demand: fields of the demand}."""
 for _field in FIELDS.values():
     if _field.gives != "no":
         _FIELDS_BY_DEMAND.setdefault(_field.attribute, []).append(_field)
@@ -226,7 +226,7 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Return True if some demands differ from those of the nominal stand."""
+    """Return True if some demands differ from the nominal stand."""
     numbers = DemandVector(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 

@@ -157,7 +157,7 @@ class Field:
         return self.zh if language == "zh" else self.en
 
     def check_value(self, value: Any) -> Any:
-        """Check a value and convert it: points to tuples, mappings to frozen mappings.
+        """Check and convert a value: points to tuples, mappings to frozen mappings.
 
         Raises:
             ConfigurationError: If the value is invalid. The field of the error is, for example,

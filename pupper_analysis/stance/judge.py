@@ -50,7 +50,7 @@ _ERROR_BY_CONSTRAINT = {
 class Stand(Tabular):
     """Solved stand. Its errors are computed with Pinocchio from ``qpos``.
 
-    Without feet it is a posture of a robot with a fixed base (``held_stand``).
+    A stand without feet is a posture of a robot with a fixed base (``held_stand``).
 
     Attributes:
         task: Task, with its height and CoM filled in.
@@ -119,7 +119,7 @@ class Stand(Tabular):
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """Return one row per foot: target [m], whether it carries load, penetration [m]."""
+        """Return one row per foot: target [m], load or not, penetration [m]."""
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -149,7 +149,7 @@ class Stand(Tabular):
         """Return the height loss of the base [m] for displacements of the stance feet.
 
         A plane is fitted to the vertical displacements, and evaluated at the base. Feet on planes
-        of their own count only if there are no others.
+        of their own count only if all feet have such planes.
 
         Args:
             robot: Robot.
@@ -311,8 +311,7 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Return True if a part of the base is too low in every stand.
 
     Height and orientation of the base are given, so that no search is needed.
-    Always False on a slope and for welded robots. Steps are above the plane, so that they need no
-    test.
+    Always False on a slope and for welded robots. Steps are above the plane and need no test.
     """
     if goal.task.ground.slope or shapes.robot.welds:
         return False

@@ -328,8 +328,8 @@ def feet_centre(
 ) -> Array:
     """Compute the centre of the stance feet, shape (3,) [m]; see `Goal.centre`.
 
-    If only arms touch or are welded: the point below the base of the home pose. Welded feet count
-    as contacts.
+    Welded feet count as contacts. For an arm, the point below the base of the home pose; if all
+    feet are lifted, the mean of their targets.
     """
     if robot.welds:
         if len(robot.hands) == len(robot.feet):

@@ -58,7 +58,7 @@ Measured: of 138 and 350 solves that led to a stand, one each took more; of 206 
 thirds did, and of 633 one in eight."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Relative size of a QR diagonal below which an equality depends on others. SLSQP fails with
+"""Relative size of a QR diagonal below which an equality counts as dependent. SLSQP fails with
 dependent equalities."""
 
 
@@ -145,7 +145,7 @@ class StanceProgram:
     """Nonlinear program of a goal.
 
     Lengths are in stand heights, so that scaled robots give scaled results. Height and orientation
-    of the base are those of the goal at each point.
+    of the base equal the goal's at each point.
 
     Args:
         shapes: Robot with collision shapes.
@@ -192,7 +192,7 @@ class StanceProgram:
 
         Args:
             qpos: Initial configuration, shape (nq,).
-            task: Initial values of the demands. Default: the requested ones.
+            task: Initial values of the demands. Default: the requested values.
         """
         gives = bool(self._demands)
         progress = _Progress(_SATISFIED_VIOLATION if gives else TASK_TOLERANCE, _PATIENCE[gives])
@@ -331,7 +331,7 @@ class StanceProgram:
         )
 
     def _point(self, x: Array) -> _Point:
-        """Return the evaluated point; the latest is cached, since each constraint needs it."""
+        """Return the evaluated point; the latest is cached for all constraints."""
         if self._last is None or not (x == self._last.x).all():
             self._last = self._evaluate(x)
         return self._last

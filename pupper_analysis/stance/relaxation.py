@@ -111,7 +111,7 @@ def explain_refusal(
 
 
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
-    """Return True if closed loops keep a foot from a direction in which its joints could move it.
+    """Return True if closed loops block a direction in which joints could move a foot.
 
     At such a dead point a motor rotates while its coupled joints stay at rest, to first order.
     """
@@ -131,7 +131,7 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _StatedRelaxation:
-    """Relaxed demands, and a stand that satisfies them and all other requirements.
+    """Relaxed demands, and a stand of the relaxed task.
 
     Attributes:
         demands: Relaxed demands.
@@ -186,10 +186,10 @@ class _Search:
         return min((way for way in basis if way.is_met), key=lambda way: way.slack, default=None)
 
     def _relax_one(self, demand: str) -> Relaxation | None:
-        """Return the smallest relaxation of one demand; None if it does not suffice.
+        """Return the smallest relaxation of one demand; None without a feasible relaxation.
 
-        The program may end in a local minimum. Stands with less relaxation are tried; if one
-        exists, the program starts again from it.
+        The program may end in a local minimum. Stands with less relaxation are tried; the program
+        starts again from such a stand.
         """
         way = self._find_smallest([demand], self.starts)
         shares = list(_REDUCTION_SHARES)
@@ -221,7 +221,7 @@ class _Search:
         return way
 
     def _verify(self, way: Relaxation | None) -> _StatedRelaxation | None:
-        """Return a relaxation as it can be reported; None if its rounded task has no stand."""
+        """Return the rounded relaxation and its stand; None if the rounded task has no stand."""
         if way is None:
             return None
         robot = self.context.robot

@@ -60,7 +60,7 @@ four."""
 
 _NUM_RANDOM_SEEDS = 32
 """Number of random postures for robots with underactuated soles, which have no exact branches.
-Measured on 48 stands of six bipeds: they add one stand."""
+Measured on 48 stands of six bipeds: one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
 """Constraints that a stand with feet in place may violate; the failure then names these."""
@@ -316,8 +316,8 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
 def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
     """Minimise the foot error of an unreachable goal from a start (nq,).
 
-    Clearances are ignored. The Gauss-Newton steps of PlaCo end before this minimum, since they
-    assume that errors vanish.
+    Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors vanish, and end before
+    this minimum.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
@@ -429,7 +429,7 @@ _MAX_TRIED_COMBINATIONS = 64
 a Mini Cheetah stands on 62 degrees was missed."""
 
 _SEEDS_PER_PLACE = 4
-"""Number of seeds per base position, those with the smallest violations."""
+"""Number of seeds per base position, in the order of their violations."""
 
 _MAX_REACH_ERROR = 5e-3
 """Foot error [m] up to which a branch counts as in reach at a displaced base."""

@@ -57,8 +57,8 @@ def solve_stand_on_soft_ground(
     MuJoCo's ground yields by millimetres, in proportion to the load of a foot. A robot that is
     commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
     extended by the penetration of their feet, so that base and CoM are at the places of the task.
-    Contact forces are the minimum-tangential ones. Depths and forces depend on each other;
-    fixed-point iteration converges in 1 to 3 rounds.
+    The criterion of the contact forces is minimum tangential. Depths and forces depend on each
+    other; fixed-point iteration converges in 1 to 3 rounds.
 
     Args:
         robot: Robot with a floating base and a ground.
@@ -67,7 +67,7 @@ def solve_stand_on_soft_ground(
         explain: If the stance is unreachable, determine the reason.
 
     Returns:
-        The stand; ``depths`` are those of MuJoCo's contacts under its forces.
+        The stand; ``depths`` equal the depths of MuJoCo's contacts under the computed forces.
 
     Raises:
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
@@ -234,7 +234,7 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Return penetrations (n,) [m] in a plane whose forces have the resultant of the given ones.
+    """Return penetrations (n,) [m] in a plane, with the resultant of given penetrations.
 
     The potential of the forces is convex, so the solution is unique.
 

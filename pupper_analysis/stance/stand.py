@@ -54,7 +54,7 @@ def solve_stand(
         task: Stand task. Default: the nominal stand.
         explain: If the stance is unreachable, determine the smallest foot error, the demands to
             relax, and their smallest relaxation (a second, or some if the CoM is free). Otherwise
-            the reported foot errors are those of the IK, which may be larger.
+            the reported foot errors are results of the IK, and may be larger.
 
     Returns:
         The stand; each error is below 1e-9 m or rad.
@@ -102,7 +102,7 @@ def stand_statics(
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or ``distribution`` is unknown.
-        StaticsInfeasibleError: If no contact forces balance the stand: it slides or tips.
+        StaticsInfeasibleError: If no contact forces balance the stand: the robot slides or tips.
     """
     robot = stand.check(robot)
 
@@ -149,7 +149,7 @@ def solve_stands(
     tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
     joints, since the result then depends on the start.
 
-    The stands are those of `solve_stand`, to rounding, unless a leg has several IK branches: a
+    The stands equal those of `solve_stand` to rounding, unless a leg has several IK branches: a
     sequence keeps the branch of its first stand as long as possible.
 
     Args:

@@ -154,7 +154,7 @@ class StandTask:
         return task
 
     def values(self) -> dict[str, Any]:
-        """Return {field of the table of ``stance.fields``: value}, with those of the ground."""
+        """Return {field of the table of ``stance.fields``: value}, including the ground."""
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 

@@ -79,7 +79,7 @@ class BaseWorkspace(Result):
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Find the interval of base heights [m], with all else as in the task.
 
-    The conditions are those of `base_workspace`.
+    See `base_workspace` for the conditions.
 
     Args:
         robot: Robot.

@@ -91,7 +91,7 @@ class ContactKinematics:
         centres: Centres of the contact spheres, shape (n, 3) [m], in the world frame.
         frames: Rotations from the world to the ground frame of each contact, shape (n, 3, 3).
         crosses: Cross-product matrices of the ground normals, shape (n, 3, 3), in the world frame.
-        depths: {contact: penetration [m]} of all contacts, also of those that do not touch.
+        depths: {contact: penetration [m]} of all contact points.
 
     Attributes:
         config: Configuration.
@@ -237,7 +237,7 @@ class EquilibriumScales:
 
     @property
     def friction_penalty(self) -> float:
-        """Penalty parameter rho of the slip law [N/m]. The solution does not depend on it."""
+        """Penalty parameter rho of the slip law [N/m], without effect on the solution."""
         return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
@@ -578,8 +578,8 @@ class SagEquilibrium:
 
         Args:
             guess: Initial guess.
-            exact: Converge to rounding if this takes at most one more step; else to
-                `RESIDUAL_TOLERANCE`.
+            exact: Reuse a derivative only if the predicted residual is rounding; else if the
+                predicted residual is a quarter of `RESIDUAL_TOLERANCE`.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -660,7 +660,7 @@ class SagEquilibrium:
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
     def violation_of(self, foot: str, solution: Solution) -> float:
-        """Return the pull of a touching contact [N], or the penetration of another contact [m].
+        """Return the pull of a touching contact [N], or the penetration of another point [m].
 
         Positive values are violations. Zero for touching points of a sole, whose own equations
         exclude pull.

@@ -186,7 +186,7 @@ class HomotopyPath:
         system: Equations.
         end: Servo target at the end of the path, shape (nu,) [rad, m]. Default: the joint positions
             of the stand, without feed-forward.
-        exact: Converge the first equilibrium to rounding.
+        exact: Solve the first equilibrium with ``exact`` (`SagEquilibrium.solve`).
 
     Attributes:
         system: Equations, with the touching contacts at the current point of the path.
@@ -503,7 +503,7 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
     """Let pinned feet creep for another ``HOLD_DURATION``, unless creep hardly moves the base.
 
     Args:
-        way: Path that ends at ``pose``; it is extended.
+        way: Path that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
@@ -620,7 +620,7 @@ def minimum_stiffness(
     check_steady_state_request(robot, stand, feet, 0.0)
 
     def find_obstacle(kp: float) -> Diagnostic | None:
-        """Return the reason for which the robot does not stand with kp; None if it stands."""
+        """Return the reason for a failure with kp; None if the robot stands."""
         try:
             pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
