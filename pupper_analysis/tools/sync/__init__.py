@@ -1,6 +1,6 @@
 """Make a URDF and an MJCF agree.
 
-How is what disagrees mended? The numbers of one file are written into the other, in place.
+Numbers of one file are written into the other file, in place.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

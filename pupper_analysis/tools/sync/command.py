@@ -1,4 +1,4 @@
-"""``pupper-analysis sync``: makes a URDF and an MJCF agree."""
+"""Command ``pupper-analysis sync``: makes a URDF and an MJCF agree."""
 
 from __future__ import annotations
 

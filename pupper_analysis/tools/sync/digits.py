@@ -1,4 +1,4 @@
-"""Numbers as a file writes them: with its digits. Old words that are still right stay."""
+"""Formatting of numbers for files. Words of the file that are still right are kept."""
 
 from __future__ import annotations
 
@@ -15,61 +15,65 @@ Array = NDArray[np.float64]
 
 
 NUMBER_RTOL: Final = 1e-12
-"""Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""
+"""Tolerance within which a word of the file is right, relative to the largest number of its vector.
+Far below the tolerances of comparisons."""
 
 
-_ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
-"""Numbers of so many digits are taken for the one that is meant, if they are so near: few digits
-are no accident, and may be further off."""
+_ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))
+"""Maximum number of digits, and relative tolerance within which a number with so few digits
+replaces a value. Few digits are rarely a coincidence, therefore their tolerance is larger."""
 
 
 def format_number(value: float, scale: float) -> str:
-    """Writes a number.
+    """Format a number with as few digits as possible.
 
     Args:
-        value: The number.
-        scale: What its error is relative to.
+        value: Number.
+        scale: Magnitude to which tolerances are relative.
     """
     size = abs(value)
     if size <= NUMBER_RTOL * scale:
         return "0"
-    return repr(float(np.copysign(_shortest(size, scale), value))).removesuffix(".0")
+    return repr(float(np.copysign(_find_shortest(size, scale), value))).removesuffix(".0")
 
 
 def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
-    """Writes a vector, with the old words where they still are right.
+    """Format a vector; words that are still right are kept.
 
     Args:
-        old: The words that state it now; may be fewer, or none.
-        new: The vector.
-        floor: The least scale.
+        old: Words in the file; may be fewer than the numbers, or none.
+        new: Vector.
+        floor: Lower bound of the magnitude to which tolerances are relative.
 
     Returns:
-        The text; None if all the old words are right.
+        Text; None if all old words are right.
     """
     values = np.atleast_1d(np.asarray(new, dtype=float))
     scale = max(floor, float(np.abs(values).max(initial=0.0)))
-    kept = [
-        word if word is not None and abs(_read(word) - value) <= NUMBER_RTOL * scale else None
+    kept_words = [
+        word
+        if word is not None and abs(_parse_number(word) - value) <= NUMBER_RTOL * scale
+        else None
         for word, value in zip([*old, *[None] * len(values)], values, strict=False)
     ]
-    if len(old) >= len(values) and all(word is not None for word in kept):
+    if len(old) >= len(values) and all(word is not None for word in kept_words):
         return None
     return " ".join(
         word if word is not None else format_number(float(value), scale)
-        for word, value in zip(kept, values, strict=True)
+        for word, value in zip(kept_words, values, strict=True)
     )
 
 
-def _read(word: str) -> float:
-    """Returns a number as it is written; not a number if it is no decimal, as MuJoCo's 0x10."""
+def _parse_number(word: str) -> float:
+    """Parse a number; NaN if the word is not decimal, such as 0x10, which MuJoCo accepts."""
     return float(word) if NUMBER_PATTERN.fullmatch(word) else math.nan
 
 
-def _shortest(value: float, scale: float) -> float:
-    for most, error in _ROUNDING:
-        for count in range(1, most + 1):
+def _find_shortest(value: float, scale: float) -> float:
+    """Return the number with the fewest digits within the tolerance of its number of digits."""
+    for max_digits, tolerance in _ROUNDING_STEPS:
+        for count in range(1, max_digits + 1):
             rounded = float(f"{value:.{count}g}")
-            if abs(rounded - value) <= error * scale:
+            if abs(rounded - value) <= tolerance * scale:
                 return rounded
     return value

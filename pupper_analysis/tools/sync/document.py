@@ -1,4 +1,4 @@
-"""The document of a sync: what is written to make two files agree, and what is left."""
+"""Document of `sync`: written attributes and remaining differences."""
 
 from __future__ import annotations
 
@@ -21,21 +21,25 @@ def sync_document(
     chosen: bool = True,
     dry_run: bool = False,
 ) -> doc.Document:
-    """Returns what was written, and what is left; see ``build``.
+    """Create the document of a sync; see ``build_document``.
 
     Args:
-        sync: What was done.
-        chosen: Whether it was said whose values are taken; if not, the choices are shown.
-        dry_run: It was not done: show how the files would change.
+        sync: Result.
+        chosen: True if values were chosen; otherwise the differences are listed as choices.
+        dry_run: True to show the changes as a diff that was not written.
     """
-    blocks = _done(sync, dry_run) if chosen or not sync.differences else _choices(sync)
+    blocks = (
+        _make_edit_blocks(sync, dry_run)
+        if chosen or not sync.differences
+        else _make_choice_blocks(sync)
+    )
     count = len(sync.edits)
-    would = dry_run or sync.withheld or bool(sync.differences and not chosen)
-    written = text(
-        "attributes-that-would-be-written" if would else "attributes-written-count",
+    is_hypothetical = dry_run or sync.withheld or bool(sync.differences and not chosen)
+    edit_count = text(
+        "attributes-that-would-be-written" if is_hypothetical else "attributes-written-count",
         count=count,
     )
-    messages = [written]
+    messages = [edit_count]
     if sync.not_mended:
         messages.append(text("differences-left-count", count=len(sync.not_mended)))
     return doc.Document(
@@ -44,26 +48,27 @@ def sync_document(
         tuple(blocks),
         passed=sync.agree,
         verdict=text("agree") if sync.agree else text("disagree"),
-        failures=tuple(_withheld(sync)),
+        failures=tuple(_list_failures(sync)),
         findings=tuple(messages),
         notes=tuple(
-            text("difference-note", difference=doc.Name(named), note=doc.diagnostic_text(note))
-            for named, note in sync.notes.items()
+            text("difference-note", difference=doc.Name(name), note=doc.diagnostic_text(note))
+            for name, note in sync.notes.items()
         ),
     )
 
 
-def _withheld(sync: Sync) -> Iterable[doc.Words]:
+def _list_failures(sync: Sync) -> Iterable[doc.Words]:
+    """Yield the failure of a sync that wrote nothing."""
     if sync.withheld:
-        failed = sum(left.cause == UnwrittenCause.NOT_MENDED for left in sync.not_mended)
+        count = sum(unmended.cause == UnwrittenCause.NOT_MENDED for unmended in sync.not_mended)
         yield text(
             "nothing-is-written-count",
-            count=failed,
+            count=count,
         )
 
 
-def _choices(sync: Sync) -> Iterable[doc.Block]:
-    """Yields the differences with their numbers, and what to type."""
+def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
+    """Yield the differences with their numbers, and examples of choices."""
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(
@@ -83,8 +88,8 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
     )
 
 
-def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
-    """Yields what was written, or would be, and what is left."""
+def _make_edit_blocks(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
+    """Yield the written or planned changes, and the remaining differences."""
     if dry_run:
         if sync.diff:
             yield doc.Listing(text("what-would-change"), sync.diff, "diff")
@@ -92,18 +97,18 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
         edits = []
         for edit in sync.edits:
             old = "(not stated)" if edit.old is None else edit.old
-            said = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
-            edits.append(doc.Name(said))
+            line = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
+            edits.append(doc.Name(line))
         yield doc.Lines(tuple(edits), title=text("what-was-written"))
     if sync.backups:
-        kept = (text("the-old-file-is-kept", file=doc.Name(one)) for one in sync.backups)
-        yield doc.Lines(tuple(kept))
+        lines = (text("the-old-file-is-kept", file=doc.Name(file)) for file in sync.backups)
+        yield doc.Lines(tuple(lines))
     if sync.not_mended:
         yield doc.Lines(
             tuple(
-                text("difference-note", difference=doc.Name(left.difference),
-                     note=doc.diagnostic_text(left.reason))
-                for left in sync.not_mended
+                text("difference-note", difference=doc.Name(unmended.difference),
+                     note=doc.diagnostic_text(unmended.reason))
+                for unmended in sync.not_mended
             ),
             "bad",
             text("not-written"),

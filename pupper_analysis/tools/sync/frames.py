@@ -1,6 +1,6 @@
-"""The two robots side by side: their trees, the taken values, where the files' frames are.
+"""Joint trees of the two matched robots, merged values, and frame transforms between the files.
 
-And how parts of a rigid body make it another.
+Also: changes of one part of a rigid body that give the body a target inertia.
 """
 
 from __future__ import annotations
@@ -27,49 +27,53 @@ Array = NDArray[np.float64]
 
 Part = TypeVar("Part", bound=Hashable)
 
-_TRIANGLE = 1e-6
-"""By how much of itself a principal moment may exceed the sum of the others, for rounding."""
+_TRIANGLE_RTOL = 1e-6
+"""Relative tolerance of the triangle inequality of principal moments, for rounding. Chosen, not
+tuned."""
 
 
 def list_single_part_changes(
-    parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia, empty: Part
+    parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """Returns how one part of a body alone can make it another.
+    """List the changes of a single part that give a body its target inertia.
 
     Args:
-        parts: Those with mass, in one frame.
-        wanted: Their sum, as it shall be.
-        empty: The part that gets it where none has any.
+        parts: Inertias of the parts with mass, in one frame.
+        target: Target inertia of the body, in the same frame.
+        empty: Part that is used if no part has mass.
 
     Returns:
-        (part, as it shall be) for each way, the heaviest part first; none if there is none.
+        (part, new inertia) of each physical change, the heaviest part first; may be empty.
     """
-    alone = []
-    for part in sorted(parts, key=lambda one: -parts[one].mass) or [empty]:
-        others = [body for other, body in parts.items() if other != part]
-        if not others:
-            alone.append((part, wanted))
-        elif wanted.mass > sum(other.mass for other in others):
-            left = functools.reduce(operator.sub, others, wanted)
-            alone += [(part, left)] if is_physical(left) else []
-    return alone
+    changes = []
+    for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:
+        other_inertias = [body for name, body in parts.items() if name != part]
+        if not other_inertias:
+            changes.append((part, target))
+        elif target.mass > sum(name.mass for name in other_inertias):
+            remainder = functools.reduce(operator.sub, other_inertias, target)
+            changes += [(part, remainder)] if is_physical(remainder) else []
+    return changes
 
 
 def is_physical(body: pin.Inertia) -> bool:
-    """Says whether a rigid body can be so."""
+    """Return True if an inertia is physical.
+
+    The mass is positive; the inertia is positive definite and satisfies the triangle inequality.
+    """
     if not body.mass > 0:
         return False
     least, middle, greatest = np.linalg.eigvalsh(np.array(body.inertia))
-    return bool(least > 0 and least + middle >= (1 - _TRIANGLE) * greatest)
+    return bool(least > 0 and least + middle >= (1 - _TRIANGLE_RTOL) * greatest)
 
 
-def is_same_body(one: pin.Inertia, two: pin.Inertia, tolerance: float = 1e-11) -> bool:
-    """Says whether two bodies are the same but for rounding."""
-    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
+def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-11) -> bool:
+    """Return True if two inertias agree within a relative tolerance (absolute for the CoM [m])."""
+    size = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)
     return bool(
-        abs(one.mass - two.mass) <= tolerance * max(one.mass, two.mass)
-        and float(np.abs(one.lever - two.lever).max()) <= tolerance
-        and float(np.abs(one.inertia - two.inertia).max()) <= tolerance * size
+        abs(first.mass - second.mass) <= tolerance * max(first.mass, second.mass)
+        and float(np.abs(first.lever - second.lever).max()) <= tolerance
+        and float(np.abs(first.inertia - second.inertia).max()) <= tolerance * size
     )
 
 
@@ -79,16 +83,16 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class MatchedRobots:
-    """Both robots, in the URDF's link frames and in the MJCF's conventions.
+    """Both robots, in the URDF's link frames and the MJCF's conventions.
 
     Attributes:
-        matched: The match.
-        urdf: The URDF's parameters.
-        mjcf: The MJCF's.
-        own: The MJCF's, in its own frames: those of its bodies, at their joints.
-        urdf_frames: {base or joint: the frame of these parameters from that of the URDF's link}.
-        mjcf_frames: {base or joint: likewise of the MJCF's body, at its joint}.
-        bodies: {body of the MJCF: its pose in the frame of the body that a joint moves}.
+        matched: Match of the two files.
+        urdf: Joint tree of the URDF.
+        mjcf: Joint tree of the MJCF, in the same frames.
+        own: Joint tree of the MJCF in its own frames: bodies at their joints.
+        urdf_frames: {base or joint: frame of the trees, relative to the frame of the URDF's link}.
+        mjcf_frames: {base or joint: frame of the trees, relative to the MJCF's body at its joint}.
+        bodies: {body of the MJCF: pose in the frame of the body that a joint moves}.
     """
 
     matched: Match
@@ -100,31 +104,31 @@ class MatchedRobots:
     bodies: Mapping[str, pin.SE3]
 
     def merge_values(self, side: str, taken: Collection[Key]) -> MultibodyTree:
-        """Returns what one side shall be, with what is taken from the other.
+        """Return the tree of one file, with selected values of the other file.
 
         Args:
-            side: ``"urdf"`` or ``"mjcf"``, whose file is changed.
-            taken: The differences in which it gets the other's value.
+            side: ``"urdf"`` or ``"mjcf"``: file to be changed.
+            taken: Differences for which the value of the other file is taken.
         """
-        one, two = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
-        result = one
+        own_tree, other_tree = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
+        result = own_tree
         for kind, element in taken:
-            result = copy_value(result, two, kind, element)
-        if side == "urdf":  # it was given the MJCF's zeros: what it keeps is its own
+            result = copy_value(result, other_tree, kind, element)
+        if side == "urdf":  # the comparison used the MJCF's zero angles: restore those of the URDF
             for name, offset in self.matched.conventions.zeros.items():
                 result = with_zero(result, name, -offset)
         return result
 
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
-    """Puts the two robots side by side.
+    """Create the pair of matched robots.
 
     Args:
-        matched: The two files, matched.
-        alignment: The MJCF's tree in the URDF's link frames.
+        matched: Match of the two files.
+        alignment: Tree of the MJCF in the URDF's link frames.
     """
     robot = matched.robot
-    urdf, own = kinematic_trees(robot)
+    urdf, mjcf_tree = kinematic_trees(robot)
     base = matched.conventions.base or pin.SE3.Identity()
     if not robot.floating:
         base = base_pose(robot) * base
@@ -135,9 +139,9 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
         matched=matched,
         urdf=urdf,
         mjcf=alignment.values,
-        own=own,
+        own=mjcf_tree,
         urdf_frames=urdf_frames,
-        mjcf_frames=_gauges(own, alignment.values),
+        mjcf_frames=_find_gauge_transforms(mjcf_tree, alignment.values),
         bodies={
             name: model.frames[model.getFrameId(name, pin.FrameType.BODY)].placement.copy()
             for name in names
@@ -145,28 +149,28 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
     )
 
 
-def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
-    """Returns {base or joint: its frame after from that before}, for one robot in two frames."""
-    gauges = {own.base: pin.SE3.Identity()}
-    waiting = own.children(own.base)
+def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
+    """Return {base or joint: transform between its frames in two trees of the same robot}."""
+    gauges = {tree.base: pin.SE3.Identity()}
+    waiting = tree.children(tree.base)
     while waiting:
         name = waiting.pop()
-        before, after = own.joints[name], moved.joints[name]
+        before, after = tree.joints[name], moved.joints[name]
         gauge = after.placement.inverse() * gauges[before.parent] * before.placement
         gauges[name] = pin.SE3.Identity() if gauge.isIdentity(1e-12) else gauge
-        waiting += own.children(name)
+        waiting += tree.children(name)
     return gauges
 
 
 @dataclass(eq=False, kw_only=True)
 class Side:
-    """A file that gets numbers of the other one.
+    """File that receives numbers of the other file.
 
     Attributes:
         sides: Both robots.
-        wanted: What this file's shall be.
-        left: {difference: why it cannot be written}.
-        notes: What else is to be said, per difference.
+        target: Tree that the file shall have.
+        unwritten: {difference: reason why it cannot be written}.
+        notes: {difference: note on how it is written}.
     """
 
     sides: MatchedRobots

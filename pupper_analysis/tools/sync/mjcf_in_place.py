@@ -1,4 +1,4 @@
-"""The elements of an MJCF and of what it includes, found by their names, and written in place."""
+"""Elements of an MJCF and its includes, found by name and changed in place."""
 
 from __future__ import annotations
 
@@ -19,43 +19,52 @@ Array = NDArray[np.float64]
 
 
 class EditableMjcf:
-    """The elements of an MJCF, with its includes put in.
+    """Elements of an MJCF, with the content of its includes.
+
+    Args:
+        file: MJCF.
 
     Attributes:
-        documents: {file: its document}.
-        root: The root element.
-        angle: A unit of its angles (rad).
+        documents: {file: document}.
+        root: Root element.
+        angle: Angle unit of the file [rad].
+        autolimits: True if the compiler option ``autolimits`` is set.
     """
 
     def __init__(self, file: MjcfFile) -> None:
         self.documents: dict[Path, XmlDocument] = {}
         self._file = file
-        self._main = file.path
-        self.root = self._read(file.path)
+        self._main_path = file.path
+        self.root = self._read_file(file.path)
         compiler = file.spec.compiler
         self.angle = math.pi / 180 if compiler.degree else 1.0
         self.autolimits = bool(compiler.autolimits)
-        self._bodies = self._named_bodies(file.spec)
+        self._bodies = self._find_bodies(file.spec)
 
     def body(self, name: str) -> Element | None:
-        """Returns a body; None where the file has none of that name (but a copy of another)."""
+        """Return the element of a body.
+
+        None if the body is a copy of another element, such as by <replicate>.
+        """
         return self._bodies.get(name)
 
     def joint(self, name: str, body: str) -> Element | None:
-        """Returns a joint; one without a name is found by its body."""
-        found = self._bodies.get(body)
-        if found is None:
+        """Return the element of a joint; a joint without name is found by its body."""
+        element = self._bodies.get(body)
+        if element is None:
             return None
-        joints = [e for e in iterate_body_elements(found) if e.tag in ("joint", "freejoint")]
-        named = [joint for joint in joints if joint.get("name") == name]
+        joints = [
+            child for child in iterate_body_elements(element) if child.tag in ("joint", "freejoint")
+        ]
+        same_name = [joint for joint in joints if joint.get("name") == name]
         unnamed = [joint for joint in joints if joint.get("name") is None]
-        return (*named, *unnamed, None)[0]
+        return (*same_name, *unnamed, None)[0]
 
     def find_actuators(self, joint: str) -> list[Element]:
-        """Returns the actuators at a joint."""
+        """Return the actuator elements of a joint."""
         return [
             element
-            for section in self._sections("actuator")
+            for section in self._iterate_sections("actuator")
             for element in section.children
             if joint in (element.get("joint"), element.get("jointinparent"))
         ]
@@ -63,68 +72,77 @@ class EditableMjcf:
     def write(
         self, element: Element, attribute: str, value: str | ArrayLike, floor: float = 0.0
     ) -> None:
-        """Writes an attribute of an element itself, unless it states that already.
+        """Change an attribute of an element, unless the element states the value already.
 
         Args:
-            element: The element.
-            attribute: The attribute.
-            value: A word, or one or more numbers.
-            floor: The least scale of what counts as the same number.
+            element: Element.
+            attribute: Name of the attribute.
+            value: Text, or one or more numbers.
+            floor: Lower bound of the magnitude to which tolerances are relative.
         """
         if isinstance(value, str):
             text: str | None = value
         else:
-            stated = (element.get(attribute) or "").split()
-            text = format_numbers(stated, value, floor)
+            old_words = (element.get(attribute) or "").split()
+            text = format_numbers(old_words, value, floor)
         if text is not None:
             element.set(attribute, text)
 
     def is_framed(self, element: Element) -> bool:
-        """Says whether an element is in a <frame>, in which it states its place."""
-        above = element.parent
-        while above is not None and above.tag not in ("body", "worldbody"):
-            if above.tag == "frame":
+        """Return True if an element is within a <frame>, so that its position is relative."""
+        parent = element.parent
+        while parent is not None and parent.tag not in ("body", "worldbody"):
+            if parent.tag == "frame":
                 return True
-            above = above.parent
+            parent = parent.parent
         return False
 
-    def _sections(self, tag: str) -> Iterator[Element]:
+    def _iterate_sections(self, tag: str) -> Iterator[Element]:
+        """Return the sections of the root with a tag."""
         return (section for section in self.root.children if section.tag == tag)
 
-    def _named_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:
-        found = [e for s in self._sections("worldbody") for e in s.walk() if e.tag == "body"]
-        bodies = {str(e.get("name")): e for e in found if e.get("name")}
-        if len(spec.bodies) == len(found) + 1:  # no body is a copy of another
-            for number, element in enumerate(found, start=1):
-                if not element.get("name"):  # as `mjcf.name_elements` calls it
+    def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:
+        """Return {name: body element}; bodies without name are included if no body is a copy."""
+        elements = [
+            element
+            for section in self._iterate_sections("worldbody")
+            for element in section.walk()
+            if element.tag == "body"
+        ]
+        bodies = {str(element.get("name")): element for element in elements if element.get("name")}
+        if len(spec.bodies) == len(elements) + 1:  # no body is a copy of another
+            for number, element in enumerate(elements, start=1):
+                if not element.get("name"):  # same name as by `mjcf.name_elements`
                     bodies[f"body_{number}"] = element
         return bodies
 
-    def _read(self, path: Path) -> Element:
+    def _read_file(self, path: Path) -> Element:
+        """Read a file and replace its includes by their content."""
         if path not in self.documents:
             self.documents[path] = read_document(path)
         document = self.documents[path]
         for element in document.elements:
             children: list[Element] = []
             for child in element.children:
-                included = self._included(child, path) if child.tag == "include" else None
+                included = self._read_include(child, path) if child.tag == "include" else None
                 children += [child] if included is None else included.children
             element.children = children
             for child in children:
                 child.parent = element
         return document.root
 
-    def _included(self, element: Element, path: Path) -> Element | None:
+    def _read_include(self, element: Element, path: Path) -> Element | None:
+        """Read an included file; None if it does not exist."""
         name = element.get("file") or ""
-        for folder in (self._main.parent, path.parent):
-            found = existing_file(folder / name)
-            if found is not None:
-                return self._read(found)
+        for folder in (self._main_path.parent, path.parent):
+            path_found = existing_file(folder / name)
+            if path_found is not None:
+                return self._read_file(path_found)
         return None
 
 
 def iterate_body_elements(body: Element) -> Iterator[Element]:
-    """Yields what is in a body and in its frames, without the bodies in it."""
+    """Yield the elements of a body and of its frames, without child bodies."""
     for child in body.children:
         if child.tag == "frame":
             yield from iterate_body_elements(child)

@@ -1,4 +1,4 @@
-"""Writes numbers into an MJCF, and into what it includes; masses into inertials or geoms."""
+"""Planning of changes to an MJCF and its includes: positions, limits, gains, masses."""
 
 from __future__ import annotations
 
@@ -39,26 +39,27 @@ from pupper_analysis.tools.sync.xml_bytes import Element
 Array = NDArray[np.float64]
 
 _NEW_INERTIAL_COST = 100
-"""What a new <inertial> counts, in attributes: any change of what is there goes before it."""
+"""Cost of a new <inertial>, in changed attributes: larger than any change of existing
+attributes."""
 
-_AXES = ("axisangle", "euler", "xyaxes", "zaxis")
-"""Words for the axes of an <inertial> that are not written."""
+_ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
+"""Orientation attributes of an <inertial> that are not written."""
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
-    """Notes the changes that give what moves with a joint, or the base, another mass."""
+    """Plan the changes that give a moving group of bodies, or the base, its target inertia."""
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
-    wanted = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].rigid)
+    target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].rigid)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     poses = {body: side.sides.bodies[str(model.body(body).name)] for body in group}
-    placed = {body: pose.act(inertia_of_body(model, body)) for body, pose in poses.items()}
-    heavy = {body: part for body, part in placed.items() if part.mass > 0}
-    if is_same_body(sum(heavy.values(), pin.Inertia.Zero()), wanted):
+    inertias = {body: pose.act(inertia_of_body(model, body)) for body, pose in poses.items()}
+    heavy_parts = {body: part for body, part in inertias.items() if part.mass > 0}
+    if is_same_body(sum(heavy_parts.values(), pin.Inertia.Zero()), target):
         return
     plans = []
-    for body, part in list_single_part_changes(heavy, wanted, top):
+    for body, part in list_single_part_changes(heavy_parts, target, top):
         element = side.elements.body(str(model.body(body).name))
         if element is None:
             side.unwritten.update(dict.fromkeys(keys, COPIED_BODY))
@@ -67,7 +68,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         if inertial is None:
             inertial = Element("inertial", {}, element.file, -1, element.line, element)
             cost = _NEW_INERTIAL_COST
-        if not any(word in inertial.attributes for word in _AXES):
+        if not any(word in inertial.attributes for word in _ORIENTATION_ATTRIBUTES):
             changes = make_inertial_changes(inertial, poses[body].actInv(part))
             plans.append((cost + len(changes), inertial, changes))
     if not plans:
@@ -79,13 +80,13 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     inertial.changes.update(changes)
 
 
-def make_inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, str]:
-    """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
-    numbers = {"pos": wanted.lever, "mass": wanted.mass}
+def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
+    """Return the changes of an <inertial> to the target inertia, in the form that it has."""
+    numbers = {"pos": target.lever, "mass": target.mass}
     if element.get("diaginertia") is None:
-        numbers["fullinertia"] = inertia_entries(wanted.inertia)
+        numbers["fullinertia"] = inertia_entries(target.inertia)
     else:
-        numbers |= _principal(element, wanted.inertia)
+        numbers |= _make_principal_numbers(element, target.inertia)
     floors = {"pos": 1.0, "quat": 1.0}
     words = {
         name: format_numbers((element.get(name) or "").split(), value, floors.get(name, 0.0))
@@ -94,40 +95,44 @@ def make_inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, st
     return {name: text for name, text in words.items() if text is not None}
 
 
-def _principal(element: Element, wanted: Array) -> dict[str, Array]:
-    """Returns the principal moments, and their axes if they are others than are stated."""
+def _make_principal_numbers(element: Element, target: Array) -> dict[str, Array]:
+    """Return principal moments, and a new orientation if the stated axes are not principal axes."""
     moments = parse_numbers(element.get("diaginertia"), "")
-    stated = parse_numbers(element.get("quat"), "1 0 0 0")
-    own = rotation_from_quaternion(stated / np.linalg.norm(stated))
-    size = float(np.abs(wanted).max())
-    inside = own.T @ wanted @ own
-    if float(np.abs(inside - np.diag(np.diag(inside))).max()) <= 1e-11 * size:
-        return {"diaginertia": np.diag(inside)}
-    values, axes = np.linalg.eigh(wanted)
+    stated_quat = parse_numbers(element.get("quat"), "1 0 0 0")
+    stated_axes = rotation_from_quaternion(stated_quat / np.linalg.norm(stated_quat))
+    size = float(np.abs(target).max())
+    in_stated_axes = stated_axes.T @ target @ stated_axes
+    if float(np.abs(in_stated_axes - np.diag(np.diag(in_stated_axes))).max()) <= 1e-11 * size:
+        return {"diaginertia": np.diag(in_stated_axes)}
+    values, axes = np.linalg.eigh(target)
     order = list(np.argsort(np.argsort(moments)))
     values, axes = values[order], axes[:, order]
-    # Of the axes and their opposites, those near to the file's own.
-    axes = axes * np.where(np.sum(axes * own, axis=0) < 0, -1.0, 1.0)
+    # Signs of the axes: as near as possible to the stated axes.
+    axes = axes * np.where(np.sum(axes * stated_axes, axis=0) < 0, -1.0, 1.0)
     if np.linalg.det(axes) < 0:
-        axes[:, int(np.argmin(np.abs(np.sum(axes * own, axis=0))))] *= -1
+        axes[:, int(np.argmin(np.abs(np.sum(axes * stated_axes, axis=0))))] *= -1
     quaternion = quaternion_from_rotation(axes)
     return {
         "diaginertia": values,
-        "quat": -quaternion if float(quaternion @ stated) < 0 else quaternion,
+        "quat": -quaternion if float(quaternion @ stated_quat) < 0 else quaternion,
     }
 
 
 COPIED_BODY = diagnose("body-is-a-copy")
+"""Reason for a difference of a body that is a copy of another element."""
 
 
 @dataclass(eq=False, kw_only=True)
 class MjcfSide(Side):
-    """An MJCF that gets numbers of a URDF.
+    """MJCF that receives numbers of a URDF.
 
     Attributes:
-        file: The file.
-        elements: Its elements.
-        gains: {("kp" or "kd", joint): of its position servo, at the joint (N m/rad, N m s/rad)}.
+        file: MJCF.
+        elements: Elements of the MJCF.
+        gains: {("kp" or "kd", joint): gain of its position servo, at the joint [N m/rad or N m
+            s/rad]}.
+        robot: Matched robot.
+        model: MuJoCo model of the robot.
     """
 
     file: MjcfFile
@@ -139,35 +144,35 @@ class MjcfSide(Side):
         self.model: mujoco.MjModel = self.robot.mj_model
 
     def plan(self, taken: Collection[Key]) -> None:
-        """Notes all changes in the documents: places first, for what is on them moves along."""
+        """Plan all changes. Positions come first, because children move with their body."""
         for key in taken:
             if key[0] == "position":
-                self._place(key)
+                self._plan_position(key)
         for key in taken:
             kind, name = key
             if kind in ("lower limit", "upper limit"):
-                self._limits(key)
+                self._plan_limits(key)
             elif kind == "effort":
                 plan_effort(self, key)
             elif kind == "damping":
-                self._damping(key)
+                self._plan_damping(key)
             elif kind == "friction":
                 value = self.target.joints[name].friction
-                self._number(key, "frictionloss", [value])
+                self._plan_number(key, "frictionloss", [value])
             elif kind == "armature":
-                self._armature(key)
+                self._plan_armature(key)
         for name in dict.fromkeys(joint for _, joint in self.gains):
             plan_gains(self, name, {key: k for key, k in self.gains.items() if key[1] == name})
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             plan_inertial(self, name, [key for key in taken if key[1] == name])
 
     def _body_pose(self, body: int) -> pin.SE3:
-        """Returns where a body is in the frame of the body that a joint moves."""
+        """Return the pose of a body in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
-    def _place(self, key: Key) -> None:
-        """Moves the body of a joint, with all that is on it."""
+    def _plan_position(self, key: Key) -> None:
+        """Move the body of a joint, with its children."""
         name = key[1]
         index = self.model.joint(name).id
         body = int(self.model.jnt_bodyid[index])
@@ -178,26 +183,30 @@ class MjcfSide(Side):
             self.unwritten[key] = diagnose("joint-off-its-body")
             return
         parent = self.sides.own.joints[name].parent
-        before = self.sides.mjcf_frames[parent].inverse()
+        parent_frame = self.sides.mjcf_frames[parent].inverse()
         frame = self._body_pose(int(self.model.body_parentid[body]))
-        now = make_placement(self.model.body_quat[body], self.model.body_pos[body])
-        joint = before * self.target.joints[name].placement * self.sides.mjcf_frames[name]
-        own = self.sides.own.joints[name].placement
-        wanted = frame.inverse() * joint * own.inverse() * frame * now
+        old_pose = make_placement(self.model.body_quat[body], self.model.body_pos[body])
+        joint = parent_frame * self.target.joints[name].placement * self.sides.mjcf_frames[name]
+        own_placement = self.sides.own.joints[name].placement
+        target_pose = frame.inverse() * joint * own_placement.inverse() * frame * old_pose
         element = self.elements.body(str(self.model.body(body).name))
         if element is None:
             self.unwritten[key] = COPIED_BODY
         elif self.elements.is_framed(element):
             self.unwritten[key] = diagnose("place-in-a-frame")
-        elif float(np.abs(np.array(wanted.translation) - now.translation).max()) > NUMBER_RTOL:
-            self.elements.write(element, "pos", wanted.translation, 1.0)
+        elif (
+            float(np.abs(np.array(target_pose.translation) - old_pose.translation).max())
+            > NUMBER_RTOL
+        ):
+            self.elements.write(element, "pos", target_pose.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
-        """Returns the element of a joint."""
+        """Return the element of a joint, or None."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.joint(name, str(self.model.body(body).name))
 
-    def _limits(self, key: Key) -> None:
+    def _plan_limits(self, key: Key) -> None:
+        """Plan the range of a joint."""
         name = key[1]
         element, joint = self.joint_in_file(name), self.target.joints[name]
         if element is None:
@@ -215,7 +224,11 @@ class MjcfSide(Side):
             self.elements.write(element, "limited", "true")
         self.elements.write(element, "range", values, 1.0)
 
-    def _damping(self, key: Key) -> None:
+    def _plan_damping(self, key: Key) -> None:
+        """Plan the damping of a joint, less that of its actuators.
+
+        Higher polynomial coefficients are kept.
+        """
         name = key[1]
         if name not in self.target.joints:
             self.unwritten[key] = diagnose("base-without-joint")
@@ -224,27 +237,29 @@ class MjcfSide(Side):
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_damping[dof])
         of_motors = float(joint_damping(self.model)[dof]) - of_joint
-        wanted = self.target.joints[name].damping - of_motors
-        if wanted < 0:
+        target = self.target.joints[name].damping - of_motors
+        if target < 0:
             self.unwritten[key] = diagnose("motors-have-more")
             return
         element = self.joint_in_file(name)
-        stated = ([] if element is None else (element.get("damping") or "").split())[1:]
-        higher = [float(word) for word in stated]
-        self._number(key, "damping", [wanted, *higher])
+        stated_higher = ([] if element is None else (element.get("damping") or "").split())[1:]
+        higher = [float(word) for word in stated_higher]
+        self._plan_number(key, "damping", [target, *higher])
 
-    def _armature(self, key: Key) -> None:
+    def _plan_armature(self, key: Key) -> None:
+        """Plan the armature of a joint, less that of its actuators."""
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_armature[dof])
         of_motors = float(joint_armature(self.model)[dof]) - of_joint
-        wanted = self.target.joints[key[1]].armature - of_motors
-        if wanted < 0:
+        target = self.target.joints[key[1]].armature - of_motors
+        if target < 0:
             self.unwritten[key] = diagnose("motors-have-more")
             return
-        self._number(key, "armature", [wanted])
+        self._plan_number(key, "armature", [target])
 
-    def _number(self, key: Key, attribute: str, values: list[float]) -> None:
+    def _plan_number(self, key: Key, attribute: str, values: list[float]) -> None:
+        """Plan numbers of a joint."""
         element = self.joint_in_file(key[1])
         if element is None:
             self.unwritten[key] = COPIED_BODY
@@ -252,109 +267,120 @@ class MjcfSide(Side):
         self.elements.write(element, attribute, values)
 
 
-# Writes the gains of position servos into an MJCF, in the words in which it states them.
+# Gains of position servos, in the attributes that the MJCF uses.
 
 
-def plan_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
-    """Notes the changes that give the servo of a joint other gains.
+def plan_gains(side: MjcfSide, name: str, target_gains: dict[Key, float]) -> None:
+    """Plan the gains of the servo of a joint.
 
     Args:
-        side: The MJCF.
-        name: The joint.
-        wanted: {("kp", joint): stiffness at the joint (N m/rad), ("kd", joint): damping there}.
+        side: MJCF.
+        name: Name of the joint.
+        target_gains: {("kp", joint): stiffness at the joint [N m/rad], ("kd", joint): damping [N m
+            s/rad]}.
     """
     model = side.model
-    drives = list_joint_actuators(model, model.joint(name).id)
+    actuators = list_joint_actuators(model, model.joint(name).id)
     elements = side.elements.find_actuators(name)
-    now = list_position_servos(side.robot).get(name)
-    if now is None or len(drives) != 1:
-        side.unwritten.update(dict.fromkeys(wanted, diagnose("joint-without-one-servo")))
+    old_gains = list_position_servos(side.robot).get(name)
+    if old_gains is None or len(actuators) != 1:
+        side.unwritten.update(dict.fromkeys(target_gains, diagnose("joint-without-one-servo")))
         return
     if len(elements) != 1:
-        side.unwritten.update(dict.fromkeys(wanted, diagnose("actuators-are-copies")))
+        side.unwritten.update(dict.fromkeys(target_gains, diagnose("actuators-are-copies")))
         return
-    squared = float(actuator_gear(model, drives[0])[0]) ** 2
-    stiffness = wanted.get(("kp", name), now[0]) / squared
-    damping = wanted.get(("kd", name), now[1]) / squared
+    squared = float(actuator_gear(model, actuators[0])[0]) ** 2
+    stiffness = target_gains.get(("kp", name), old_gains[0]) / squared
+    damping = target_gains.get(("kd", name), old_gains[1]) / squared
     (element,) = elements
     if element.tag == "position":
-        _position(side, element, name, wanted, stiffness, damping)
+        _plan_position_servo(side, element, name, target_gains, stiffness, damping)
     elif element.tag == "general":
-        gain = _padded(element, "gainprm", [stiffness])
+        gain = _keep_trailing_parameters(element, "gainprm", [stiffness])
         side.elements.write(element, "gainprm", gain)
         side.elements.write(
-            element, "biasprm", _padded(element, "biasprm", [0, -stiffness, -damping])
+            element,
+            "biasprm",
+            _keep_trailing_parameters(element, "biasprm", [0, -stiffness, -damping]),
         )
     else:
         message = diagnose("servo-without-words", tag=element.tag)
-        side.unwritten.update(dict.fromkeys(wanted, message))
+        side.unwritten.update(dict.fromkeys(target_gains, message))
 
 
-def _position(
+def _plan_position_servo(
     side: MjcfSide,
     element: Element,
     name: str,
-    wanted: dict[Key, float],
+    target_gains: dict[Key, float],
     stiffness: float,
     damping: float,
 ) -> None:
-    if ("kp", name) in wanted:
+    """Plan the gains of a <position> actuator."""
+    if ("kp", name) in target_gains:
         side.elements.write(element, "kp", stiffness)
-    if ("kd", name) in wanted:
+    if ("kd", name) in target_gains:
         text = format_numbers((element.get("kv") or "").split(), damping)
-        if text is not None:  # a ratio of damping gives way to a damping
+        if text is not None:  # kv replaces dampratio
             element.rename_or_set("dampratio", "kv", text)
 
 
-def _padded(element: Element, attribute: str, values: list[float]) -> list[float]:
-    """Returns the parameters of an actuator with those behind them that the file states."""
-    stated = [float(word) for word in (element.get(attribute) or "").split()]
-    return [*values, *stated[len(values) :]]
+def _keep_trailing_parameters(element: Element, attribute: str, values: list[float]) -> list[float]:
+    """Return the parameters, followed by further parameters that the file states."""
+    old_values = [float(word) for word in (element.get(attribute) or "").split()]
+    return [*values, *old_values[len(values) :]]
 
 
-# Writes the greatest torque of a joint into an MJCF: where it is stated, in whichever words.
+# Torque limit of a joint, in the attributes that state it.
 
 
 def plan_effort(side: MjcfSide, key: Key) -> None:
-    """Notes the changes that give a joint another greatest torque.
+    """Plan the torque limit of a joint.
 
-    It is the least of what the joint's ``actuatorfrcrange``, the actuator's ``forcerange`` and the
-    ``ctrlrange`` of a plain motor allow: whichever is stated and is not right, is changed.
+    The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
+    and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,
+    is changed.
     """
     name, model = key[1], side.model
-    wanted = side.target.joints[name].effort
+    target = side.target.joints[name].effort
     joint = model.joint(name).id
     element = side.joint_in_file(name)
-    drives, motors = list_joint_actuators(model, joint), side.elements.find_actuators(name)
-    if element is None or len(motors) != len(drives):
+    actuators, motors = list_joint_actuators(model, joint), side.elements.find_actuators(name)
+    if element is None or len(motors) != len(actuators):
         side.unwritten[key] = diagnose("actuators-are-copies")
         return
-    if len(drives) > 1:
+    if len(actuators) > 1:
         side.unwritten[key] = diagnose("actuators-share-it")
         return
-    stated = [(element, one) for one in read_joint_effort(model, joint)]
-    for motor, drive in zip(motors, drives, strict=True):
-        stated += [(motor, one) for one in read_actuator_efforts(model, drive) if one.factor]
-    now = find_max_effort(model, joint)
-    for owner, one in stated:
-        # What is looser than the least bound does no harm, unless it is below what is wanted.
-        off = abs(one.greatest - wanted) > NUMBER_RTOL * max(wanted, one.greatest)
-        if off and (one.greatest < wanted or one.greatest <= now * (1 + NUMBER_RTOL)):
-            value, ends = wanted / abs(one.factor), np.array(one.stated)
-            pair = ends * (value / float(np.abs(ends).max()))  # one-sided ranges keep their shape
-            symmetric = abs(ends.sum()) <= NUMBER_RTOL
-            side.elements.write(owner, one.attribute, [-value, value] if symmetric else pair)
+    stated_limits = [(element, limit) for limit in read_joint_effort(model, joint)]
+    for motor, actuator in zip(motors, actuators, strict=True):
+        stated_limits += [
+            (motor, limit) for limit in read_actuator_efforts(model, actuator) if limit.factor
+        ]
+    old_effort = find_max_effort(model, joint)
+    for owner, limit in stated_limits:
+        # A bound looser than the smallest one is kept, unless it is below the target.
+        differs = abs(limit.greatest - target) > NUMBER_RTOL * max(target, limit.greatest)
+        if differs and (
+            limit.greatest < target or limit.greatest <= old_effort * (1 + NUMBER_RTOL)
+        ):
+            value, bounds = target / abs(limit.factor), np.array(limit.stated)
+            pair = bounds * (
+                value / float(np.abs(bounds).max())
+            )  # one-sided ranges keep their shape
+            symmetric = abs(bounds.sum()) <= NUMBER_RTOL
+            side.elements.write(owner, limit.attribute, [-value, value] if symmetric else pair)
     null = side.robot.description.null_efforts.get(name)
     if null is not None:  # a range from 0 to 0, which the compiled model lacks
         owner, factor = element, 1.0
         if null.element == "actuator":
-            owner, factor = motors[0], float(actuator_gear(model, drives[0])[0])
+            owner, factor = motors[0], float(actuator_gear(model, actuators[0])[0])
             if null.attribute == "ctrlrange":
-                factor *= float(model.actuator_gainprm[drives[0], 0])
-        value = wanted / abs(factor)
+                factor *= float(model.actuator_gainprm[actuators[0], 0])
+        value = target / abs(factor)
         side.elements.write(owner, null.attribute, [-value, value])
-    elif not stated:
-        side.elements.write(element, "actuatorfrcrange", [-wanted, wanted])
+    elif not stated_limits:
+        side.elements.write(element, "actuatorfrcrange", [-target, target])
         limited = side.robot.description.mjcf.joint(name).actfrclimited
         automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
         if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:

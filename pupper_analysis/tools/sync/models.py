@@ -1,4 +1,4 @@
-"""Makes a URDF and an MJCF agree: the numbers of one are written into the other, in place."""
+"""Makes a URDF and an MJCF agree: numbers of one file are written into the other, in place."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from pupper_analysis.tools.sync.plan import (
 
 @dataclass(frozen=True)
 class Unmended(Result):
-    """A difference that is not mended.
+    """Difference that remains.
 
     Attributes:
-        difference: Its name: ``link base: mass``.
-        reason: Why.
-        cause: The kind of reason.
+        difference: Name: ``link base: mass``.
+        reason: Reason.
+        cause: Kind of reason.
     """
 
     difference: str
@@ -51,20 +51,20 @@ class Unmended(Result):
 
 @dataclass(frozen=True, eq=False)
 class Sync(Result):
-    """What became of making two files agree.
+    """Result of making two files agree.
 
     Attributes:
-        differences: All that were found, in the order of mending.
-        taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: whose value was taken.
-        edits: What was written, or would be.
-        not_mended: What was not mended, and why.
-        notes: {name of a difference: what is to be said of how it was mended}.
-        diff: The changes of the files, as ``diff -u`` has them.
-        written: The files that were replaced.
-        backups: Copies of the files as they were.
-        withheld: Whether nothing is written because not all of what was chosen can be: what is
-            left ``not mended`` would make a robot of two versions.
-        agree: Whether the files agree, with these edits.
+        differences: All differences, in the order in which they are mended.
+        taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: file whose value is taken.
+        edits: Written or planned changes of attributes.
+        not_mended: Remaining differences, with reasons.
+        notes: {name of a difference: note on how it is mended}.
+        diff: Changes of the files in the format of ``diff -u``.
+        written: Files that were replaced.
+        backups: Copies of the old files.
+        withheld: True if nothing is written because a chosen difference cannot be mended; the files
+            would otherwise describe a mixture of two robots.
+        agree: True if the files agree with these edits.
     """
 
     differences: tuple[Difference, ...]
@@ -94,57 +94,57 @@ def sync_models(
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> Sync:
-    """Makes a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
+    """Make a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
 
-    Only attributes whose numbers differ are written; no other byte of a file is. What is to be
-    written is tried first, beside the files: what does not mend its difference is not written.
-    All that was chosen is written, in both files, or nothing is.
+    Only attributes whose numbers differ are written; all other bytes are unchanged. Changes are
+    first verified on copies: a change that does not mend its difference is not written. Either all
+    chosen changes are written, in both files, or none.
 
     Args:
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: Whose values are taken: ``"urdf"`` (then the MJCF is changed) or ``"mjcf"``, for all,
-            or for some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``). Of what is
-            not named, nothing is changed; and what is not stated overwrites nothing.
-        partial: Write what can be, if not all that was chosen can.
-        dry_run: Write nothing, and say what would be written.
-        backup: Keep the old files, as ``NAME.bak``.
-        force: Write to files of a git repository with changes that are not committed.
+        take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"``, for all
+            differences or some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``).
+            Differences that are not named remain; a value that is not stated replaces nothing.
+        partial: Write the changes that are possible, if not all chosen ones are.
+        dry_run: Write nothing; return the planned changes.
+        backup: Keep the old files as ``NAME.bak``.
+        force: Write to files with uncommitted changes in a git repository.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-        tolerances: What counts as a difference; by default what does for `compare_models`, so that
-            numbers of 5 or 6 digits stay as they are written. ``Tolerances.strict()`` is for all
-            but the rounding of floating-point numbers.
+        packages: {ROS package: folder}, for ``package://`` paths.
+        tolerances: Tolerances of differences; by default those of `compare_models`, so that numbers
+            with 5 or 6 digits are unchanged. ``Tolerances.strict()`` ignores rounding of
+            floating-point numbers only.
 
     Returns:
-        What was, or would be, written, and what is left.
+        Written or planned changes, and remaining differences.
 
     Raises:
-        ModelError: If a file cannot be read, or the two cannot be matched.
-        ConfigurationError: If a choice means nothing.
-        OutputError: If a file cannot be written, or has changes that are not committed.
+        ModelError: If a file cannot be read, or the files cannot be matched.
+        ConfigurationError: If a choice is not valid or matches no difference.
+        OutputError: If a file cannot be written, or has uncommitted changes.
     """
     files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}))
     tolerances = tolerances or Tolerances()
-    comparison = _compared(files, tolerances)
+    comparison = _compare_files(files, tolerances)
     choices = choose_files(comparison.differences, take)
     keys = {
         (difference.kind, difference.element): side
         for difference, side in zip(comparison.differences, choices, strict=True)
         if side is not None
     }
-    plan, after = _tried(files, tolerances, comparison, keys)
+    plan, after = _make_verified_plan(files, tolerances, comparison, keys)
     withheld = not partial and any(
         plan.find_cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
     )
-    idle = dry_run or withheld
-    written, backups = ((), ()) if idle else _written(plan, backup=backup, force=force)
+    is_dry = dry_run or withheld
+    written, backups = ((), ()) if is_dry else _write_files(plan, backup=backup, force=force)
     labels = {(d.kind, d.element): format_difference_label(d) for d in comparison.differences}
     return Sync(
         differences=comparison.differences,
         taken={labels[key]: side for key, side in keys.items()},
         edits=plan.edits(),
-        not_mended=tuple(_unmended(plan, comparison, after, keys, labels)),
+        not_mended=tuple(_list_unmended(plan, comparison, after, keys, labels)),
         notes={labels[key]: note for key, note in plan.notes.items() if key not in plan.left},
         diff="".join(make_unified_diff(d.path, d.data, d.render()) for d in plan.documents()),
         written=written,
@@ -154,7 +154,8 @@ def sync_models(
     )
 
 
-def _compared(files: Files, tolerances: Tolerances) -> FilesCompared:
+def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
+    """Compare two files."""
     return compare_files(
         files.urdf,
         files.mjcf,
@@ -164,39 +165,39 @@ def _compared(files: Files, tolerances: Tolerances) -> FilesCompared:
     ).result
 
 
-def _tried(
+def _make_verified_plan(
     files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[Key, str]
 ) -> tuple[Plan, FilesCompared]:
-    """Returns a plan that does what it says, and the comparison of the files after it.
+    """Return a plan whose changes mend their differences, and the comparison of the files after it.
 
-    What was planned is written elsewhere, and compared. What still differs then is left as it was,
-    and so is all of it, if an engine refuses to read a file.
+    The plan is applied to copies, which are compared. Changes that mend nothing are removed; if an
+    engine refuses a copy, all changes are removed.
     """
     refused: dict[Key, Diagnostic] = {}
     while True:
-        waiting = {key: side for key, side in keys.items() if key not in refused}
-        plan = make_plan(files, tolerances, waiting)
+        remaining = {key: side for key, side in keys.items() if key not in refused}
+        plan = make_plan(files, tolerances, remaining)
         plan.left.update(refused)
-        tried = keys.keys() - plan.left.keys()
+        planned = keys.keys() - plan.left.keys()
         if not plan.edits():
-            plan.left.update(dict.fromkeys(tried, diagnose("no-attribute-states-it")))
+            plan.left.update(dict.fromkeys(planned, diagnose("no-attribute-states-it")))
             return plan, comparison
         try:
-            after = _after(plan, tolerances)
+            after = _compare_planned(plan, tolerances)
         except ModelError as error:
-            refused |= dict.fromkeys(tried, diagnose("file-refused-with-it", problem=error.cause))
+            refused |= dict.fromkeys(planned, diagnose("file-refused-with-it", problem=error.cause))
             continue
-        still = {(d.kind, d.element) for d in after.differences} & tried
-        if not still:
+        unchanged = {(d.kind, d.element) for d in after.differences} & planned
+        if not unchanged:
             return plan, after
-        refused |= dict.fromkeys(still, diagnose("change-mends-nothing"))
+        refused |= dict.fromkeys(unchanged, diagnose("change-mends-nothing"))
 
 
-def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
-    """Compares the files as they would be.
+def _compare_planned(plan: Plan, tolerances: Tolerances) -> FilesCompared:
+    """Compare copies of the files with the plan applied.
 
     Raises:
-        ModelError: If one is refused then.
+        ModelError: If an engine refuses a copy.
     """
     documents = {**plan.urdf, **plan.mjcf}
     contents = {
@@ -207,14 +208,16 @@ def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
     with write_temporary_files(contents) as folder:
         urdf, mjcf = (folder / copies.places[copies.main] for copies in plan.copies)
         try:
-            return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
+            return _compare_files(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
         except ModelError as error:
             cause = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
             raise ModelError(error.source, cause) from error
 
 
-def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Replaces all files, or none; returns them, and the copies of the old ones."""
+def _write_files(
+    plan: Plan, *, backup: bool, force: bool
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Replace all changed files, or none; return their paths, and those of the backups."""
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
     changed = [d for d in plan.documents() if d.render() != d.data]
@@ -222,62 +225,64 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
         for document in changed:
             refuse_uncommitted(document.path)
     writings = [Writing(d.path, d.render(), EDITED_KIND, before=d.data) for d in changed]
-    kept = write_all(writings, backup=backup)
-    return tuple(str(d.path) for d in changed), tuple(map(str, kept))
+    backup_paths = write_all(writings, backup=backup)
+    return tuple(str(d.path) for d in changed), tuple(map(str, backup_paths))
 
 
 def refuse_uncommitted(path: Path) -> None:
-    """Refuses a file of a git repository that has changes which are not committed.
+    """Refuse a file of a git repository with uncommitted changes.
 
-    A file that git does not track has none, nor has one that differs in its ends of lines alone.
+    Untracked files are accepted, and files that differ in line ends only.
 
     Raises:
-        OutputError: If it has.
+        OutputError: If the file has uncommitted changes.
     """
     path = path.resolve()
-    if shutil.which("git") is None or not any((one / ".git").exists() for one in path.parents):
+    if shutil.which("git") is None or not any(
+        (folder / ".git").exists() for folder in path.parents
+    ):
         return
-    here = path.parent
-    if not _asked(here, "ls-files", "-z", "--", f":(literal){path.name}"):
+    folder_of_file = path.parent
+    if not _query_git(folder_of_file, "ls-files", "-z", "--", f":(literal){path.name}"):
         return
-    committed = _asked(here, "cat-file", "blob", f"HEAD:./{path.name}")
+    committed = _query_git(folder_of_file, "cat-file", "blob", f"HEAD:./{path.name}")
     content = read_input(path, MAX_TEXT_BYTES)
     if committed is None or content.replace(b"\r\n", b"\n") != committed.replace(b"\r\n", b"\n"):
         raise OutputError(path, diagnose("uncommitted-changes"))
 
 
-def _asked(folder: Path, *arguments: str) -> bytes | None:
-    """Returns git's answer; None if it gives none."""
-    found = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
-    return found.stdout if found.returncode == 0 else None
+def _query_git(folder: Path, *arguments: str) -> bytes | None:
+    """Return the output of git; None if git fails."""
+    completed = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
+    return completed.stdout if completed.returncode == 0 else None
 
 
-def _unmended(
+def _list_unmended(
     plan: Plan,
     before: FilesCompared,
     after: FilesCompared,
     keys: Mapping[Key, str],
     labels: Mapping[Key, str],
 ) -> Iterable[Unmended]:
-    """Yields what is not mended: not chosen, not to be written, new, or no number at all."""
-    still = {(d.kind, d.element): d for d in after.differences}
+    """Yield the remaining differences, with reasons."""
+    remaining = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
-        if key in plan.left and key in still:  # others may have mended it along with them
+        if key in plan.left and key in remaining:  # another change may have mended it
             yield Unmended(name, plan.left[key], plan.find_cause(key))
-        elif key not in keys and key in still:
+        elif key not in keys and key in remaining:
             yield Unmended(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
-    for key, difference in still.items():
+    for key, difference in remaining.items():
         if key not in labels:
             reason = diagnose("there-since", difference=difference.diagnostic)
             yield Unmended(format_difference_label(difference), reason, UnwrittenCause.NEW)
     for part in before.parts:
         yield Unmended("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
-    for joints, there, other in (
+    for joints, stating, lacking in (
         (before.only_urdf, "URDF", "MJCF"),
         (before.only_mjcf, "MJCF", "URDF"),
     ):
         for joint in joints:
-            reason = diagnose("one-file-alone-has-it", one=there, other=other)
+            reason = diagnose("one-file-alone-has-it", one=stating, other=lacking)
             yield Unmended(f"joint {joint}", reason, UnwrittenCause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
@@ -285,19 +290,23 @@ def _unmended(
 
 
 def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
-    """Returns what would change in a file, as ``diff -u`` and ``patch`` have it."""
-    one, two = (text.decode("utf-8").split("\n") for text in (before, after))
-    lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
+    """Return the changes of a file in the format of ``diff -u``."""
+    old_lines, new_lines = (text.decode("utf-8").split("\n") for text in (before, after))
+    lines = difflib.unified_diff(
+        old_lines, new_lines, f"a/{path.name}", f"b/{path.name}", lineterm=""
+    )
     return "\n".join(lines) + "\n" if before != after else ""
 
 
-# Which file's value is taken in which difference.
+# Choice of the file whose value is taken, per difference.
 
 FILE_SIDES: Final = ("urdf", "mjcf")
+"""Names of the two files in a choice."""
 
-_OF_BODY: Final = ("mass", "com", "inertia")
+_BODY_KINDS: Final = ("mass", "com", "inertia")
+"""Kinds of differences of a link."""
 
-_OF_JOINT: Final = (
+_JOINT_KINDS: Final = (
     "position",
     "rotation",
     "axis",
@@ -310,13 +319,14 @@ _OF_JOINT: Final = (
     "damping polynomial",
     *SERVO_GAIN_KINDS,
 )
+"""Kinds of differences of a joint."""
 
 
 def format_owner_name(difference: Difference) -> str:
-    """Names what a difference is of: ``link FL_hip``, ``joint FL_hip_joint``, ``frame FL_foot``."""
-    if difference.kind in _OF_BODY:
+    """Return the owner of a difference, for example ``link FL_hip`` or ``frame FL_foot``."""
+    if difference.kind in _BODY_KINDS:
         return f"link {find_subject_link(difference)}"
-    if difference.kind in _OF_JOINT:
+    if difference.kind in _JOINT_KINDS:
         return f"joint {difference.element}"
     if difference.kind == "frame":
         return f"frame {difference.element}"
@@ -324,13 +334,13 @@ def format_owner_name(difference: Difference) -> str:
 
 
 def find_subject_link(difference: Difference) -> str:
-    """Returns the link that a difference is of; its element, where it is not of a link."""
+    """Return the link of a difference; its element if it is not of a link."""
     subject = difference.diagnostic.subject
     return subject.name if subject is not None and subject.kind == "link" else difference.element
 
 
 def format_difference_label(difference: Difference) -> str:
-    """Names a difference: ``link FL_hip: mass``."""
+    """Return the name of a difference: ``link FL_hip: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
     return f"{format_owner_name(difference)}: {kind}"
 
@@ -338,17 +348,17 @@ def format_difference_label(difference: Difference) -> str:
 def choose_files(
     differences: Sequence[Difference], take: str | Iterable[str]
 ) -> tuple[str | None, ...]:
-    """Says whose value is taken, per difference; None where nothing was chosen.
+    """Return the file whose value is taken for each difference; None if none was chosen.
 
     Args:
-        differences: The differences, numbered from 1.
-        take: ``"urdf"``, ``"mjcf"``, or either with a colon and what it is taken for: numbers
-            (``3``, ``1,4-6``), a kind (``mass``), what it is of (``base``, ``joint FL_hip``), or
-            both (``link FL_hip: mass``). What is more particular counts, whatever the order; of
-            two that are as particular, the last.
+        differences: Differences, numbered from 1.
+        take: ``"urdf"``, ``"mjcf"``, or either with a colon and a selection: numbers (``3``,
+            ``1,4-6``), a kind (``mass``), an owner (``base``, ``joint FL_hip``), or both (``link
+            FL_hip: mass``). The more specific choice has precedence; of equally specific ones, the
+            last.
 
     Raises:
-        ConfigurationError: If a choice is not of that form, or meets no difference.
+        ConfigurationError: If a choice is not valid or matches no difference.
     """
     result: list[str | None] = [None] * len(differences)
     rank = [0] * len(differences)
@@ -357,14 +367,14 @@ def choose_files(
         side, which = side.strip().lower(), which.strip().strip("\"'").strip()
         if side not in FILE_SIDES or (colon and not which):
             raise ConfigurationError("take", diagnose("take-not-valid", given=text))
-        for index, weight in _meant(differences, which):
+        for index, weight in _match_choice(differences, which):
             if weight >= rank[index]:
                 result[index], rank[index] = side, weight
     return tuple(result)
 
 
-def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
-    """Yields the places of the differences that are meant, and how particular that is."""
+def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
+    """Yield the indices of the selected differences, with the specificity of the selection."""
     if not which:
         yield from ((index, 0) for index in range(len(differences)))
         return
@@ -379,26 +389,29 @@ def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int,
         for difference in differences
     ]
     ranks = (3, 2, 2, 2, 1)
-    if not any(which in of_one for of_one in names) and re.fullmatch(r"[\d,\s-]+", which):
-        yield from ((number - 1, 4) for number in _numbers(which, len(differences)))
+    if not any(which in labels for labels in names) and re.fullmatch(r"[\d,\s-]+", which):
+        yield from ((number - 1, 4) for number in _parse_numbers(which, len(differences)))
         return
-    found = False
-    for index, of_one in enumerate(names):
-        if which in of_one:
-            found = True
-            yield index, ranks[of_one.index(which)]
-    if not found:
-        known = dict.fromkeys(of_one[0] for of_one in names)
-        raise ConfigurationError("take", diagnose("no-such-difference", given=which, known=known))
+    is_matched = False
+    for index, labels in enumerate(names):
+        if which in labels:
+            is_matched = True
+            yield index, ranks[labels.index(which)]
+    if not is_matched:
+        valid_names = dict.fromkeys(labels[0] for labels in names)
+        raise ConfigurationError(
+            "take", diagnose("no-such-difference", given=which, known=valid_names)
+        )
 
 
-def _numbers(text: str, most: int) -> Iterator[int]:
+def _parse_numbers(text: str, count: int) -> Iterator[int]:
+    """Yield the numbers of a list such as ``1,4-6``."""
     for part in text.split(","):
-        found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
-        if found is None:
+        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
+        if match is None:
             raise ConfigurationError("take", diagnose("no-list-of-numbers", given=text))
-        first, last = int(found[1]), int(found[2] or found[1])
-        if not 1 <= first <= last <= most:
-            message = diagnose("no-such-number", given=part.strip(), most=most)
+        first, last = int(match[1]), int(match[2] or match[1])
+        if not 1 <= first <= last <= count:
+            message = diagnose("no-such-number", given=part.strip(), most=count)
             raise ConfigurationError("take", message)
         yield from range(first, last + 1)

@@ -1,7 +1,7 @@
-"""Writes given numbers into a robot's URDF and MJCF alike, each in its own frames and words.
+"""Writing of given numbers into the URDF and the MJCF of a robot.
 
-In another folder a model's files stand to each other as they did, so that all are found: no path in
-a file is rewritten, and what is written differs in nothing else.
+In another folder, the files of a model keep their relative paths, so that no path in a file
+changes.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class WrittenNumbers:
-    """Files with given numbers, tried and ready to be written.
+    """Files with given numbers, verified and ready to be written.
 
     Attributes:
-        urdf: Where the URDF goes in the folder; None if the robot has none.
-        mjcf: Likewise of the MJCF.
-        edits: Which attributes change; their files are those that the robot was loaded from.
-        contents: {place in the folder: content}: the models, and what they need to be loaded.
-        sources: The files that were read.
+        urdf: Path of the URDF in the folder; None if the robot has none.
+        mjcf: Path of the MJCF in the folder; None if the robot has none.
+        edits: Changes of attributes, in the files from which the robot was loaded.
+        contents: {path in the folder: content} of the models and the files that they need.
+        sources: Files that were read.
     """
 
     urdf: Path | None
@@ -74,17 +74,18 @@ class WrittenNumbers:
     sources: tuple[Path, ...]
 
     def make_writings(
-        self, folder: Path, made: Mapping[str, str] | None = None, *, force: bool = False
+        self, folder: Path, old_hashes: Mapping[str, str] | None = None, *, force: bool = False
     ) -> list[Writing]:
-        """Returns what is to be written to a folder; what is there already is left.
+        """Return the writings to a folder; files with the same content are left out.
 
         Args:
-            folder: The folder.
-            made: {place: hash} of what was written there before: it is replaced while it is that.
-            force: Replace whatever is there, but for the robot's own files.
+            folder: Folder.
+            old_hashes: {path: hash} of an earlier result. A file is replaced if its content has
+                this hash.
+            force: Replace any file except those of the robot.
 
         Raises:
-            OutputError: If that is where the robot's own files are.
+            OutputError: If a file would replace a file of the robot.
         """
         with ensure_run() as run:
             for source in self.sources:
@@ -96,19 +97,20 @@ class WrittenNumbers:
             Writing(
                 folder / place,
                 content,
-                generated_model_kind((made or {}).get(str(place))),
+                generated_model_kind((old_hashes or {}).get(str(place))),
                 force=force,
             )
             for place, content in self.contents.items()
-            if not _holds(folder / place, content)
+            if not _has_content(folder / place, content)
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Returns {place: hash} of what is written, by which it is known again."""
+        """Return {path: hash} of the contents, to recognise them later."""
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 
-def _holds(path: Path, content: bytes) -> bool:
+def _has_content(path: Path, content: bytes) -> bool:
+    """Return True if the file has this content."""
     try:
         return path.read_bytes() == content
     except OSError:
@@ -122,53 +124,55 @@ def write_numbers(
     *,
     files: tuple[Path | None, Path | None] | None = None,
 ) -> WrittenNumbers:
-    """Puts given numbers into a robot's URDF and MJCF, in memory, and tries the result.
+    """Write numbers into the URDF and the MJCF of a robot in memory, and verify the result.
 
-    Only attributes whose numbers change are written; no other byte of a file is. Both files get
-    the numbers, each in its own frames and words, whatever they were; so they agree with each other
-    wherever they did. A body's mass is that of all links that move as one: it goes to one of them.
-    Where a mass is given and no inertia, the inertia
-    about the com changes in proportion: the density pattern stays.
+    Only attributes whose numbers change are written; all other bytes are unchanged. Both files get
+    the numbers, whatever they stated, each in its own frames and attributes. The mass of a body is
+    that of all links that move together; it is changed in one of them. If a mass is given without
+    inertia, the inertia about the CoM is scaled by the ratio of the masses.
 
     Args:
-        robot: The robot. Where one of its models was made of the other, that has no file.
-        numbers: {(kind, element): value}. Of a link that moves, in the frame of the URDF's link:
-            ``mass`` (kg), ``com`` (3,) (m), ``inertia`` (3, 3) about the com (kg m^2). Of a joint:
-            ``damping``, ``friction``, ``armature`` of its own, without that of motors, and ``kp``
-            and ``kd`` of its position servo, at the joint (N m/rad, N m s/rad), which the MJCF
-            alone states.
-        files: The URDF and the MJCF, if they are not those that the robot was loaded from.
+        robot: Robot. A model that was generated from the other one has no file.
+        numbers: {(kind, element): value}. For a link that moves, in the frame of the URDF's link:
+            ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the CoM [kg m^2]. For a joint:
+            ``damping``, ``friction``, ``armature`` without those of motors, and ``kp`` and ``kd``
+            of its position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
+        files: URDF and MJCF, if not those from which the robot was loaded.
 
     Returns:
-        The files; ``write_all`` of their ``writings`` writes them.
+        New files; `write_all` writes the result of `make_writings`.
 
     Raises:
-        ModelError: If a number cannot be written: it names all that cannot, and why. Or if the
-            files do not state the robot's own numbers where others are wanted.
-        UnknownNameError: If an element is not there.
+        ModelError: If a number cannot be written (the message lists all, with reasons), or the
+            files do not describe the robot.
+        UnknownNameError: If an element does not exist.
     """
     description = robot.description
     urdf_path, mjcf_path = files or (
         None if description.converted == "urdf" else description.urdf_source,
         None if description.converted == "mjcf" else description.mjcf_source,
     )
-    urdf = _urdf_in_memory(robot) if urdf_path is None else read_urdf(urdf_path)
-    mjcf = _mjcf_in_memory(robot) if mjcf_path is None else read_mjcf(mjcf_path)
+    urdf = _make_urdf(robot) if urdf_path is None else read_urdf(urdf_path)
+    mjcf = _make_mjcf(robot) if mjcf_path is None else read_mjcf(mjcf_path)
     tolerances = Tolerances()
-    names = _names(robot, urdf)
+    names = _map_renamed_joints(robot, urdf)
     matched = match_models(urdf, mjcf, names=names, tolerances=tolerances)
-    both = pair_robots(matched, align_robot(matched.robot, tolerances))
-    changes = NumberChanges(both, resolve_numbers(matched, numbers))
+    robots = pair_robots(matched, align_robot(matched.robot, tolerances))
+    changes = NumberChanges(robots, resolve_numbers(matched, numbers))
     check_robot_matches_files(robot, changes)
-    documents, left, layout = dict[Path, XmlDocument](), dict[Key, Diagnostic](), list[FileLayout]()
+    documents, unwritten, layout = (
+        dict[Path, XmlDocument](),
+        dict[Key, Diagnostic](),
+        list[FileLayout](),
+    )
     if urdf_path is not None:
         documents[urdf.path] = read_document(urdf.path)
         into_urdf = UrdfSide(
-            tree=UrdfTree(documents[urdf.path].root), sides=both, target=changes.tree("urdf")
+            tree=UrdfTree(documents[urdf.path].root), sides=robots, target=changes.tree("urdf")
         )
         kinds = (*BODY_KINDS, "damping", "friction")
         into_urdf.plan([key for key in changes.wanted if key[0] in kinds])
-        left |= into_urdf.unwritten
+        unwritten |= into_urdf.unwritten
         layout.append(list_urdf_files(urdf))
     if mjcf_path is not None:
         elements = EditableMjcf(mjcf)
@@ -177,16 +181,16 @@ def write_numbers(
             key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS
         }
         into_mjcf = MjcfSide(
-            file=mjcf, elements=elements, sides=both, target=changes.tree("mjcf"), gains=gains
+            file=mjcf, elements=elements, sides=robots, target=changes.tree("mjcf"), gains=gains
         )
         into_mjcf.plan([key for key in changes.wanted if key not in gains])
-        left |= into_mjcf.unwritten
+        unwritten |= into_mjcf.unwritten
         layout.append(list_mjcf_files(mjcf))
     else:
-        lost = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
-        left |= dict.fromkeys(lost, diagnose("mjcf-alone-states-it"))
-    if left:
-        raise make_refusal(robot, left)
+        mjcf_only = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
+        unwritten |= dict.fromkeys(mjcf_only, diagnose("mjcf-alone-states-it"))
+    if unwritten:
+        raise make_refusal(robot, unwritten)
     if len(layout) == 2:
         layout = list(combine_layouts(*layout))
     places = {copies.main: copies.places[copies.main] for copies in layout}
@@ -207,13 +211,14 @@ def write_numbers(
     return written
 
 
-def _urdf_in_memory(robot: Robot) -> UrdfFile:
+def _make_urdf(robot: Robot) -> UrdfFile:
+    """Return the URDF that was generated from an MJCF."""
     text = robot.description.urdf
     return urdf_from(robot.description.mjcf_source, text, parse_text(text), None)
 
 
-def _mjcf_in_memory(robot: Robot) -> MjcfFile:
-    """Returns the MJCF that was made of a URDF, without shapes, which weigh nothing in it."""
+def _make_mjcf(robot: Robot) -> MjcfFile:
+    """Return the MJCF that was generated from a URDF, without shapes, which have no mass."""
     spec = robot.description.mjcf.copy()
     for pair in list(spec.pairs):
         spec.delete(pair)
@@ -224,24 +229,26 @@ def _mjcf_in_memory(robot: Robot) -> MjcfFile:
     return mjcf_of_text(robot.description.urdf_source, to_xml(spec), {})
 
 
-def _names(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
-    """Returns {joint in the file: in the robot}, of those that loading has named otherwise."""
-    named = {
+def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
+    """Return {joint in the file: joint of the robot}, for joints that were renamed on loading."""
+    name_of_child = {
         joint.child: name for name, joint in UrdfTree.of(robot.description.urdf).joints.items()
     }
-    known = set(robot.joint_names)
+    joint_names = set(robot.joint_names)
     return {
-        name: named[joint.child]
+        name: name_of_child[joint.child]
         for name, joint in urdf.tree.joints.items()
-        if named.get(joint.child, name) != name and named[joint.child] in known
+        if name_of_child.get(joint.child, name) != name
+        and name_of_child[joint.child] in joint_names
     }
 
 
-# Files with given numbers are read by both engines, before they are written.
+# Verification: the new files are read by both engines.
 
 
-_WRITTEN = 1e-9
-"""Relative: what is read of a written file is what was wanted, after rotations and rounding."""
+_READ_RTOL = 1e-9
+"""Relative tolerance between a written number and the number that an engine reads, for rounding and
+rotations. Chosen, not tuned."""
 
 
 def try_files(
@@ -251,136 +258,147 @@ def try_files(
     mjcf: tuple[MjcfFile, Path | None],
     names: Mapping[str, str],
 ) -> None:
-    """Writes the files elsewhere, reads them by both engines, and checks what has changed.
+    """Write the files to a temporary folder, read them with both engines, and check the numbers.
 
     Args:
-        contents: {place in a folder: content}.
-        changes: What shall have changed.
-        urdf: The URDF as it was, and its place; None if it has no file.
-        mjcf: Likewise of the MJCF.
-        names: How the two were matched.
+        contents: {path in the folder: content}.
+        changes: Requested numbers.
+        urdf: Old URDF, and the path of the new one, or None.
+        mjcf: Old MJCF, and the path of the new one, or None.
+        names: Names with which the files were matched.
 
     Raises:
-        ModelError: If an engine refuses a file, or reads another number than was wanted.
+        ModelError: If an engine refuses a file, or reads another number.
     """
     robot = changes.both.matched.robot
     with write_temporary_files(contents) as folder:
         try:
-            one = urdf[0] if urdf[1] is None else read_urdf(folder / urdf[1], urdf[0].packages)
-            two = mjcf[0] if mjcf[1] is None else read_mjcf(folder / mjcf[1])
-            after = match_models(one, two, names=names, tolerances=Tolerances()).robot
+            new_urdf = urdf[0] if urdf[1] is None else read_urdf(folder / urdf[1], urdf[0].packages)
+            new_mjcf = mjcf[0] if mjcf[1] is None else read_mjcf(folder / mjcf[1])
+            after = match_models(new_urdf, new_mjcf, names=names, tolerances=Tolerances()).robot
         except ModelError as error:
             message = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
             raise ModelError(robot.name, diagnose("written-not-read", problem=message)) from error
-    written = [side for side, (_, there) in (("urdf", urdf), ("mjcf", mjcf)) if there is not None]
-    wrong = dict.fromkeys(_odd(changes, after, written), diagnose("read-otherwise"))
-    if wrong:
-        raise make_refusal(robot, wrong)
+    written = [
+        side for side, (_, new_path) in (("urdf", urdf), ("mjcf", mjcf)) if new_path is not None
+    ]
+    wrong_numbers = dict.fromkeys(
+        _find_wrong_numbers(changes, after, written), diagnose("read-otherwise")
+    )
+    if wrong_numbers:
+        raise make_refusal(robot, wrong_numbers)
 
 
-def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator[Key]:
-    """Yields what the engines read of written files that is not what was wanted."""
+def _find_wrong_numbers(
+    changes: NumberChanges, after: Robot, sides: Iterable[str]
+) -> Iterator[Key]:
+    """Yield the numbers that an engine reads differently than requested."""
     trees = dict(zip(("urdf", "mjcf"), kinematic_trees(after), strict=True))
     for side in sides:
-        wanted, frames = changes.tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
+        target, frames = changes.tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
         for mover, body in trees[side].bodies.items():
             frame = frames.get(mover, pin.SE3.Identity())
-            if not is_same_body(frame.actInv(wanted.bodies[mover].rigid), body.rigid, _WRITTEN):
+            if not is_same_body(frame.actInv(target.bodies[mover].rigid), body.rigid, _READ_RTOL):
                 kind = next((k for k in BODY_KINDS if (k, mover) in changes.wanted), "mass")
                 yield kind, mover
         for kind, (name, joint) in product(JOINT_KINDS, trees[side].joints.items()):
-            values = [float(getattr(one, kind)) for one in (joint, wanted.joints[name])]
-            if not math.isclose(*values, rel_tol=_WRITTEN):
+            values = [
+                float(getattr(tree_joint, kind)) for tree_joint in (joint, target.joints[name])
+            ]
+            if not math.isclose(*values, rel_tol=_READ_RTOL):
                 yield kind, name
     gains = list_position_servos(after)
     for (kind, name), value in changes.wanted.items() if "mjcf" in sides else ():
         if kind in SERVO_KINDS:
-            read = gains[name][SERVO_KINDS.index(kind)] if name in gains else math.nan
-            if not math.isclose(read, float(value), rel_tol=_WRITTEN):
+            gain = gains[name][SERVO_KINDS.index(kind)] if name in gains else math.nan
+            if not math.isclose(gain, float(value), rel_tol=_READ_RTOL):
                 yield kind, name
 
 
-# Given numbers of a robot, by what moves, and what both of its models become with them.
+# Numbers by base and joints, and the target trees of both models.
 
 
 BODY_KINDS = ("mass", "com", "inertia")
+"""Kinds of numbers of a link."""
 JOINT_KINDS = ("damping", "friction", "armature")
+"""Kinds of numbers of a joint."""
 SERVO_KINDS = ("kp", "kd")
+"""Kinds of numbers of a servo."""
 
-_OWN = 1e-6
-"""Relative: a robot's number is that of its file. What an engine makes of a file, converted or
-aligned, is good to some 1e-9; what was changed since differs by more than anybody writes digits."""
+_SAME_ROBOT_RTOL = 1e-6
+"""Relative tolerance between the robot and its files. Conversion and alignment are accurate to
+about 1e-9; later changes are larger than the last written digit. Chosen, not tuned."""
 
 
-def make_refusal(robot: Robot, left: Mapping[Key, Diagnostic]) -> ModelError:
-    """Returns the error that names the numbers that cannot be written, each with its reason."""
-    problems = [diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in left.items()]
+def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:
+    """Return the error that lists the numbers that cannot be written, with reasons."""
+    problems = [
+        diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in reasons.items()
+    ]
     return ModelError(robot.name, diagnose("numbers-unwritten", problems=problems))
 
 
 def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Key, Array]:
-    """Returns the numbers by the names of base and joints that move what they are of.
+    """Return the numbers by (kind, base or joint that moves the element).
 
     Raises:
-        UnknownNameError: If an element is not there.
+        UnknownNameError: If an element does not exist.
     """
     movers: dict[str, str] = {}
     for names in (matched.mjcf_body, matched.urdf_link):
         movers |= {name: mover for mover, name in names.items()}
     movers |= {mover: mover for mover in matched.urdf_link}
-    model, found = matched.robot.pin_model, {}
+    model, resolved = matched.robot.pin_model, {}
     for (kind, element), value in numbers.items():
         mover = movers.get(element)
         if kind not in BODY_KINDS:
             mover = element if element in matched.robot.joint_names else None
         elif mover is None and model.existFrame(element, pin.FrameType.BODY):
-            at = model.frames[model.getFrameId(element, pin.FrameType.BODY)].parentJoint
-            name = str(model.names[at])
+            joint_id = model.frames[model.getFrameId(element, pin.FrameType.BODY)].parentJoint
+            name = str(model.names[joint_id])
             mover = name if name in matched.robot.joint_names else matched.robot.base
         if mover is None:
-            known = movers if kind in BODY_KINDS else matched.robot.joint_names
-            what = "link" if kind in BODY_KINDS else "joint"
-            raise UnknownNameError(matched.robot.name, what, element, known)
-        found[kind, mover] = np.array(value, dtype=float)
-    return found
+            valid_names = movers if kind in BODY_KINDS else matched.robot.joint_names
+            noun = "link" if kind in BODY_KINDS else "joint"
+            raise UnknownNameError(matched.robot.name, noun, element, valid_names)
+        resolved[kind, mover] = np.array(value, dtype=float)
+    return resolved
 
 
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
-    """Checks that a robot's bodies are those that its files state, in the same frames.
-
-    All of them: where one is not, the files are another robot's, whatever is written.
+    """Check that all bodies of a robot are as its files state.
 
     Raises:
-        ModelError: If one is not: it was changed since, or derived.
+        ModelError: If a body differs: the robot was changed after loading, or has other files.
     """
-    both = changes.both
-    own, base = kinematic_trees(robot)[0], both.matched.robot.base
-    for mover in both.matched.urdf_link:
-        stated = both.urdf.bodies[mover]
-        body = own.bodies.get(own.base if mover == base else mover, stated)
-        size = max(float(np.abs(stated.inertia).max()), 1e-300)
-        if mover == base and not robot.floating:  # in the world's frame
-            body = replace(body, com=stated.com, inertia=stated.inertia)
+    robots = changes.both
+    tree, base = kinematic_trees(robot)[0], robots.matched.robot.base
+    for mover in robots.matched.urdf_link:
+        file_body = robots.urdf.bodies[mover]
+        body = tree.bodies.get(tree.base if mover == base else mover, file_body)
+        size = max(float(np.abs(file_body.inertia).max()), 1e-300)
+        if mover == base and not robot.floating:  # expressed in the world frame
+            body = replace(body, com=file_body.com, inertia=file_body.inertia)
         if (
-            abs(body.mass - stated.mass) > _OWN * stated.mass
-            or float(np.abs(body.com - stated.com).max()) > _OWN
-            or float(np.abs(body.inertia - stated.inertia).max()) > 1e3 * _OWN * size
+            abs(body.mass - file_body.mass) > _SAME_ROBOT_RTOL * file_body.mass
+            or float(np.abs(body.com - file_body.com).max()) > _SAME_ROBOT_RTOL
+            or float(np.abs(body.inertia - file_body.inertia).max()) > 1e3 * _SAME_ROBOT_RTOL * size
         ):
             message = diagnose(
                 "robot-is-not-its-files",
-                subject=("link", both.matched.urdf_link.get(mover, mover)),
-                file=both.matched.robot.description.urdf_source.name,
+                subject=("link", robots.matched.urdf_link.get(mover, mover)),
+                file=robots.matched.robot.description.urdf_source.name,
                 mass=Quantity(body.mass, "kg"),
-                stated=Quantity(stated.mass, "kg"),
+                stated=Quantity(file_body.mass, "kg"),
             )
             raise ModelError(robot.name, message)
 
 
 class NumberChanges:
-    """What both robots shall be.
+    """Target trees of both robots.
 
     Args:
-        both: The robots, in the URDF's link frames.
+        both: Robots, in the URDF's link frames.
         wanted: {(kind, base or joint): value}.
     """
 
@@ -390,29 +408,30 @@ class NumberChanges:
         joints = both.matched.robot.joint_names
         dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in joints]
         self.movers = tuple(dict.fromkeys(name for kind, name in wanted if kind in BODY_KINDS))
-        more = {
+        values_of_kind = {
             "damping": joint_damping(model) - model.dof_damping,
             "armature": joint_armature(model) - model.dof_armature,
         }
-        self._of_motors = {
+        self._motor_values = {
             kind: dict(zip(joints, values[dofs].tolist(), strict=True))
-            for kind, values in more.items()
+            for kind, values in values_of_kind.items()
         }
 
     def tree(self, side: str) -> MultibodyTree:
-        """Returns what a robot shall be, of ``"urdf"`` or ``"mjcf"``."""
+        """Return the target tree of ``"urdf"`` or ``"mjcf"``."""
         tree = self.both.urdf if side == "urdf" else self.both.mjcf
         bodies, joints = dict(tree.bodies), dict(tree.joints)
         for mover in self.movers:
-            bodies[mover] = self._body(bodies[mover], mover)
+            bodies[mover] = self._change_body(bodies[mover], mover)
         for (kind, name), value in self.wanted.items():
             if kind in JOINT_KINDS:
-                whole = float(value) + float(self._of_motors.get(kind, {}).get(name, 0.0))
-                changed: dict[str, Any] = {BY_KIND[kind].field: whole}
+                total = float(value) + float(self._motor_values.get(kind, {}).get(name, 0.0))
+                changed: dict[str, Any] = {BY_KIND[kind].field: total}
                 joints[name] = replace(joints[name], **changed)
         return replace(tree, bodies=bodies, joints=joints)
 
-    def _body(self, body: TreeBody, mover: str) -> TreeBody:
+    def _change_body(self, body: TreeBody, mover: str) -> TreeBody:
+        """Return a body with its new numbers; the inertia is scaled with the mass unless given."""
         mass = float(self.wanted.get(("mass", mover), np.array(body.mass)))
         com = self.wanted.get(("com", mover), body.com)
         pattern = body.inertia * (mass / body.mass if body.mass > 0 else 1.0)

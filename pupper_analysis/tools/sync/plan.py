@@ -1,4 +1,4 @@
-"""What is to be written where, for chosen differences."""
+"""Plan of a sync: changes of both files, reasons for differences that remain, layout of copies."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
-_OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
+_SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
+"""Kinds of joint numbers that both formats contain."""
 
-_WRITTEN = (*INERTIAL_KINDS, "position", *_OF_BOTH)
-"""Kinds of differences that are numbers of both formats, and are written."""
+_WRITTEN_KINDS = (*INERTIAL_KINDS, "position", *_SHARED_JOINT_KINDS)
+"""Kinds of differences that are written: numbers of both formats."""
 
-_REASONS = {
+_UNWRITTEN_REASONS = {
     "type": diagnose("joint-type-unwritten"),
     "parent": diagnose("parent-unwritten"),
     "name": diagnose("name-unwritten"),
@@ -47,33 +48,35 @@ _REASONS = {
     "mimic": diagnose("mimic-unwritten"),
     "collision": diagnose("collision-unwritten"),
 }
+"""Reason why a kind of difference is not written."""
 
 
 class UnwrittenCause(StrEnum):
-    """Why a difference is left."""
+    """Kind of reason for a difference that remains."""
 
     NOT_CHOSEN = "not chosen"
     NOT_STATED = "not stated"
-    """The file whose value was chosen states none."""
+    """The chosen file states no value."""
     NO_WORDS = "no words"
-    """It is no number of both formats: structure, a convention, or what one of them lacks."""
+    """The difference is not a number of both formats: structure, a convention, or a number of one
+    format."""
     NOT_MENDED = "not mended"
-    """It is a number of both, but cannot be written, or was tried and mends nothing."""
+    """The number cannot be written, or the change does not mend the difference."""
     NEW = "new"
-    """It is there since other differences were mended."""
+    """The difference appeared when other differences were mended."""
 
 
 @dataclass(frozen=True)
 class Edit(Result):
-    """One attribute that is written.
+    """Changed attribute.
 
     Attributes:
-        file: The file.
-        line: Of the element; of the element around it, where it is new.
-        element: ``link base > inertial > mass``.
-        attribute: Its name.
-        old: What it was; None where there was none.
-        new: What it is.
+        file: File.
+        line: Line of the element, or of its parent for a new element.
+        element: Path: ``link base > inertial > mass``.
+        attribute: Name of the attribute.
+        old: Old text; None for a new attribute.
+        new: New text.
     """
 
     file: str
@@ -86,7 +89,7 @@ class Edit(Result):
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Two files, and how they are to be matched; the fields are those of `sync_models`."""
+    """Two files and the options with which they are matched; see `sync_models`."""
 
     urdf: Path
     mjcf: Path
@@ -96,16 +99,16 @@ class Files:
 
 @dataclass(eq=False)
 class Plan:
-    """What is to be written.
+    """Planned changes.
 
     Attributes:
-        files: The files.
-        urdf: {file: its document} of the URDF.
-        mjcf: {file: its document} of the MJCF and what it includes, the main file first.
-        copies: The files of both models, and where they are tried.
-        left: {difference: why it is not written}.
-        causes: {difference that is left: the kind of reason}; the others are not mended.
-        notes: {difference: what is to be said}.
+        files: Files and options.
+        urdf: {file: document} of the URDF.
+        mjcf: {file: document} of the MJCF and its includes, the main file first.
+        copies: Layouts of both models, for verification.
+        left: {difference: reason why it is not written}.
+        causes: {difference that is not written: kind of reason}; by default ``NOT_MENDED``.
+        notes: {difference: note}.
     """
 
     files: Files
@@ -117,132 +120,141 @@ class Plan:
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
     def find_cause(self, key: Key) -> UnwrittenCause:
-        """Returns why a difference is not written."""
+        """Return the kind of reason why a difference is not written."""
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
     def documents(self) -> Iterator[XmlDocument]:
-        """Yields all documents."""
+        """Yield all documents."""
         yield from self.urdf.values()
         yield from self.mjcf.values()
 
     def edits(self) -> tuple[Edit, ...]:
-        """Returns what is written, file by file."""
+        """Return the planned changes, file by file."""
         return list_edits(self.documents())
 
 
 def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
-    """Returns what is written into documents, one by one."""
+    """Return the planned changes of documents."""
     return tuple(
-        edit for document in documents for element in document.elements for edit in _edits(element)
+        edit
+        for document in documents
+        for element in document.elements
+        for edit in _iterate_edits(element)
     )
 
 
 def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan:
-    """Plans what is to be written.
+    """Plan the changes of both files.
 
     Args:
-        files: The files.
-        tolerances: With which their differences were found.
-        taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``, whose value is taken}.
+        files: Files and options.
+        tolerances: Tolerances with which the differences were found.
+        taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``}: file whose value is
+            taken.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)
-    both = pair_robots(matched, align_robot(matched.robot, tolerances))
+    robots = pair_robots(matched, align_robot(matched.robot, tolerances))
     elements = EditableMjcf(mjcf)
     document = read_document(urdf.path)
     copies = combine_layouts(list_urdf_files(urdf), list_mjcf_files(mjcf))
     plan = Plan(files, {files.urdf: document}, elements.documents, copies)
     into_urdf = UrdfSide(
         tree=UrdfTree(document.root),
-        sides=both,
-        target=both.urdf,
+        sides=robots,
+        target=robots.urdf,
     )
     into_mjcf = MjcfSide(
         file=mjcf,
         elements=elements,
-        sides=both,
-        target=both.mjcf,
+        sides=robots,
+        target=robots.mjcf,
     )
-    for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
-        keys = [key for key, whose in taken.items() if whose == other]
+    for side, source in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
+        keys = [key for key, side_taken in taken.items() if side_taken == source]
         for key in keys:
-            if reason := _reason(key, other, both):
+            if reason := _find_unwritten_reason(key, source, robots):
                 plan.left[key], plan.causes[key] = reason, UnwrittenCause.NO_WORDS
-            elif is_absent(key, other, both, urdf, mjcf):
-                plan.left[key], plan.causes[key] = _unstated(other), UnwrittenCause.NOT_STATED
+            elif is_absent(key, source, robots, urdf, mjcf):
+                plan.left[key], plan.causes[key] = (
+                    _make_unstated_reason(source),
+                    UnwrittenCause.NOT_STATED,
+                )
         keys = [key for key in keys if key not in plan.left]
-        side.target = both.merge_values("urdf" if other == "mjcf" else "mjcf", keys)
+        side.target = robots.merge_values("urdf" if source == "mjcf" else "mjcf", keys)
         side.plan(keys)
         plan.left |= side.unwritten
         plan.notes |= side.notes
-        stated = (both.urdf if other == "urdf" else both.mjcf).joints
-        efforts = {name: stated[name].effort for name in matched.robot.joint_names}
-        warned = dict[Key, Diagnostic]()
-        for name, why in find_placeholder_efforts(matched.robot, efforts).items():
-            note = diagnose("effort-taken-is-placeholder", why=why)
-            if ("effort", name) in keys and note not in warned.values():  # one for all alike
-                warned["effort", name] = note
-        plan.notes = warned | plan.notes | warned  # before what is said of how it is written
+        joints = (robots.urdf if source == "urdf" else robots.mjcf).joints
+        efforts = {name: joints[name].effort for name in matched.robot.joint_names}
+        warnings = dict[Key, Diagnostic]()
+        for name, reason in find_placeholder_efforts(matched.robot, efforts).items():
+            note = diagnose("effort-taken-is-placeholder", why=reason)
+            if (
+                ("effort", name) in keys and note not in warnings.values()
+            ):  # one note for all joints with the same reason
+                warnings["effort", name] = note
+        plan.notes = warnings | plan.notes | warnings  # before notes on how the value is written
     return plan
 
 
-def _reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
-    """Says why a difference is nothing to write; None if it is."""
+def _find_unwritten_reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
+    """Return the reason why a difference is not written, or None."""
     kind, name = key
-    if kind not in _WRITTEN:
-        if kind in _REASONS:
-            return _REASONS[kind]
+    if kind not in _WRITTEN_KINDS:
+        if kind in _UNWRITTEN_REASONS:
+            return _UNWRITTEN_REASONS[kind]
         if whose == "mjcf":
             return diagnose("urdf-without-words")
         return diagnose("mjcf-alone-states-it")
     if kind == "position":
-        one, two = both.urdf.joints[name], both.mjcf.joints[name]
-        if one.parent != two.parent:
+        urdf_joint, mjcf_joint = both.urdf.joints[name], both.mjcf.joints[name]
+        if urdf_joint.parent != mjcf_joint.parent:
             return diagnose("parent-is-another")
     return None
 
 
-def _unstated(whose: str) -> Diagnostic:
-    one, two = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
-    return diagnose("stated-in-one-file", lacking=one, stating=two)
+def _make_unstated_reason(whose: str) -> Diagnostic:
+    """Return the reason that the chosen file states no value."""
+    lacking, stating = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
+    return diagnose("stated-in-one-file", lacking=lacking, stating=stating)
 
 
-def _edits(element: Element) -> Iterator[Edit]:
-    """Yields what is written of an element, and of its children that are new."""
-    taken = {new: old for old, new in element.renamed.items()}
+def _iterate_edits(element: Element) -> Iterator[Edit]:
+    """Yield the changes of an element and of its new children."""
+    old_name = {new: old for old, new in element.renamed.items()}
     for attribute, text in element.changes.items():
-        old = element.attributes.get(taken.get(attribute, attribute))
-        name = attribute if attribute not in taken else f"{taken[attribute]} -> {attribute}"
-        yield Edit(str(element.file), element.line, _words(element), name, old, text)
+        old = element.attributes.get(old_name.get(attribute, attribute))
+        name = attribute if attribute not in old_name else f"{old_name[attribute]} -> {attribute}"
+        yield Edit(str(element.file), element.line, _describe_element(element), name, old, text)
     for child in element.children:
         if child.start < 0:
-            yield from _edits(child)
+            yield from _iterate_edits(child)
 
 
-def _words(element: Element) -> str:
-    """Names an element by those around it, up to the first that has a name."""
-    words = []
-    here: Element | None = element
-    while here is not None:
-        name = here.attributes.get("name") or here.attributes.get("joint")
-        words.append(f"{here.tag} {name}" if name else here.tag)
-        here = None if name else here.parent
-    return " > ".join(reversed(words))
+def _describe_element(element: Element) -> str:
+    """Return the path of an element, from the nearest ancestor with a name."""
+    parts = []
+    current: Element | None = element
+    while current is not None:
+        name = current.attributes.get("name") or current.attributes.get("joint")
+        parts.append(f"{current.tag} {name}" if name else current.tag)
+        current = None if name else current.parent
+    return " > ".join(reversed(parts))
 
 
 def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
-    """Says whether the file whose value shall be taken states none.
+    """Return True if the file whose value is taken does not state it.
 
-    A limit that is not there is infinite, a damping or a friction 0, and so is the mass of a body
-    without an <inertial>: that is how the engines read it, and not what anybody has written. A
-    URDF must state an effort, and 0 is what exporters write where they know none.
+    Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
+    body without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
 
     Args:
-        key: The kind and the element of a difference.
+        key: Kind and element of a difference.
         whose: ``"urdf"`` or ``"mjcf"``.
         both: Both robots.
-        urdf: The URDF.
-        mjcf: The MJCF.
+        urdf: URDF.
+        mjcf: MJCF.
     """
     kind, name = key
     side = both.urdf if whose == "urdf" else both.mjcf
@@ -262,25 +274,25 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
     return urdf.tree.joints[both.matched.urdf_joint[name]].stated(attribute) is None
 
 
-# Files of a model, and where copies of them are tried or written.
+# Layout of a model's files in another folder.
 
 
-_ASIDE = "mjcf"
-"""Folder of the MJCF and its files, where they stand apart from the URDF's."""
+_MJCF_FOLDER = "mjcf"
+"""Folder of the MJCF and its files, if they are not in the folders of the URDF."""
 
 
 @dataclass(frozen=True)
 class FileLayout:
-    """The files of a model, and where each goes in a folder.
+    """Files of a model, and their paths in another folder.
 
-    No path in them is rewritten: the folder repeats as much of the folders around them as is
-    needed for each relative path to lead where it did.
+    No path in the files is changed: the other folder repeats the folders around the files as far as
+    relative paths require.
 
     Attributes:
-        main: The model's file.
-        top: The folder around all of them, which the new folder takes the place of.
-        files: All of them, the main file first.
-        aside: Into which part of the new folder they go.
+        main: Main file of the model.
+        top: Common folder of all files, which the other folder replaces.
+        files: All files, the main file first.
+        aside: Subfolder of the other folder.
     """
 
     main: Path
@@ -289,54 +301,56 @@ class FileLayout:
     aside: Path = Path()
 
     @staticmethod
-    def arrange(main: Path, others: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """Lays out a model's files.
+    def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
+        """Create the layout of a model.
 
         Args:
-            main: The model's file.
-            others: All that it needs, beside absolute paths.
-            within: Folders whose names are needed, too: those of packages.
+            main: Main file of the model.
+            needed: Other files that the model needs, except absolute paths.
+            within: Folders whose names must be kept: ROS packages.
         """
-        files = tuple(dict.fromkeys((main, *others)))
-        folders = {_plain(path).parent for path in (*files, *within)}
+        files = tuple(dict.fromkeys((main, *needed)))
+        folders = {_normalise_path(path).parent for path in (*files, *within)}
         return FileLayout(main, Path(os.path.commonpath(folders)), files)
 
     @cached_property
     def places(self) -> Mapping[Path, Path]:
-        """{file: where it goes, relative to the folder}; the main file is one of them."""
-        return {file: self.aside / _plain(file).relative_to(self.top) for file in self.files}
+        """{file: path relative to the other folder}, including the main file."""
+        return {
+            file: self.aside / _normalise_path(file).relative_to(self.top) for file in self.files
+        }
 
     def place(self) -> Path:
-        """Returns where the model's file goes."""
+        """Return the path of the main file."""
         return self.places[self.main]
 
 
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
-    """Returns the files of both models in one folder.
+    """Return the layouts of both models in one folder.
 
-    Where those of one stand in the folders of the other's, they stay there; else the MJCF's go to a
-    folder of their own.
+    If the files of one model are within the top folder of the other, they keep their relative
+    position. Otherwise the MJCF gets a folder of its own.
     """
-    for outer in (urdf.top, mjcf.top):
-        if all(one.top.is_relative_to(outer) for one in (urdf, mjcf)):
-            return replace(urdf, top=outer), replace(mjcf, top=outer)
-    return urdf, replace(mjcf, aside=Path(_ASIDE))
+    for top in (urdf.top, mjcf.top):
+        if all(layout.top.is_relative_to(top) for layout in (urdf, mjcf)):
+            return replace(urdf, top=top), replace(mjcf, top=top)
+    return urdf, replace(mjcf, aside=Path(_MJCF_FOLDER))
 
 
-def _plain(path: Path) -> Path:
-    """Returns a path without ``..``, its links as they are: relative paths go by names."""
+def _normalise_path(path: Path) -> Path:
+    """Return an absolute path without ``..``; symbolic links are not resolved."""
     return Path(os.path.normpath(path.absolute()))
 
 
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
-    """Lays out a URDF and the meshes and textures that are found from where it stands.
+    """Return the layout of a URDF, with the meshes and textures found relative to it.
 
-    A ``package://`` path that leads to a folder around the URDF does, too; one that is found by a
-    package's given folder, or on ``ROS_PACKAGE_PATH``, is found from everywhere.
+    A ``package://`` path to a folder around the URDF counts as relative. A path that is found by a
+    given package folder or by ``ROS_PACKAGE_PATH`` does not depend on the location.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     packages: list[Path] = []
-    around = urdf.path.absolute().parents
+    parent_folders = urdf.path.absolute().parents
     for element in urdf.root.iter("mesh", "texture"):
         name = element.get("filename") or ""
         scheme, separator, rest = name.partition("://")
@@ -344,42 +358,45 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
         if file is None or (not separator and Path(name).is_absolute()) or scheme == "file":
             continue
         if not separator:
-            found.append(file)
+            files.append(file)
             continue
-        inside = rest.lstrip("/").partition("/")[2]
-        package = Path(str(_plain(file)).removesuffix(inside)) if inside else file
-        if package in around:
+        relative_path = rest.lstrip("/").partition("/")[2]
+        package = (
+            Path(str(_normalise_path(file)).removesuffix(relative_path)) if relative_path else file
+        )
+        if package in parent_folders:
             manifest = existing_file(package / "package.xml")
-            found += [file] if manifest is None else [file, manifest]
+            files += [file] if manifest is None else [file, manifest]
             packages.append(package)
-    return FileLayout.arrange(urdf.path, found, packages)
+    return FileLayout.arrange(urdf.path, files, packages)
 
 
 def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
-    """Lays out an MJCF, what it includes or attaches, and the files of its assets."""
-    return FileLayout.arrange(mjcf.path, [*mjcf.files, *_assets(mjcf)])
+    """Return the layout of an MJCF with included and attached files and assets."""
+    return FileLayout.arrange(mjcf.path, [*mjcf.files, *_iterate_assets(mjcf)])
 
 
-def _assets(mjcf: MjcfFile) -> Iterator[Path]:
+def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
+    """Yield the asset files with relative paths."""
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))
-    named = [
+    references = [
         (element.file, element.compiler.meshdir)
         for element in (*spec.meshes, *spec.hfields, *spec.skins)
     ]
     for texture in spec.textures:
-        named += [(f, texture.compiler.texturedir) for f in (texture.file, *texture.cubefiles)]
-    for file, folder in dict.fromkeys(named):
+        references += [(f, texture.compiler.texturedir) for f in (texture.file, *texture.cubefiles)]
+    for file, folder in dict.fromkeys(references):
         name = Path(file).name if spec.strippath else file
         if not file or Path(name).is_absolute() or Path(folder).is_absolute():
             continue
-        found = (existing_file(top / folder / name) for top in folders)
-        yield from (path for path in found if path is not None)
+        paths = (existing_file(top / folder / name) for top in folders)
+        yield from (path for path in paths if path is not None)
 
 
 @contextmanager
 def write_temporary_files(contents: Mapping[Path, bytes]) -> Iterator[Path]:
-    """Writes files to a folder of their own, to be tried: {place there: content}; yields it."""
+    """Write {path: content} to a temporary folder, and yield the folder."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         for name, content in contents.items():

@@ -1,4 +1,4 @@
-"""A file of XML as bytes, in which single attributes are changed and all else stays as it is."""
+"""XML file as bytes, in which single attributes are changed and all other bytes are kept."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ from xml.sax.saxutils import escape
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.models.xml import blank_late_declaration
 
-_ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_ATTRIBUTE_PATTERN: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+"""Attribute with its value in double or single quotes."""
 
-_TAG: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
+_START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
+"""Start tag."""
 
 
 @dataclass(eq=False)
 class Element:
-    """An element, with the place of its start tag in the file's bytes.
+    """Element with the position of its start tag in the file.
 
-    It is asked for its children and attributes as one of lxml's is: `UrdfTree` reads either.
+    Children and attributes are read as with lxml's elements, so that `UrdfTree` reads either.
 
     Attributes:
-        tag: Its tag.
-        attributes: As they stand in the file.
-        file: The file.
-        start: Of its start tag (byte); -1 of an element that is to be written.
-        line: Of its start tag, from 1.
-        parent: The element around it, across includes.
-        children: What is in it, with includes put in.
+        tag: Tag.
+        attributes: Attributes in the file.
+        file: File.
+        start: Byte position of the start tag; -1 for a new element.
+        line: Line of the start tag, from 1.
+        parent: Parent element, across includes.
+        children: Child elements, with includes replaced by their content.
         changes: {attribute: new value}.
-        renamed: {attribute: the one that takes its place}.
+        renamed: {attribute: new name}.
     """
 
     tag: str
@@ -47,58 +49,58 @@ class Element:
     renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
-        """Returns an attribute, with what is to be changed."""
+        """Return the value of an attribute, after changes."""
         return self.changes.get(name, self.attributes.get(name))
 
     def set(self, name: str, value: str) -> None:
-        """Notes that an attribute is to be changed."""
+        """Change an attribute."""
         self.changes[name] = value
 
     def rename_or_set(self, old: str, name: str, value: str) -> None:
-        """Notes that an attribute is to be changed, in the place of another one if it has that."""
+        """Set an attribute; if the element has the old attribute, rename that one."""
         if name != old and old in self.attributes:
             self.renamed[old] = name
         self.set(name, value)
 
     def findall(self, tag: str) -> list[Element]:
-        """Returns the children with a tag."""
+        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def find(self, tag: str) -> Element | None:
-        """Returns the first child with a tag."""
+        """Return the first child with a tag."""
         return next(iter(self.findall(tag)), None)
 
     def ensure(self, tag: str) -> Element:
-        """Returns the first child with a tag; one is to be written where there is none."""
-        found = self.find(tag)
-        if found is None:
-            found = Element(tag, {}, self.file, -1, self.line, self)
+        """Return the first child with a tag; create the child if there is none."""
+        child = self.find(tag)
+        if child is None:
+            child = Element(tag, {}, self.file, -1, self.line, self)
             new = [child for child in self.children if child.start < 0]
-            self.children.insert(len(new), found)
-        return found
+            self.children.insert(len(new), child)
+        return child
 
     def is_changed(self) -> bool:
-        """Says whether it, or what is in it, is to be changed."""
+        """Return True if the element or one of its descendants has changes."""
         return bool(self.changes) or any(child.is_changed() for child in self.children)
 
     def walk(self) -> Iterator[Element]:
-        """Yields it and all below it, in the order of the file."""
+        """Yield the element and its descendants in the order of the file."""
         pending = [self]
         while pending:
-            here = pending.pop()
-            yield here
-            pending.extend(reversed(here.children))
+            element = pending.pop()
+            yield element
+            pending.extend(reversed(element.children))
 
 
 @dataclass(eq=False)
 class XmlDocument:
-    """A file of XML.
+    """XML file.
 
     Attributes:
-        path: The file.
-        data: Its bytes.
-        root: Its root element.
-        elements: All its elements.
+        path: File.
+        data: Bytes of the file.
+        root: Root element.
+        elements: All elements.
     """
 
     path: Path
@@ -107,13 +109,13 @@ class XmlDocument:
     elements: list[Element]
 
     def render(self) -> bytes:
-        """Returns the bytes with all changes, and no other byte changed."""
+        """Return the bytes with all changes applied."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
-            splices += _of_attributes(self.data, element)
+            splices += _splice_attributes(self.data, element)
             new = [child for child in element.children if child.start < 0 and child.is_changed()]
             if new:
-                splices += _of_children(self.data, element, new)
+                splices += _splice_children(self.data, element, new)
         data = self.data
         for start, end, text in sorted(splices, key=lambda splice: splice[:2], reverse=True):
             data = data[:start] + text + data[end:]
@@ -121,7 +123,7 @@ class XmlDocument:
 
 
 def read_document(path: Path) -> XmlDocument:
-    """Reads a file of XML that is known to be well-formed UTF-8."""
+    """Read an XML file that is known to be well-formed UTF-8."""
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
@@ -144,28 +146,28 @@ def read_document(path: Path) -> XmlDocument:
     return XmlDocument(path, data, elements[0], elements)
 
 
-def _tag_end(data: bytes, element: Element) -> int:
-    """Returns where a start tag ends: after its >."""
-    found = _TAG.match(data, element.start)
-    assert found is not None
-    return found.end()
+def _find_tag_end(data: bytes, element: Element) -> int:
+    """Return the position after the end of a start tag."""
+    match = _START_TAG_PATTERN.match(data, element.start)
+    assert match is not None
+    return match.end()
 
 
-def _spans(data: bytes, element: Element) -> dict[str, tuple[int, int]]:
-    """Returns where the value of each attribute stands, without its quotes."""
-    end = _tag_end(data, element)
+def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int]]:
+    """Return {attribute: span of its value, without quotes}."""
+    end = _find_tag_end(data, element)
     spans = {}
-    for found in _ATTRIBUTE.finditer(data, element.start, end):
-        group = 2 if found[2] is not None else 3
-        spans[found[1].decode()] = found.span(group)
+    for match in _ATTRIBUTE_PATTERN.finditer(data, element.start, end):
+        group = 2 if match[2] is not None else 3
+        spans[match[1].decode()] = match.span(group)
     return spans
 
 
-def _of_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
-    """Yields the splices that change an element's attributes; new ones follow the last."""
+def _splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
+    """Yield the splices of changed attributes; new attributes follow the last one."""
     if not element.changes:
         return
-    spans = _spans(data, element)
+    spans = _find_value_spans(data, element)
     for old, new in element.renamed.items():
         spans[new] = spans.pop(old)
         start = data.rfind(old.encode(), element.start, spans[new][0])
@@ -174,25 +176,25 @@ def _of_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, by
     assert name_end is not None
     last = max((end + 1 for _, end in spans.values()), default=name_end.end())
     quote = data[last - 1 : last] if spans else b'"'
-    added = b""
+    new_attributes = b""
     for name, value in element.changes.items():
         if name in spans:
             start, end = spans[name]
-            yield start, end, _escaped(value)
+            yield start, end, _escape_value(value)
         else:
-            added += b" " + name.encode() + b"=" + quote + _escaped(value) + quote
-    if added:
-        yield last, last, added
+            new_attributes += b" " + name.encode() + b"=" + quote + _escape_value(value) + quote
+    if new_attributes:
+        yield last, last, new_attributes
 
 
-def _of_children(
+def _splice_children(
     data: bytes, element: Element, new: list[Element]
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yields the splices that put new children in front of the others, indented alike."""
-    end = _tag_end(data, element)
+    """Yield the splices of new children, before the existing ones with the same indentation."""
+    end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":
         tag = element.tag.encode()
-        text = b"".join(_written(child, b"") for child in new)
+        text = b"".join(_render_element(child, b"") for child in new)
         start = len(data[: end - 2].rstrip())
         yield start, end, b">" + text + b"</" + tag + b">"
         return
@@ -203,19 +205,20 @@ def _of_children(
         indent = b""
     else:  # one line end, though there may be empty lines
         indent = (b"\r\n" if b"\r\n" in indent else b"\n") + indent.rpartition(b"\n")[2]
-    yield end, end, b"".join(indent + _written(child, indent) for child in new)
+    yield end, end, b"".join(indent + _render_element(child, indent) for child in new)
 
 
-def _written(element: Element, indent: bytes) -> bytes:
-    """Writes a new element, with its children on lines of their own if it is on one."""
-    words = "".join(f' {name}="{_escaped(v).decode()}"' for name, v in element.changes.items())
+def _render_element(element: Element, indent: bytes) -> bytes:
+    """Render a new element; its children are on separate lines if it is indented."""
+    words = "".join(f' {name}="{_escape_value(v).decode()}"' for name, v in element.changes.items())
     start = f"<{element.tag}{words}".encode()
     if not element.children:
         return start + b"/>"
     deeper = indent + b"  " if indent else b""
-    inside = b"".join(deeper + _written(child, deeper) for child in element.children)
+    inside = b"".join(deeper + _render_element(child, deeper) for child in element.children)
     return start + b">" + inside + indent + f"</{element.tag}>".encode()
 
 
-def _escaped(value: str) -> bytes:
+def _escape_value(value: str) -> bytes:
+    """Escape an attribute value."""
     return escape(value, {'"': "&quot;", "'": "&apos;"}).encode()
