@@ -565,7 +565,8 @@ def describe_deviations(
     if not joint < JOINT_TOLERANCE + deadband:
         messages.append(diagnose("joint-off", error=Quantity(joint, "rad")))
     if not torque < FORCE_TOLERANCE + friction_share:
-        numbers = dict.fromkeys(("joint", "predicted", "simulated")) | dict(details)
+        numbers: dict[str, Any] = dict.fromkeys(("joint", "predicted", "simulated"))
+        numbers |= details
         messages.append(diagnose("motor-torque-off", error=torque, **numbers))
     return messages
 
