@@ -222,6 +222,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     Returns:
         {joint: statement}, of joints that have a name.
     """
+    unknown = file.unknown.get("effort", ())  # of a USD without drives: no range of MuJoCo's
     found: dict[str, EffortStatement] = {}
     by_joint: dict[str, list[EffortStatement | None]] = {}
     for actuator in file.spec.actuators:
@@ -234,6 +235,8 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     for joint in file.spec.joints:
         name, range_ = joint.name, joint.actfrcrange
         switch = joint.actfrclimited
+        if name in unknown:
+            continue
         if name and _is_empty(file, "joint", name, "actuatorfrcrange", range_, switch):
             found[name] = EffortStatement.empty("MJCF", "joint", name, "actuatorfrcrange", range_)
     return found
