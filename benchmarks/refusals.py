@@ -21,7 +21,7 @@ from rich.table import Table
 from stances import OTHERS, Demand, other_robot, random_task
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import Numbers
+from pupper_analysis.stance.demands import DemandVector
 
 NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""
@@ -121,7 +121,7 @@ def share_beyond(
     robot: pa.Robot, end: pa.StandTask, task: pa.StandTask, fields: list[str]
 ) -> float:
     """What share of the way from a limit to what was asked is ``BEYOND`` it."""
-    limits, asked = Numbers(robot, end, fields), Numbers(robot, task, fields)
+    limits, asked = DemandVector(robot, end, fields), DemandVector(robot, task, fields)
     size = np.abs(limits.values - limits.nominal).sum()
     return float(BEYOND * size / np.abs(asked.values - limits.values).sum())
 

@@ -71,11 +71,11 @@ def test_modules_named_in_pages_exist() -> None:
 
 
 def test_sections_named_by_documents_exist() -> None:
-    """A report gives them as sources: ``page_of("explanation/statics.md", "Which of them")``."""
+    """A report gives them as sources: ``cite_page("explanation/statics.md", "Which of them")``."""
     named = [
         pair
         for path in PACKAGE.rglob("*.py")
-        for pair in re.findall(r'\bpage_of\("([^"]+)",\s*"([^"]+)"\)', path.read_text())
+        for pair in re.findall(r'\bcite_page\("([^"]+)",\s*"([^"]+)"\)', path.read_text())
     ]
     assert len(named) > 10
     for name, heading in named:

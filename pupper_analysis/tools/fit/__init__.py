@@ -1,4 +1,4 @@
-"""Estimate masses, offsets and gains of a real robot from measurements.
+"""Estimate masses, offsets and gains of a real robot.
 
 `fit` estimates parameters of a robot, with intervals, from stands at rest or from logs of motions,
 and reports the parameters that the measurements do not determine.

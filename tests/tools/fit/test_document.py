@@ -142,7 +142,7 @@ def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> No
 
 def test_bars_show_the_residuals() -> None:
     bars = [
-        [(bar.value, bar.other) for one in make_document(fit).blocks if isinstance(one, BarPlot)
+        [(bar.value, bar.marker) for one in make_document(fit).blocks if isinstance(one, BarPlot)
          for bar in one.bars]
         for fit in (stand_fit(), motion_fit())
     ]  # fmt: skip
