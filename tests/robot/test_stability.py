@@ -108,7 +108,7 @@ def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator:
 
 def test_own_differences_are_mujocos() -> None:
     """For RK4, which ``mjd_transitionFD`` has not: of another integrator they are the same."""
-    from pupper_analysis.robot.stability import _differences
+    from pupper_analysis.robot.stability import _difference_steps
 
     robot = load("v3")
     model = copy.copy(robot.mj_model)
@@ -117,7 +117,7 @@ def test_own_differences_are_mujocos() -> None:
     robot.mj_convention.set_state(data, stand_of("v3").qpos)
     mujoco.mj_step(model, data, 100)
     own = step_derivative(model, data)
-    assert _differences(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
+    assert _difference_steps(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
 
 
 def test_stability_of_a_robot_that_still_sinks_is_not_judged() -> None:

@@ -99,7 +99,8 @@ def write_english_meanings() -> None:
     for path in Path(pa.__file__).parent.rglob("*.toml"):
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         for index, line in enumerate(lines):
-            found = re.match(r'([A-Za-z]\w*\.\w+) = \{ en = ("(?:[^"\\]|\\.)*")(.*)', line, re.S)
+            texts = r"""("(?:[^"\\]|\\.)*"|'[^']*')"""  # basic and literal strings of TOML
+            found = re.match(rf"([A-Za-z]\w*\.\w+) = \{{ en = {texts}(.*)", line, re.S)
             if found and found[1] in wanted:
                 text = json.dumps(wanted[found[1]], ensure_ascii=False)
                 lines[index] = f"{found[1]} = {{ en = {text}{found[3]}"
