@@ -1,8 +1,8 @@
 """Access control of the page server.
 
 Any web page can connect to a server on the same machine, also under a host name of its own that it
-directs there (DNS rebinding). Therefore a request must name the server by a known name, and a
-connection must originate from the server's own page. If other machines can reach the server, a
+directs there (DNS rebinding). Therefore a request must name the server by a known name, and an
+origin, if stated, must be the server's own page. If other machines can reach the server, a
 request must also contain a token.
 """
 

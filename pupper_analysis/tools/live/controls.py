@@ -503,7 +503,7 @@ def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
 
 
 def choose_slider_step(span: float) -> float:
-    """Return a step of 1, 2 or 5 x 10^k that divides the range into 100 to 400 steps."""
+    """Return a step of 1, 2 or 5 x 10^k that divides the range into 160 to 400 steps."""
     power = 10.0 ** math.floor(math.log10(span / 200))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)
 

@@ -36,7 +36,7 @@ PLACE_MODES = ("centre", "inside", "offset")
 offset."""
 
 ROBOT_SLIDER_FIELDS = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
-"""Fields of the robot with a slider: payload, its position, and servo gains."""
+"""Fields of the robot with a slider: payload, position of the payload, servo gains."""
 
 SLIDER_FIELDS = {
     name: field for name, field in FIELDS.items() if field.slider

@@ -47,7 +47,7 @@ class Design:
     Attributes:
         robot: Robot with payload and servo gains.
         stand: Solved stand.
-        own_servos: True if the servo gains are those of the file. The simulation of the published
+        own_servos: True with the servo gains of the file. The simulation of the published
             file then counts for ``stands``.
         point: Position of a payload, present or sought; see `robot.tool.find_place`.
     """
@@ -59,7 +59,7 @@ class Design:
 
     @cached_property
     def gains(self) -> dict[str, Any]:
-        """Servo gains as arguments ``kp`` and ``kd``; empty if the gains are those of the file.
+        """Servo gains as arguments ``kp`` and ``kd``; empty with the gains of the file.
 
         Each has the shape (nu,) [N m/rad and N m s/rad].
         """

@@ -418,7 +418,7 @@ def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[s
 
 
 def list_spread_variables(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the variables with several values in a table, those with the most values first."""
+    """Return the variables with several values in a table, most values first."""
     spread = [name for name in variables if name in table and table[name].nunique() > 1]
     return sorted(spread, key=lambda name: -table[name].nunique())
 

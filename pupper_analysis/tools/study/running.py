@@ -119,7 +119,7 @@ class _ThreadCache(threading.local):
         """Return the definition, builder and metrics of a pickled `WorkDefinition`.
 
         Raises:
-            StudyError: If package versions differ from those of the definition.
+            StudyError: If package versions differ from the definition.
         """
         if pickled not in self.made:
             self.made.clear()  # a thread works on one study at a time
@@ -151,7 +151,7 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
     """Evaluate the designs of a chunk.
 
     Raises:
-        StudyError: If package versions differ from those of the machine that started the run.
+        StudyError: If package versions differ from the machine that started the run.
     """
     start = time.perf_counter()
     definition, builder, metrics = _thread_cache.load_work(chunk.work)

@@ -21,7 +21,7 @@ Far below the tolerances of comparisons."""
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))
 """Maximum number of digits, and relative tolerance within which a number with so few digits
-replaces a value. Few digits are rarely a coincidence, therefore their tolerance is larger."""
+replaces a value. Few digits are rarely a coincidence; the tolerance is then larger."""
 
 
 def format_number(value: float, scale: float) -> str:
@@ -29,7 +29,7 @@ def format_number(value: float, scale: float) -> str:
 
     Args:
         value: Number.
-        scale: Magnitude to which tolerances are relative.
+        scale: Magnitude that tolerances refer to.
     """
     size = abs(value)
     if size <= NUMBER_RTOL * scale:
@@ -43,7 +43,7 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
     Args:
         old: Words in the file; may be fewer than the numbers, or none.
         new: Vector.
-        floor: Lower bound of the magnitude to which tolerances are relative.
+        floor: Lower bound of the magnitude that tolerances refer to.
 
     Returns:
         Text; None if all old words are right.

@@ -169,8 +169,8 @@ class Side:
     Attributes:
         sides: Both robots.
         target: Tree that the file shall have.
-        unwritten: {difference: reason why it cannot be written}.
-        notes: {difference: note on how it is written}.
+        unwritten: {difference: reason why no value can be written}.
+        notes: {difference: note on the written value}.
     """
 
     sides: MatchedRobots

@@ -78,7 +78,7 @@ class EditableMjcf:
             element: Element.
             attribute: Name of the attribute.
             value: Text, or one or more numbers.
-            floor: Lower bound of the magnitude to which tolerances are relative.
+            floor: Lower bound of the magnitude that tolerances refer to.
         """
         if isinstance(value, str):
             text: str | None = value
@@ -132,7 +132,7 @@ class EditableMjcf:
         return document.root
 
     def _read_include(self, element: Element, path: Path) -> Element | None:
-        """Read an included file; None if it does not exist."""
+        """Read an included file; None for a missing file."""
         name = element.get("file") or ""
         for folder in (self._main_path.parent, path.parent):
             path_found = existing_file(folder / name)

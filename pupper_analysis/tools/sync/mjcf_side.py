@@ -81,7 +81,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
 
 
 def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
-    """Return the changes of an <inertial> to the target inertia, in the form that it has."""
+    """Return the changes of an <inertial> to the target inertia, in its present form."""
     numbers = {"pos": target.lever, "mass": target.mass}
     if element.get("diaginertia") is None:
         numbers["fullinertia"] = inertia_entries(target.inertia)
@@ -339,7 +339,7 @@ def plan_effort(side: MjcfSide, key: Key) -> None:
 
     The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
     and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,
-    is changed.
+    is changed. Without a stated bound, ``actuatorfrcrange`` is added.
     """
     name, model = key[1], side.model
     target = side.target.joints[name].effort

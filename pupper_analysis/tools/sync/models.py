@@ -55,10 +55,10 @@ class Sync(Result):
 
     Attributes:
         differences: All differences, in the order in which they are mended.
-        taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: file whose value is taken.
+        taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: source of the value.
         edits: Written or planned changes of attributes.
         not_mended: Remaining differences, with reasons.
-        notes: {name of a difference: note on how it is mended}.
+        notes: {name of a difference: note on the change}.
         diff: Changes of the files in the format of ``diff -u``.
         written: Files that were replaced.
         backups: Copies of the old files.
@@ -96,7 +96,7 @@ def sync_models(
 ) -> Sync:
     """Make a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
 
-    Only attributes whose numbers differ are written; all other bytes are unchanged. Changes are
+    Only attributes with different numbers are written; all other bytes are unchanged. Changes are
     first verified on copies: a change that does not mend its difference is not written. Either all
     chosen changes are written, in both files, or none.
 
@@ -112,7 +112,7 @@ def sync_models(
         force: Write to files with uncommitted changes in a git repository.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
-        tolerances: Tolerances of differences; by default those of `compare_models`, so that numbers
+        tolerances: Tolerances of differences; by default as in `compare_models`, so that numbers
             with 5 or 6 digits are unchanged. ``Tolerances.strict()`` ignores rounding of
             floating-point numbers only.
 
@@ -217,7 +217,7 @@ def _compare_planned(plan: Plan, tolerances: Tolerances) -> FilesCompared:
 def _write_files(
     plan: Plan, *, backup: bool, force: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Replace all changed files, or none; return their paths, and those of the backups."""
+    """Replace all changed files, or none; return the paths of files and backups."""
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
     changed = [d for d in plan.documents() if d.render() != d.data]
@@ -298,7 +298,7 @@ def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
     return "\n".join(lines) + "\n" if before != after else ""
 
 
-# Choice of the file whose value is taken, per difference.
+# Choice of the source of the value, per difference.
 
 FILE_SIDES: Final = ("urdf", "mjcf")
 """Names of the two files in a choice."""
@@ -334,7 +334,7 @@ def format_owner_name(difference: Difference) -> str:
 
 
 def find_subject_link(difference: Difference) -> str:
-    """Return the link of a difference; its element if it is not of a link."""
+    """Return the link of a difference; its element for any other owner."""
     subject = difference.diagnostic.subject
     return subject.name if subject is not None and subject.kind == "link" else difference.element
 
@@ -348,7 +348,7 @@ def format_difference_label(difference: Difference) -> str:
 def choose_files(
     differences: Sequence[Difference], take: str | Iterable[str]
 ) -> tuple[str | None, ...]:
-    """Return the file whose value is taken for each difference; None if none was chosen.
+    """Return the source of the value for each difference; None if none was chosen.
 
     Args:
         differences: Differences, numbered from 1.

@@ -82,7 +82,7 @@ class WrittenNumbers:
             folder: Folder.
             old_hashes: {path: hash} of an earlier result. A file is replaced if its content has
                 this hash.
-            force: Replace any file except those of the robot.
+            force: Replace any file that is not a file of the robot.
 
         Raises:
             OutputError: If a file would replace a file of the robot.
@@ -105,7 +105,7 @@ class WrittenNumbers:
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Return {path: hash} of the contents, to recognise them later."""
+        """Return {path: hash} of the contents, to recognise written files later."""
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
 
@@ -126,17 +126,17 @@ def write_numbers(
 ) -> WrittenNumbers:
     """Write numbers into the URDF and the MJCF of a robot in memory, and verify the result.
 
-    Only attributes whose numbers change are written; all other bytes are unchanged. Both files get
+    Only attributes with changed numbers are written; all other bytes are unchanged. Both files get
     the numbers, whatever they stated, each in its own frames and attributes. The mass of a body is
-    that of all links that move together; it is changed in one of them. If a mass is given without
+    that of all links that move together; a single link is changed. If a mass is given without
     inertia, the inertia about the CoM is scaled by the ratio of the masses.
 
     Args:
         robot: Robot. A model that was generated from the other one has no file.
         numbers: {(kind, element): value}. For a link that moves, in the frame of the URDF's link:
             ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the CoM [kg m^2]. For a joint:
-            ``damping``, ``friction``, ``armature`` without those of motors, and ``kp`` and ``kd``
-            of its position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
+            ``damping``, ``friction``, ``armature`` without the values of motors, and ``kp`` and
+            ``kd`` of its position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
         files: URDF and MJCF, if not those from which the robot was loaded.
 
     Returns:

@@ -106,7 +106,7 @@ class Plan:
         urdf: {file: document} of the URDF.
         mjcf: {file: document} of the MJCF and its includes, the main file first.
         copies: Layouts of both models, for verification.
-        left: {difference: reason why it is not written}.
+        left: {difference: reason why no value is written}.
         causes: {difference that is not written: kind of reason}; by default ``NOT_MENDED``.
         notes: {difference: note}.
     """
@@ -244,10 +244,10 @@ def _describe_element(element: Element) -> str:
 
 
 def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
-    """Return True if the file whose value is taken does not state it.
+    """Return True if the chosen file states no value.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
-    body without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
+    link without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
 
     Args:
         key: Kind and element of a difference.
@@ -283,7 +283,7 @@ _MJCF_FOLDER = "mjcf"
 
 @dataclass(frozen=True)
 class FileLayout:
-    """Files of a model, and their paths in another folder.
+    """Files of a model, and paths in another folder.
 
     No path in the files is changed: the other folder repeats the folders around the files as far as
     relative paths require.

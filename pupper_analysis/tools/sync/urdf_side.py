@@ -97,7 +97,7 @@ class UrdfSide(Side):
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
 
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
-        """Write a number of a joint, unless the file states it already."""
+        """Write a number of a joint, unless the file states this number."""
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
         tag, word = attribute.urdf
@@ -150,7 +150,7 @@ class UrdfSide(Side):
         return members
 
     def _plan_inertial(self, mover: str, keys: list[Key]) -> None:
-        """Plan the inertia of the links that move with a joint, by changing one of them."""
+        """Plan the inertia of the links that move with a joint, by changing a single link."""
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
         target = frame.act(self.target.bodies[mover].rigid)
@@ -180,7 +180,7 @@ class UrdfSide(Side):
 
 
 def make_xyz_text(owner: Element | None, place: Array) -> str | None:
-    """Return the new text of ``xyz`` for a position; None if the <origin> states it already."""
+    """Return the new text of ``xyz`` for a position; None if the <origin> states this position."""
     origin = None if owner is None else owner.find("origin")
     old_text = None if origin is None else origin.get("xyz")
     return format_numbers((old_text or "0 0 0").split(), place, 1.0)

@@ -31,7 +31,7 @@ TERM_SIZES = {
 }
 """Number of elements of each term; None if the number follows from the joints or the phases.
 
-Velocities and the direction of gravity are those of the base, in the base frame. Joint positions
+Velocities and gravity refer to the base, in the base frame. Joint positions
 are relative to the default positions. The up-command is the commanded vertical in the base frame.
 The phase contains the cosines and then the sines of all phases."""
 

@@ -62,7 +62,7 @@ _MOTION_PERIOD = 1 / 25
 
 @dataclass(frozen=True, eq=False)
 class Gait(Result):
-    """One run of a policy on a robot. Means and peaks are those after the warm-up.
+    """One run of a policy on a robot. Means and peaks exclude the warm-up.
 
     Attributes:
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
@@ -135,7 +135,7 @@ class Walk(Result):
         timestep: Time step of the simulation.
         rate: Simulated rate of the policy; its period is a whole number of time steps.
         warm_up: Duration of the warm-up.
-        remarks: Errors and assumptions of the robot's files on which the result depends.
+        remarks: Errors and assumptions of the robot's files behind the result.
     """
 
     name: str

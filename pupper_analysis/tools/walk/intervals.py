@@ -137,7 +137,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "push-forward": Quantity("m/s", 0.0, (-3.0, 3.0), None),
     "push-left": Quantity("m/s", 0.0, (-3.0, 3.0), None),
 }
-"""Varied quantities. ``mass`` and ``com`` (forward) are those of the base body; ``friction`` is
+"""Varied quantities. ``mass`` and ``com`` (forward) refer to the base body; ``friction`` is
 that of all contacts; ``legs`` scales lengths beyond the first joint of each limb at constant mass.
 ``payload`` is a fraction of the robot's mass, at the CoM of the base. A push lasts one action; its
 value is impulse / mass of the robot."""
@@ -202,7 +202,7 @@ class TrackedIntervals(Result):
         intervals: One interval per quantity, with all other quantities unchanged.
         rollouts: Number of simulated runs.
         seconds: Duration of each run.
-        remarks: Errors and assumptions of the robot's files on which the result depends.
+        remarks: Errors and assumptions of the robot's files behind the result.
     """
 
     name: str
@@ -371,7 +371,7 @@ def read_measured_intervals(
 ) -> dict[str, tuple[float, float]]:
     """Return the 95 % intervals of a real robot's quantities from the result of ``fit``.
 
-    Mass and centre of mass are those of the base. Gains are factors on the stated value; of several
+    Mass and centre of mass refer to the base. Gains are factors on the stated value; of several
     joints the union of the intervals is returned. A delay is reduced by the latency of the policy.
 
     Args:

@@ -331,7 +331,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create a GRU; None if it is not forward or has other activations."""
+    """Create a GRU; None for another direction or other activations."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))
@@ -345,7 +345,7 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create an LSTM; None if it is not forward or has other activations."""
+    """Create an LSTM; None for another direction or other activations."""
     if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
         return None
 
