@@ -153,8 +153,8 @@ def raise_if_ended() -> None:
 def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turn the signals that end a process into an exception, and record the signal.
 
-    The exception is raised again if a library suppresses it. A second signal ends the process at
-    once.
+    If a library suppresses the exception, and the platform has interval timers, the exception is
+    raised again. A second signal ends the process at once.
 
     Yields:
         State of the process.

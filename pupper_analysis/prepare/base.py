@@ -40,7 +40,7 @@ def free_base(
 
     Args:
         urdf: URDF.
-        spec: Spec of the MJCF; it is changed.
+        spec: Spec of the MJCF; modified in place.
         source: File of the MJCF.
 
     Raises:
@@ -94,7 +94,7 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
     differences of frames.
 
     Args:
-        spec: Spec of the MJCF, in which all bodies have names; it is changed.
+        spec: Spec of the MJCF, in which all bodies have names; modified in place.
         file: Compiled model of the file; the same, unless the base has been freed.
         source: File.
 
@@ -155,7 +155,7 @@ def _raise_frame(
     """Raise the frame of a free base; all elements of the body keep their place in the world.
 
     Args:
-        spec: Spec, with keyframes; it is changed.
+        spec: Spec, with keyframes; modified in place.
         base: Base body.
         place: Address of its free joint in ``qpos``.
         up: Distance along the z axis of the frame [m].

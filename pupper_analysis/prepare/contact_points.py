@@ -247,9 +247,10 @@ def find_contact_points(
     """Find the contact points of a foot with level ground.
 
     The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
-    the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points. If
-    the leg has fewer than `_MIN_SOLE_JOINTS` joints, or cannot keep its sole flat, the foot has
-    one contact point: that of the sphere at its lower end.
+    the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points.
+    Without a flat part, the foot keeps its orientation in the pose. A leg has one contact point,
+    at its lower end, with fewer than `_MIN_SOLE_JOINTS` joints; also with fewer than
+    `_NUM_SOLE_JOINTS` joints and no sole, or a sole that the leg cannot keep flat.
 
     Args:
         model: Model, with a floor.

@@ -65,14 +65,14 @@ Chosen."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
-    """Return the indices of the joints that follow others, and need no servo."""
+    """Return the indices of the dependent joints, and need no servo."""
     return [] if robot.closure is None else robot.closure.following.tolist()
 
 
 def add_loop_motors(robot: Robot) -> Robot:
     """Add motors without effect to the joints of a robot with closed loops that have no motor.
 
-    Joints that follow others get none. Motors come first in actuator order, so the order is then
+    Dependent joints get none. Motors come first in actuator order, so the order is then
     final before a stand is solved. Without closed loops the robot is returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
@@ -335,7 +335,7 @@ def make_missing_servos(
         kp: Stiffness, shape (nu,) [N m/rad]; ignored at joints with a servo.
         kd: Damping, shape (nu,) [N m s/rad]; ignored at joints with a servo.
         timestep: Time step [s].
-        own: Names of the joints with a servo; None: those of the robot's model.
+        own: Names of the joints with a servo; None: joints with a servo in the robot model.
     """
     dependent = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
     excluded = {*(list_position_servos(robot) if own is None else own), *dependent}

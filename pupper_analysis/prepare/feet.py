@@ -432,7 +432,7 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the last joint between a body and the base; None without one.
+    """Return the last joint between a body and the base; else None.
 
     Args:
         robot: Robot.

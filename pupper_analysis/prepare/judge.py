@@ -66,8 +66,8 @@ def judge_simulation(
         asked: Question that the verdict answers.
         trial: Result of nudges from all sides. If None, a stand near a limit in ``statics`` is
             nudged here.
-        kp: Servo stiffness [N m/rad], one or (nu,); None: that of the model.
-        kd: Servo damping [N m s/rad], one or (nu,); None: that of the model.
+        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Raises:
         ModelError: If the robot has no position servos, and kp and kd are not both given.
@@ -244,8 +244,8 @@ def judge_stand(
         robot: Robot.
         stand: Stand.
         trial: Result of nudges from all sides, if it was already simulated.
-        kp: Servo stiffness [N m/rad], one or (nu,); None: that of the model.
-        kd: Servo damping [N m s/rad], one or (nu,); None: that of the model.
+        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Raises:
         StaticsInfeasibleError: If the stand slides or tips.

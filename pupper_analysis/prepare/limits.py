@@ -58,7 +58,7 @@ def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return the limit of a joint in the same place of a limb that is alike; None without one."""
+    """Return the limit of a joint in the same place of a limb that is alike; else None."""
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
         for name in siblings.get(limit.joint, ()):

@@ -86,7 +86,7 @@ def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the joints that follow others."""
+    """Report the dependent joints."""
     if robot.closure is not None:
         yield robot.closure.describe()
 

@@ -370,7 +370,7 @@ def _simulate_commands(
     Args:
         published: Published model.
         robot: Prepared robot.
-        data: Initial state; it is not modified.
+        data: Initial state; not modified.
         hold: Commands of the actuators.
     """
     start = copy.copy(data)

@@ -79,7 +79,7 @@ class LoadRequest:
     Attributes:
         feet: {foot: (frame in the URDF, frame in the MJCF)}; None: feet are detected.
         fixed_base: True to fix the base in the world.
-        name: Name of the robot; None: that of the MJCF.
+        name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
         as_is: True to add no servos and to change no collision shapes.
@@ -320,7 +320,7 @@ def _match(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("couples joints that follow others"), _applies_always)
 def _couple_mimics(draft: Draft) -> PassOutput:
-    """Couple the joints that follow others; see `couple_mimics`."""
+    """Couple the dependent joints; see `couple_mimics`."""
     description, messages = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), messages
 
@@ -514,7 +514,7 @@ def _tell_what_follows(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos)
 def _add_servos(draft: Draft) -> PassOutput:
-    """Add position servos to joints without one, except joints that follow others."""
+    """Add position servos to joints without one, except dependent joints."""
     robot = draft.robot
     dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
     if not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent:

@@ -152,8 +152,8 @@ def with_requested_gains(
     Args:
         published: Published model.
         robot: Prepared robot.
-        kp: Requested stiffness [N m/rad], one or (nu,); None: that of the prepared robot.
-        kd: Requested damping [N m s/rad], one or (nu,); None: that of the prepared robot.
+        kp: Requested stiffness [N m/rad], scalar or (nu,); None: value of the prepared robot.
+        kd: Requested damping [N m s/rad], scalar or (nu,); None: value of the prepared robot.
 
     Raises:
         ConfigurationError: See ``model_with_servos``.
@@ -426,7 +426,7 @@ def compute_hold_commands(
     Args:
         published: Published model.
         robot: Prepared robot, with the gains of the added servos.
-        data: State of the published model; it is not changed.
+        data: State of the published model; not modified.
         torques: Feed-forward torques, shape (nu,) [N m]; None for position commands alone.
         targets: Target positions, shape (nu,) [rad].
     """

@@ -105,8 +105,8 @@ def compare_as_published(
         robot: Prepared robot.
         stand: Stand.
         servos: Servos on which the verdict rests.
-        kp: Requested servo stiffness [N m/rad], one or (nu,); None: that of the model.
-        kd: Requested servo damping [N m s/rad], one or (nu,); None: that of the model.
+        kp: Requested servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
+        kd: Requested servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Returns:
         Comparison. None if the robot has no file, or if the file is what is simulated. See

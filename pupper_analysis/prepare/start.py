@@ -47,7 +47,7 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
     A keyframe without a name is called "keyframe 1" etc. Free joints are excluded.
 
     Args:
-        spec: Spec of the MJCF, in which every joint has a name; it is not changed.
+        spec: Spec of the MJCF, in which every joint has a name; not modified.
         source: File, for errors.
 
     Raises:
@@ -329,7 +329,7 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 
 
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
-    """Return the first robot with a nominal stand, from the middle outwards; None without one.
+    """Return the first robot with a nominal stand, from the middle outwards; else None.
 
     The nominal stand has its CoM in the centre, which may be out of reach for a start of the
     search: straight legs move the CoM when they are bent.
@@ -675,8 +675,8 @@ def make_start_keyframe(
         robot: Robot with servos.
         stand: Stand on soft ground.
         reason: Note that explains the keyframe.
-        kp: Servo stiffness, shape (nu,) [N m/rad]; None: that of the robot.
-        kd: Servo damping, shape (nu,) [N m s/rad]; None: that of the robot.
+        kp: Servo stiffness, shape (nu,) [N m/rad]; None: value of the robot.
+        kd: Servo damping, shape (nu,) [N m s/rad]; None: value of the robot.
     """
     qpos = stand.qpos.copy()
     qpos[:2] = 0.0

@@ -181,7 +181,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Return the initial qpos, (nq,), of a robot with a free or fixed base; None without one."""
+    """Return the initial qpos, (nq,), of a robot with a free or fixed base; else None."""
     if robot.floating:
         stand = start.solve_nominal_stand(robot)
         return None if stand is None else stand.qpos

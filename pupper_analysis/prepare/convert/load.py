@@ -103,7 +103,7 @@ def read_pair(
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
-        body: Root body of the robot in an MJCF with several; without a URDF it is detected if
+        body: Root body of the robot in an MJCF with several; without a URDF detected if
             possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
 
@@ -175,7 +175,7 @@ def load_robot(
             geoms at the ends of the limbs that are lowest in the start pose; an empty list: no
             feet.
         fixed_base: Fix the base in the world, at the pose in the MJCF.
-        name: Name of the robot; by default that of the MJCF.
+        name: Name of the robot; by default the name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which
             the robot stands.

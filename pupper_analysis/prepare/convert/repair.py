@@ -48,10 +48,10 @@ class Repair(Result):
     Attributes:
         link: Name of the link.
         body: Joint that moves the link, or the base link.
-        mass: Mass in the URDF [kg].
-        moments: Principal moments in the URDF [kg m^2].
-        new_mass: Written mass [kg].
-        new_moments: Written principal moments [kg m^2]; the axes are unchanged.
+        mass: Mass in the URDF.
+        moments: Principal moments in the URDF.
+        new_mass: Written mass.
+        new_moments: Written principal moments; the axes are unchanged.
     """
 
     link: str

@@ -487,7 +487,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     couplings, and their values in keyframes. Bodies fixed in the world remain.
 
     Args:
-        file: MJCF; it is not changed.
+        file: MJCF; not modified.
         body: Root body of the robot, or any body of the robot; None: see `find_root`.
 
     Raises:
