@@ -1,4 +1,7 @@
-"""Shows results, and never solves."""
+"""Documents of results, and their output on a terminal, as HTML, Markdown, PNG and for CI services.
+
+No module of this package solves or simulates.
+"""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

@@ -1,10 +1,9 @@
-"""What is said of a result, before it is shown anywhere: a verdict, key figures, tables, plots.
+"""Documents: the content of one result as text, tables and plots, independent of the output format.
 
-A document is made once, by the builder of its result's type (``documents``), and shown by each
-renderer in its own way: on a terminal, on a page, in Markdown. Its words are the catalogue's, by
-key, in English and Simplified Chinese. No text here is markup, whatever it holds: names in model
-files are anybody's, and each renderer escapes all of it. A plot says which lines are over which
-axes; how they are drawn is a renderer's.
+The builder of a result's type (``documents``) creates a ``Document``. The renderers (terminal, HTML
+page, Markdown, PNG) turn it into output. Texts come from the catalogue by key, in English and
+Simplified Chinese. No text contains markup: names in model files may hold any characters, so each
+renderer escapes all texts. A ``Plot`` contains axes and values; the renderer chooses the style.
 """
 
 from __future__ import annotations
@@ -30,47 +29,55 @@ Array = NDArray[np.float64]
 
 
 def text(key: str, **values: object) -> Text:
-    """Returns a text in both languages.
+    """Create a text in both languages from the catalogue.
 
     Args:
-        key: The catalogue's, of ``texts.toml`` or ``terms.toml``.
-        **values: What stands in its braces; a ``Text`` in its own two languages.
+        key: Key in the catalogue (``texts.toml`` or ``terms.toml``).
+        **values: Values of the template's placeholders. A ``Text`` is inserted in the language of
+            the result.
 
-    Its Chinese is made when it is asked for.
+    The Chinese text is formed on first access.
 
     Raises:
-        KeyError: If the catalogue lacks it.
+        KeyError: If the catalogue has no such key.
     """
-    return Text(_filled(key, values, "en"), lambda: _filled(key, values, "zh"))
+    return Text(_fill_phrase(key, values, "en"), lambda: _fill_phrase(key, values, "zh"))
 
 
 def word(name: str) -> Text | Name:
-    """Returns a word of a result's in both languages, or as it is, where it is no term."""
+    """Translate a term of a result, or return it as a name if the catalogue has no such term."""
     return text(name) if is_term(name) else Name(name)
 
 
 def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
-    """Returns words as a list, with each language's own comma (or what else is a text)."""
+    """Join words into one text.
+
+    Args:
+        parts: Words to join.
+        comma: Catalogue key of the separator. Default: the comma of each language.
+    """
     listed = list(parts)
     between = text(comma)
     return Text(
-        between.en.join(str(_in(part, "en")) for part in listed),
-        lambda: between.zh.join(str(_in(part, "zh")) for part in listed),
+        between.en.join(str(_select_language(part, "en")) for part in listed),
+        lambda: between.zh.join(str(_select_language(part, "zh")) for part in listed),
     )
 
 
 def get_english(words: Words) -> str:
-    """Returns words in English."""
+    """Return the English text of words."""
     return words.en if isinstance(words, Text) else words.text
 
 
-def _filled(key: str, values: dict[str, object], language: str) -> str:
+def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
+    """Fill the template of a catalogue key in one language."""
     template = phrase(key, language)
-    said = {name: _in(value, language) for name, value in values.items()}
+    said = {name: _select_language(value, language) for name, value in values.items()}
     return fill_template(template, said, language) if said else template
 
 
-def _in(value: object, language: str) -> object:
+def _select_language(value: object, language: str) -> object:
+    """Return the text of a text or name in one language; any other value unchanged."""
     if isinstance(value, Text):
         return getattr(value, language)
     return value.text if isinstance(value, Name) else value
@@ -78,12 +85,12 @@ def _in(value: object, language: str) -> object:
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis measures.
+    """Axis of a plot.
 
     Attributes:
-        name: The quantity.
-        unit: Its unit.
-        form: How its values are written.
+        name: Name of the quantity.
+        unit: Unit of the values.
+        form: Format specification of the values, such as ``".2f"``.
     """
 
     name: Words
@@ -93,16 +100,17 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One line of a drawing.
+    """Line of a plot.
 
     Attributes:
-        name: Whose it is.
-        x: (n,) along, in the axis's unit.
-        y: (n,) up, in the axis's unit; what is not finite is left out.
-        points: Whether every point is marked.
-        note: What it comes to, in a word or a number, beside its name in the legend.
-        marked_index: The number of the point that matters most; None for none.
-        reference: Whether it is what the others are compared with.
+        name: Name in the legend.
+        x: Horizontal coordinates, shape (n,), in the unit of the axis.
+        y: Vertical coordinates, shape (n,), in the unit of the axis. Points that are not finite are
+            omitted.
+        points: True to draw a marker at each point.
+        note: Short result beside the name in the legend; None without one.
+        marked_index: Index of the point with the larger marker; None without one.
+        reference: True for a line with which the others are compared.
     """
 
     name: Words
@@ -116,13 +124,13 @@ class Series:
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar of a bar plot.
+    """Bar of a bar plot.
 
     Attributes:
-        name: Its name.
-        value: Its length, in the axis's unit.
-        marker: What is marked beside it by a tick; None for nothing.
-        limit: How long it may be; None for no limit.
+        name: Name beside the bar.
+        value: Length, in the unit of the axis.
+        marker: Value marked by a tick, in the unit of the axis; None without one.
+        limit: Largest allowed magnitude, in the unit of the axis; None without one.
     """
 
     name: Words
@@ -133,11 +141,11 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A drawing.
+    """Base class of plots.
 
     Attributes:
-        title: What it shows.
-        detail: Whether a short view leaves it out.
+        title: Title of the plot.
+        detail: True if the short terminal view omits the plot.
     """
 
     kind: ClassVar[str] = "plot"
@@ -147,13 +155,13 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class LinePlot(Plot):
-    """Lines over one another.
+    """Plot with one or more lines.
 
     Attributes:
-        x: The axis along.
-        y: The axis up.
-        series: The lines, at least one with a finite value.
-        note: What the notes beside the lines' names are; None where there are none.
+        x: Horizontal axis.
+        y: Vertical axis.
+        series: Lines.
+        note: Meaning of the notes in the legend; None without notes.
     """
 
     x: Axis
@@ -164,12 +172,12 @@ class LinePlot(Plot):
 
 @dataclass(frozen=True, eq=False)
 class BarPlot(Plot):
-    """Bars from zero to both sides, each with its limit and with another value beside it.
+    """Plot with horizontal bars that start at zero.
 
     Attributes:
-        axis: What they measure.
-        bars: The bars, from above.
-        legend: What a bar's value, the other value and the limit are; None of what no bar has.
+        axis: Quantity, unit and format of the lengths.
+        bars: Bars, from top to bottom.
+        legend: Meaning of a bar's value, marker and limit; None for a part that no bar has.
     """
 
     axis: Axis
@@ -179,12 +187,13 @@ class BarPlot(Plot):
 
 @dataclass(frozen=True)
 class Text:
-    """A text of the report itself, in both languages; see ``words``.
+    """Text of the report in both languages; see ``text``.
 
     Attributes:
-        en: In English.
-        chinese: In Simplified Chinese, or what makes it: who reads English does not wait for it.
-        mark: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (of less weight) or nothing.
+        en: English text.
+        chinese: Simplified Chinese text, or a function that creates it. The function is called on
+            access to ``zh``, so English output does not wait for it.
+        mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (less weight) or empty.
     """
 
     en: str
@@ -193,31 +202,31 @@ class Text:
 
     @property
     def zh(self) -> str:
-        """In Simplified Chinese."""
+        """Simplified Chinese text."""
         return self.chinese if isinstance(self.chinese, str) else self.chinese()
 
     def with_mark(self, mark: str) -> Text:
-        """Returns the text with an emphasis."""
+        """Return the text with another emphasis."""
         return Text(self.en, self.chinese, mark)
 
 
 def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
-    """Returns what a diagnostic says, in both languages.
+    """Convert a diagnostic to a text in both languages.
 
     Args:
-        diagnostic: What was found.
-        mark: As of a ``Text``.
+        diagnostic: Diagnostic.
+        mark: Emphasis, as in ``Text``.
     """
     return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark)
 
 
 @dataclass(frozen=True)
 class Name:
-    """A name, of a file, a joint, an option: no word of a language, and never translated.
+    """Name of a file, joint or option, which is not translated.
 
     Attributes:
         text: The name.
-        mark: As of a ``Text``.
+        mark: Emphasis, as in ``Text``.
     """
 
     text: str
@@ -226,13 +235,14 @@ class Name:
 
 @dataclass(frozen=True)
 class Number:
-    """A number, as it is shown and as it is sorted.
+    """Number with its text and its value for sorting.
 
     Attributes:
-        text: Its digits.
-        value: The number, in the unit that is shown; not a number where there is none.
-        mark: ``"good"``, ``"bad"``, ``"warn"``, ``"best"`` or nothing.
-        bar_fraction: Of a whole, from 0 to 1, to be drawn as a bar; None for no bar.
+        text: Formatted number.
+        value: Number in the displayed unit; NaN if there is no number.
+        mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"best"`` or empty.
+        bar_fraction: Length of a bar in the cell, as a fraction of the full bar, 0 to 1; None for
+            no bar.
     """
 
     text: str
@@ -242,20 +252,20 @@ class Number:
 
 
 Words = Text | Name
-"""What may stand in a line."""
+"""Content of a line: a translated text or an untranslated name."""
 
 Cell = Text | Name | Number
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """Column of a table.
 
     Attributes:
-        name: Its header.
-        unit: Of its numbers; ``"1"`` where they have no dimension, nothing where it has none.
-        left: Whether it is text, and stands on the left.
-        detail: Whether a short view leaves it out.
+        name: Header.
+        unit: Unit of the numbers; ``"1"`` if they are dimensionless, empty without a unit.
+        left: True for left-aligned text.
+        detail: True if the short terminal view omits the column.
     """
 
     name: Words
@@ -266,15 +276,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that can be sorted.
+    """Table whose rows can be sorted.
 
     Attributes:
-        title: What it shows.
-        columns: Its columns; the first is each row's header.
-        rows: Per row, its cells.
-        notes: Remarks on it.
-        source: Where its numbers come from, and how they are verified.
-        detail: Whether a short view leaves it out.
+        title: Title of the table.
+        columns: Columns. The first one contains the row headers.
+        rows: Cells of each row, in the order of ``columns``.
+        notes: Remarks below the table.
+        source: Origin of the numbers, and how they are verified.
+        detail: True if the short terminal view omits the table.
     """
 
     kind: ClassVar[str] = "table"
@@ -288,13 +298,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """Remarks, one below the other.
+    """List of remarks, one per line.
 
     Attributes:
-        lines: The remarks.
-        mark: ``"bad"`` for failures, ``"warn"`` for what to look at, or nothing.
-        title: Over them; None for no title.
-        detail: Whether a short view leaves it out.
+        lines: Remarks.
+        mark: ``"bad"`` for failures, ``"warn"`` for warnings, or empty.
+        title: Title above the remarks; None without one.
+        detail: True if the short terminal view omits the remarks.
     """
 
     kind: ClassVar[str] = "lines"
@@ -306,12 +316,12 @@ class Lines:
 
 @dataclass(frozen=True)
 class FilePlace:
-    """A line of a file.
+    """Place in a file.
 
     Attributes:
-        place: The file's name and the number of its line; or that it is not in the file.
-        line: What stands there.
-        path: The file and its line as one opens them; empty if it is nowhere.
+        place: File name and line number, or a text that the file has no such element.
+        line: Content of the line.
+        path: Path and line number as an editor opens them; empty if there is no such place.
     """
 
     place: Words
@@ -321,14 +331,14 @@ class FilePlace:
 
 @dataclass(frozen=True)
 class FileFinding:
-    """What is found at one place of a file, or at two of two files side by side.
+    """Finding at one place of a file, or at one place of each of two files, shown side by side.
 
     Attributes:
-        title: What is found, or what differs.
-        columns: Where.
-        notes: What it does.
-        tag: Of which kind it is, and how bad; None where all are alike.
-        detail: Whether a short view leaves it out.
+        title: Description of the finding or difference.
+        columns: Places in the files.
+        notes: Effects of the finding.
+        tag: Kind and severity; None if all findings are of one kind.
+        detail: True if the short terminal view omits the finding.
     """
 
     kind: ClassVar[str] = "sides"
@@ -341,13 +351,13 @@ class FileFinding:
 
 @dataclass(frozen=True)
 class Listing:
-    """A text that is shown letter by letter, such as the changes of a file.
+    """Text that is shown verbatim, such as the differences of a file.
 
     Attributes:
-        title: What it is.
+        title: Title of the listing.
         text: The text.
-        language: What it is written in, as Markdown names it: ``diff``.
-        detail: Whether a short view leaves it out.
+        language: Language for syntax highlighting, as in Markdown, such as ``diff``.
+        detail: True if the short terminal view omits the listing.
     """
 
     kind: ClassVar[str] = "listing"
@@ -359,12 +369,12 @@ class Listing:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a view can step through.
+    """Sequence of configurations for the 3-D view.
 
     Attributes:
-        name: What moves.
-        time: (n,) when (s).
-        qpos: (n, nq) how the robot is then.
+        name: Name of the motion.
+        time: Times, shape (n,) [s].
+        qpos: Configurations in MuJoCo's coordinates, shape (n, nq).
     """
 
     name: Text
@@ -374,13 +384,13 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class StandScene:
-    """A robot as it stands, and what acts on it.
+    """Robot in a stand, with the forces on it, for the 3-D view.
 
     Attributes:
-        robot: The robot.
-        stand: How it stands.
-        statics: What holds it there, if forces, torques and the com are to be shown.
-        motions: What can be stepped through, beside the stand itself.
+        robot: Robot.
+        stand: Stand.
+        statics: Static equilibrium; None to omit forces, torques and the centre of mass.
+        motions: Motions that the view can play, in addition to the stand.
     """
 
     robot: Robot
@@ -391,11 +401,12 @@ class StandScene:
 
 @dataclass(frozen=True, eq=False)
 class MotionScene:
-    """A robot that moves, on level ground at height 0.
+    """Moving robot on level ground at height 0, for the 3-D view.
 
     Attributes:
-        robot: The robot.
-        motions: What can be stepped through; the first is how it begins.
+        robot: Robot.
+        motions: Motions that the view can play. The first configuration of the first motion is the
+            initial one.
     """
 
     robot: Robot
@@ -404,13 +415,13 @@ class MotionScene:
 
 @dataclass(frozen=True)
 class View:
-    """A robot that one can turn, where there are three dimensions.
+    """Interactive 3-D view, for renderers that support one.
 
     Attributes:
-        title: What it shows.
-        scene: What is in it; None where the robot is not at hand.
-        note: What it is made of.
-        detail: Whether a short view leaves it out.
+        title: Title of the view.
+        scene: Content; None if the robot is not available.
+        note: Remark on the content; None without one.
+        detail: True if the short terminal view omits the block.
     """
 
     kind: ClassVar[str] = "view"
@@ -425,21 +436,21 @@ Block = Table | Lines | FileFinding | Listing | Plot | View
 
 @dataclass(frozen=True)
 class Document:
-    """What is shown of one result.
+    """Content of one result.
 
     Attributes:
-        kind: What is shown: an analysis, a stance.
-        title: What of: a robot, a file, two files.
-        blocks: What is shown, what matters most first.
-        passed: The verdict; None where there is none.
-        verdict: The verdict in a word or two; None where there is none.
-        warned: Whether it is between the two: it has passed, but has something to look at, or has
-            not, but for a convention.
-        failures: Why the verdict is not better.
-        findings: The key figures, and what the verdict rests on.
-        details: What else it rests on: after ``findings``, on a terminal with -v.
-        brief: Whether its head is the answer: a terminal shows its tables with -v.
-        notes: What was assumed, found or left out on the way.
+        kind: Kind of result, such as an analysis or a stance.
+        title: Name of the robot or of the files.
+        blocks: Tables, plots and remarks, the most important first.
+        passed: True if the verdict is good; None without a verdict.
+        verdict: Verdict in one or two words; None without a verdict.
+        warned: True if the mark of the verdict is a warning instead of good or bad.
+        failures: Reasons against the verdict.
+        findings: Key figures and the basis of the verdict.
+        details: Further statements; a terminal prints them with -v only.
+        brief: True if verdict and key figures are the answer. A terminal then prints tables with -v
+            only.
+        notes: Assumptions, findings and omissions.
     """
 
     kind: Words
@@ -456,7 +467,7 @@ class Document:
 
     @property
     def mark(self) -> str:
-        """The verdict's emphasis: ``"good"``, ``"bad"``, ``"warn"`` or nothing."""
+        """Emphasis of the verdict: ``"good"``, ``"bad"``, ``"warn"``; empty without a verdict."""
         if self.passed is None:
             return ""
         return "warn" if self.warned else "good" if self.passed else "bad"
@@ -464,12 +475,12 @@ class Document:
 
 @dataclass(frozen=True)
 class Report:
-    """What is shown of several results together.
+    """Documents of several results.
 
     Attributes:
-        title: What they are, and what of.
-        documents: One for each.
-        overview: What compares them.
+        title: Title of the report.
+        documents: One document per result.
+        overview: Blocks that compare the results.
     """
 
     title: Words
@@ -478,13 +489,13 @@ class Report:
 
 
 def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:
-    """Returns a number as a cell.
+    """Create a cell with a number.
 
     Args:
-        value: The number, in SI units; None is shown as a dash.
-        form: How it is formatted, such as ``".3f"`` or ``".1%"``.
-        mark: See ``Number``.
-        scale: What it is multiplied by to be in the unit that is shown.
+        value: Number in SI units. None is shown as a dash.
+        form: Format specification, such as ``".3f"`` or ``".1%"``.
+        mark: Emphasis, as in ``Number``.
+        scale: Factor from SI units to the displayed unit.
     """
     if value is None:
         return Number("-", math.nan, mark)
@@ -496,5 +507,5 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def vector_cell(values: Sequence[float] | Array, form: str) -> Name:
-    """Returns a vector as a cell."""
+    """Create a cell with the numbers of a vector, separated by spaces."""
     return Name(" ".join(number_cell(value, form).text for value in values))

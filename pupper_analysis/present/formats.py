@@ -1,7 +1,10 @@
-"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF, which code scanning reads.
+"""Findings in machine-readable formats: GitHub annotations, JUnit XML and SARIF.
 
-Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; what GitHub asks
-for beyond it: GitHub documentation, "SARIF support for code scanning".
+Input are ``Annotation`` objects; each writer returns a string. `escape_control` also serves the
+other renderers.
+
+Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; GitHub
+documentation, "SARIF support for code scanning".
 """
 
 from __future__ import annotations
@@ -24,25 +27,26 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import to_json
 
 SARIF_SCHEMA_URL = "https://json.schemastore.org/sarif-2.1.0.json"
+"""URL of the JSON schema that SARIF files refer to."""
 
-_LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
-"""SARIF's names of the levels of annotations."""
+_SARIF_LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
+"""{level of an annotation: level in SARIF}."""
 
 
 @dataclass(frozen=True)
 class Annotation:
-    """A remark on a place in a file.
+    """Remark on a place in a file.
 
     Attributes:
         level: ``error``, ``warning`` or ``notice``.
-        title: What it is about, by name: with rule and file it distinguishes one from another, also
-            after the line, or the number in the message, has changed.
+        title: Subject by name. With ``kind`` and file it identifies the annotation, also after the
+            line or a number in the message has changed.
         message: One sentence.
         place: ``file:line``, ``file``, or None.
-        rule: What kind of thing it is about, the same for all such; the title, if empty.
-        about: The rule in a few words.
-        known: Whether a baseline has it; None where there is no baseline.
-        diagnostic: It as a code and values.
+        rule: Identifier of the kind of finding; the title is used if empty.
+        about: Short description of the rule; ``kind`` is used if empty.
+        known: True if a baseline contains the annotation; None without a baseline.
+        diagnostic: The finding as code and values; None if there is no such form.
     """
 
     level: str
@@ -56,12 +60,12 @@ class Annotation:
 
     @property
     def kind(self) -> str:
-        """Its rule."""
+        """Rule identifier: ``rule``, or ``title`` if ``rule`` is empty."""
         return self.rule or self.title
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """The file ("" if there is none), and the line in it, if it has lines."""
+        """File (empty without one) and line number; None without a line number."""
         file, _, line = (self.place or "").rpartition(":")
         if line.startswith("<"):
             return file, None
@@ -69,10 +73,10 @@ class Annotation:
 
 
 def relative_to_checkout(file: str | Path) -> str:
-    """Returns a file's path as CI services know it, with ``/``.
+    """Return the path of a file relative to the checkout, with ``/``.
 
-    It is relative to the checkout (or the current folder, where there is none), and absolute if it
-    is outside.
+    The checkout is $GITHUB_WORKSPACE, or the current folder if the variable is not set or empty.
+    The path is absolute if the file is outside.
     """
     root = Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd())
     path = Path(os.path.abspath(file))  # noqa: PTH100  (a link is the file that is in the checkout)
@@ -83,7 +87,7 @@ def relative_to_checkout(file: str | Path) -> str:
 
 
 def write_sarif(annotations: Iterable[Annotation]) -> str:
-    """Returns a log of one run, as indented JSON."""
+    """Return a SARIF log of one run as indented JSON."""
     listed = list(annotations)
     rules = {one.kind: one.about or one.kind for one in listed}
     numbers = {name: number for number, name in enumerate(rules)}
@@ -97,26 +101,34 @@ def write_sarif(annotations: Iterable[Annotation]) -> str:
     run = {
         "tool": {"driver": driver},
         "columnKind": "unicodeCodePoints",
-        "results": list(_results(listed, numbers)),
+        "results": list(_make_results(listed, numbers)),
     }
     return json.dumps({"$schema": SARIF_SCHEMA_URL, "version": "2.1.0", "runs": [run]}, indent=2)
 
 
-def _results(
+def _make_results(
     annotations: Iterable[Annotation], numbers: dict[str, int]
 ) -> Iterator[dict[str, Any]]:
+    """Create the SARIF result of each annotation.
+
+    The fingerprint depends on kind, file and title, not on the line.
+
+    Args:
+        annotations: Annotations.
+        numbers: {kind: index of the rule}.
+    """
     before: Counter[tuple[str, str, str]] = Counter()
     for one in annotations:
         entry: dict[str, Any] = {
             "ruleId": one.kind,
             "ruleIndex": numbers[one.kind],
-            "level": _LEVELS[one.level],
-            "message": {"text": _plain(one.message)},
+            "level": _SARIF_LEVELS[one.level],
+            "message": {"text": _escape_brackets(one.message)},
         }
         file, line = one.file_and_line
         file = relative_to_checkout(file) if file else ""
         if file:
-            entry["locations"] = [{"physicalLocation": _location(file, line)}]
+            entry["locations"] = [{"physicalLocation": _make_location(file, line)}]
         same = (one.kind, file, one.title)
         fingerprint = hashlib.sha256("\0".join((*same, str(before[same]))).encode(errors="replace"))
         before[same] += 1
@@ -129,79 +141,87 @@ def _results(
 
 
 def get_code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
-    """Returns what a program wants to know of a diagnostic, as JSON has it."""
+    """Return the code and the values of a diagnostic, as plain JSON values."""
     content = json.loads(to_json(diagnostic))
     return {name: content[name] for name in ("code", "values")}
 
 
-def _plain(text: str) -> str:
-    """Returns a text that viewers take for no link: names in model files are anybody's.
+def _escape_brackets(text: str) -> str:
+    """Escape brackets and backslashes, so that viewers do not read names as links.
 
-    Source: SARIF 2.1.0, 3.11.6: "[" and "]" of a message that are no embedded link are escaped.
+    Source: SARIF 2.1.0, 3.11.6.
     """
     return re.sub(r"[\\\[\]]", r"\\\g<0>", text)
 
 
-def _location(file: str, line: int | None) -> dict[str, Any]:
+def _make_location(file: str, line: int | None) -> dict[str, Any]:
     # A relative reference may not begin with "C:", which would be a scheme; so ":" is quoted, too.
+    """Create a SARIF location, in line 1 if there is no line number.
+
+    GitHub shows no result without a line.
+    """
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     # GitHub shows no result without a line.
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
 
 
-_HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
+_HIDDEN_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode categories of characters that are invisible but have an effect: controls, text
+directions, line and paragraph separators."""
 
 
 def escape_control(text: str) -> str:
-    """Returns a text with what would act on a terminal, or begin a line, shown as its number.
+    """Replace control characters by their escape sequences.
 
-    Names in model files, and names of files, are anybody's.
+    Names in model files and names of files may contain sequences that control a terminal or begin a
+    new line.
     """
     if text.isprintable():
         return text
     return "".join(
         letter.encode("unicode_escape").decode()
-        if unicodedata.category(letter) in _HIDDEN
+        if unicodedata.category(letter) in _HIDDEN_CATEGORIES
         else letter
         for letter in text
     )
 
 
 def write_github(annotations: Iterable[Annotation]) -> str:
-    """Returns workflow commands, one a line, that GitHub shows beside the files.
+    """Return GitHub workflow commands, one per line; GitHub shows them beside the files.
 
-    It shows ten of each level of a step; all of them stand in the step's log.
+    GitHub shows ten annotations per level and step; the log of the step contains all of them.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """
     lines = []
     for annotation in annotations:
         file, line = annotation.file_and_line
-        parameters = [f"file={_property(relative_to_checkout(file))}"] if file else []
+        parameters = [f"file={_escape_property(relative_to_checkout(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
-        parameters.append(f"title={_property(annotation.title)}")
+        parameters.append(f"title={_escape_property(annotation.title)}")
         messages = annotation.message
         if annotation.diagnostic is not None:
             messages += f" [{annotation.diagnostic.code}]"
-        lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(messages)}")
+        lines.append(f"::{annotation.level} {','.join(parameters)}::{_escape_data(messages)}")
     return "\n".join(lines)
 
 
-def _data(text: str) -> str:
+def _escape_data(text: str) -> str:
     # Ends of lines have words of their own there; what else would act on a log is shown.
+    """Escape the message of a workflow command."""
     message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
     return escape_control(message)
 
 
-def _property(text: str) -> str:
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
+def _escape_property(text: str) -> str:
+    """Escape a property of a workflow command."""
+    return _escape_data(text).replace(":", "%3A").replace(",", "%2C")
 
 
 def write_junit(annotations: Iterable[Annotation]) -> str:
-    """Returns the XML of test reports: a case per annotation, or one that passes if there is none.
+    """Return JUnit XML with one test case per annotation, or one passing case without annotations.
 
-    Notices pass, and what a baseline has.
+    Notices pass, as do annotations that a baseline contains.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [one.level != "notice" and not one.known for one in listed]
@@ -224,9 +244,13 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
 
 
 ANNOTATION_WRITERS = {"github": write_github, "sarif": write_sarif, "junit": write_junit}
-"""{format: what writes annotations in it}."""
+"""{format: function that returns annotations in this format}."""
 
 
 def write_annotations(style: str, annotations: Iterable[Annotation]) -> str:
-    """Returns annotations in one of the formats of ``WRITERS``."""
+    """Return annotations in a format of ``ANNOTATION_WRITERS``.
+
+    Raises:
+        KeyError: If the format is unknown.
+    """
     return ANNOTATION_WRITERS[style](annotations)

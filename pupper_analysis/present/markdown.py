@@ -1,7 +1,7 @@
-"""Documents as Markdown, for a comment on a pull request: GitHub's dialect, which GitLab reads too.
+"""Documents as Markdown for comments on pull requests (GitHub's dialect, which GitLab also reads).
 
-What a short view leaves out is folded. Names are anybody's: none of them becomes markup, a mention
-or a reference.
+Blocks marked as detail are folded. Names are escaped, so that none acts as markup, mention or
+reference.
 
 Source: GitHub Flavored Markdown Spec, version 0.29-gfm.
 """
@@ -30,156 +30,172 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.formats import escape_control
 
 VERDICT_SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
-"""Before a verdict."""
+"""{mark of a verdict: sign before it}."""
 
 MAX_COMMENT_LENGTH = 60_000
-"""Of a comment, which may have 65,536, with room for what is put around it."""
+"""Largest number of characters of the output. GitHub accepts 65,536; the rest is left for text that
+the caller adds."""
 
-_ACTS = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
-"""What may begin or end markup, within words too; and what makes an item of a list of a line."""
+_MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
+"""Characters that can begin or end markup (group 1), and list markers at the start (group 2)."""
 
-_REFERS = re.compile(
+_REFERENCE_PATTERN = re.compile(
     r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
 )
-"""Where a mention, a reference, a link or an emoji begins that needs no markup."""
+"""Position in a mention, reference, link or emoji that needs no markup."""
 
-_JOINER = "\u2060"
-"""Takes no room, and keeps letters from being read as one word."""
+_WORD_JOINER = "\u2060"
+"""Zero-width character that keeps the renderer from joining letters into a reference."""
 
 
 def write_markdown(report: Report) -> str:
-    """Returns documents as Markdown.
+    """Return a report as Markdown.
 
-    Args:
-        report: The documents.
+    If the text exceeds `MAX_COMMENT_LENGTH`, all blocks are omitted, the rest is cut to this length
+    and a remark follows.
     """
-    parts = [part for block in report.overview for part in _folded(block)]
+    parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:
-        parts += _document(document, whole=not report.overview)
+        parts += _write_document(document, whole=not report.overview)
     text = "\n\n".join(parts) + "\n"
     if len(text) <= MAX_COMMENT_LENGTH:
         return text
     short = "\n\n".join(
-        [part for document in report.documents for part in _document(document, whole=False)]
+        [part for document in report.documents for part in _write_document(document, whole=False)]
     )
     message = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
     return f"{short[:MAX_COMMENT_LENGTH]}\n\n{message}\n"
 
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
-    """Returns lines as they are, folded under a title."""
+    """Return preformatted lines in a folded section with a title."""
     said = "\n".join(html.escape(line) for line in lines)
     return f"<details><summary>{html.escape(title)}</summary><pre>{said}</pre></details>\n"
 
 
-def _document(document: Document, *, whole: bool) -> list[str]:
+def _write_document(document: Document, *, whole: bool) -> list[str]:
+    """Return the parts of a document; its blocks only if ``whole``."""
     sign = VERDICT_SIGNS.get(document.mark, "")
-    verdict = "" if document.verdict is None else f"{_escaped(document.verdict)} "
-    title = f"### {f'{sign} ' if sign else ''}{verdict}{_escaped(document.title)}"
-    messages = [f"- **{_escaped(one)}**" for one in document.failures]
-    messages += [f"- {_escaped(one)}" for one in (*document.findings, *document.details)]
+    verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
+    title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"
+    messages = [f"- **{_escape_words(one)}**" for one in document.failures]
+    messages += [f"- {_escape_words(one)}" for one in (*document.findings, *document.details)]
     parts = [title, "\n".join(messages)] if messages else [title]
     if whole:
         for block in document.blocks:
-            parts += _folded(block)
+            parts += _write_block(block)
     if document.notes:
-        notes = "\n".join(f"- {_escaped(note)}" for note in document.notes)
-        parts.append(_fold(f"{len(document.notes)} notes", notes))
+        notes = "\n".join(f"- {_escape_words(note)}" for note in document.notes)
+        parts.append(_fold_text(f"{len(document.notes)} notes", notes))
     return parts
 
 
-def _folded(block: object) -> list[str]:
-    """Returns a block; one that a short view leaves out is shown when it is asked for."""
-    parts = _block(block)
+def _write_block(block: object) -> list[str]:
+    """Return the parts of a block; a block marked as detail in a folded section."""
+    parts = _make_parts(block)
     if parts and getattr(block, "detail", False):
-        return [_fold(_escaped(_title(block)), "\n\n".join(parts))]
+        return [_fold_text(_escape_words(_get_title(block)), "\n\n".join(parts))]
     return parts
 
 
-def _title(block: object) -> Words:
+def _get_title(block: object) -> Words:
+    """Return the title of a block, or the first line of remarks without a title."""
     title: Words = getattr(block, "title", None) or getattr(block, "lines")[0]  # noqa: B009
     return title
 
 
-def _fold(title: str, text: str) -> str:
+def _fold_text(title: str, text: str) -> str:
+    """Return Markdown in a folded section."""
     return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
 @singledispatch
-def _block(_: object) -> list[str]:
+def _make_parts(_: object) -> list[str]:
+    """Return the paragraphs of a block; none for plots and views."""
     return []
 
 
-@_block.register
-def _table(table: Table) -> list[str]:
-    heads = [_header(column) for column in table.columns]
+@_make_parts.register
+def _make_table_parts(table: Table) -> list[str]:
+    """Return a table's title, its rows and its notes."""
+    heads = [_format_header(column) for column in table.columns]
     rules = [":---" if column.left or not index else "---:" for index, column in
              enumerate(table.columns)]  # fmt: skip
-    rows = [[_cell(cell) for cell in row] for row in table.rows]
+    rows = [[_format_cell(cell) for cell in row] for row in table.rows]
     lines = [f"| {' | '.join(row)} |" for row in (heads, rules, *rows)]
-    parts = [f"**{_escaped(table.title)}**", "\n".join(lines)]
+    parts = [f"**{_escape_words(table.title)}**", "\n".join(lines)]
     if table.notes:
-        parts.append("\n".join(f"- {_escaped(note)}" for note in table.notes))
+        parts.append("\n".join(f"- {_escape_words(note)}" for note in table.notes))
     return parts
 
 
-def _header(column: Column) -> str:
-    unit = f" ({_escape(column.unit)})" if column.unit not in ("", "1") else ""
-    return f"{_escaped(column.name)}{unit}" or " "
+def _format_header(column: Column) -> str:
+    """Format the header of a column with its unit."""
+    unit = f" ({_escape_text(column.unit)})" if column.unit not in ("", "1") else ""
+    return f"{_escape_words(column.name)}{unit}" or " "
 
 
-def _cell(cell: Cell) -> str:
-    text = _escape(cell.text) if isinstance(cell, Number) else _escaped(cell)
+def _format_cell(cell: Cell) -> str:
+    """Format a cell; bad, warning and best values in bold."""
+    text = _escape_text(cell.text) if isinstance(cell, Number) else _escape_words(cell)
     return f"**{text}**" if text and cell.mark in ("bad", "warn", "best") else text
 
 
-@_block.register
-def _lines(block: Lines) -> list[str]:
-    title = [] if block.title is None else [f"**{_escaped(block.title)}**"]
-    return [*title, "\n".join(f"- {_escaped(line)}" for line in block.lines)]
+@_make_parts.register
+def _make_remark_parts(block: Lines) -> list[str]:
+    """Return the title of remarks and the remarks as a list."""
+    title = [] if block.title is None else [f"**{_escape_words(block.title)}**"]
+    return [*title, "\n".join(f"- {_escape_words(line)}" for line in block.lines)]
 
 
-@_block.register
-def _sides(block: FileFinding) -> list[str]:
-    tag = "" if block.tag is None else f"{_escaped(block.tag)} "
-    lines = [f"- {tag}**{_escaped(block.title)}**"]
-    lines += [f"  - {_place(one)}" for one in block.columns]
-    lines += [f"  - {_escaped(note)}" for note in block.notes]
+@_make_parts.register
+def _make_finding_parts(block: FileFinding) -> list[str]:
+    """Return a finding with its places and notes as a nested list."""
+    tag = "" if block.tag is None else f"{_escape_words(block.tag)} "
+    lines = [f"- {tag}**{_escape_words(block.title)}**"]
+    lines += [f"  - {_format_place(one)}" for one in block.columns]
+    lines += [f"  - {_escape_words(note)}" for note in block.notes]
     return ["\n".join(lines)]
 
 
-def _place(place: FilePlace) -> str:
-    quoted = _code(get_english(place.line).replace("\n", " "))
-    return f"{_escape(place.path) or _escaped(place.place)}: {quoted}"
+def _format_place(place: FilePlace) -> str:
+    """Format a place in a file with the quoted line."""
+    quoted = _format_code(get_english(place.line).replace("\n", " "))
+    return f"{_escape_text(place.path) or _escape_words(place.place)}: {quoted}"
 
 
-@_block.register
-def _listing(block: Listing) -> list[str]:
+@_make_parts.register
+def _make_listing_parts(block: Listing) -> list[str]:
+    """Return the title of a listing and its text as a fenced code block."""
     text = "\n".join(map(escape_control, block.text.rstrip("\n").split("\n")))
-    fence = "`" * max(3, _longest(text) + 1)
-    return [f"**{_escaped(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
+    fence = "`" * max(3, _measure_tick_run(text) + 1)
+    return [f"**{_escape_words(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
 
 
-def _code(text: str) -> str:
-    """Returns a text in which nothing is markup, letter by letter."""
+def _format_code(text: str) -> str:
+    """Return a text as inline code, so that nothing in it is markup."""
     shown = escape_control(text).replace("|", "¦")
-    marks = "`" * (_longest(shown) + 1)
+    marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""
 
 
-def _longest(text: str) -> int:
-    """Returns of how many ticks the longest row of them has."""
+def _measure_tick_run(text: str) -> int:
+    """Return the length of the longest run of backticks."""
     return max(map(len, re.findall("`+", text)), default=0)
 
 
-def _escaped(words: Words) -> str:
-    return _escape(get_english(words))
+def _escape_words(words: Words) -> str:
+    """Return the escaped English text of words."""
+    return _escape_text(get_english(words))
 
 
-def _escape(text: str) -> str:
-    """Returns a text in which nothing acts: no markup, no mention, no reference, no link."""
-    return _ACTS.sub(_tamed, _REFERS.sub(_JOINER, escape_control(text)))
+def _escape_text(text: str) -> str:
+    """Escape markup, mentions, references and links."""
+    return _MARKUP_PATTERN.sub(
+        _escape_match, _REFERENCE_PATTERN.sub(_WORD_JOINER, escape_control(text))
+    )
 
 
-def _tamed(found: re.Match[str]) -> str:
+def _escape_match(found: re.Match[str]) -> str:
+    """Insert the backslash for a match of `_MARKUP_PATTERN`."""
     return f"\\{found[1]}" if found[1] else f"{found[2][:-1]}\\{found[2][-1]}"

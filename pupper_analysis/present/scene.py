@@ -1,7 +1,8 @@
-"""What is seen of a robot that stands: shapes, joints, contact forces, com, polygon, ground.
+"""Visible content of a robot in a stand: shapes, joints, contact forces, centre of mass, ground.
 
-Made once, and drawn by each in its own way: the page's viewer (``html/write``), the live page
-(``live/scene``) and the figures of poses (``figures/pose``).
+``describe_scene`` evaluates everything but the shapes, ``collect_visible_shapes`` the shapes. The
+page's viewer (``html/write``), the live page (``live/scene``) and the figures of poses
+(``figures/pose``) draw the results, each in its own way.
 """
 
 from __future__ import annotations
@@ -26,21 +27,25 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 NUM_VISIBLE_GROUPS = 3
-"""MuJoCo's viewer shows the geoms of groups 0 to 2, and keeps the others for collisions."""
+"""Number of geom groups that MuJoCo's viewer shows by default: groups 0 to 2."""
 
-_COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
-_FEWEST = 100  # triangles of a mesh, however many the robot has
+_MAX_GRID_CELLS = 512
+"""Cells along the longest side of a mesh, on the first grid with which it is simplified. Chosen,
+not tuned."""
+_MIN_MESH_FACES = 100
+"""Number of triangles to which a mesh may be reduced at most, however many meshes a robot has.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleShape:
-    """A geom that is shown.
+    """Geom that is drawn.
 
     Attributes:
-        body: The number of its body in MuJoCo's model.
-        form: The shape, in the body's frame.
-        colour: (4,) red, green, blue and opacity, 0 to 1.
-        mesh: The number of its mesh in MuJoCo's model; None if it is none.
+        body: Index of the geom's body in MuJoCo's model.
+        form: Shape and pose, in the body frame.
+        colour: Red, green, blue and opacity, shape (4,), 0 to 1.
+        mesh: Index of the mesh in MuJoCo's model; None for other shapes.
     """
 
     body: int
@@ -51,19 +56,19 @@ class VisibleShape:
 
 @dataclass(frozen=True, eq=False)
 class JointAxis:
-    """A joint, and what its motor holds.
+    """Axis of a joint and load of its motor.
 
     Attributes:
-        name: Its name.
-        body: The number of the body that it moves.
-        anchor: (3,) on its axis, in the body's frame (m).
-        axis: (3,) in the body's frame.
-        world_anchor: (3,) on its axis, in the world (m).
-        world_axis: (3,) its axis in the world.
-        position: Where it is (rad, m).
-        torque: What its motor holds (N m, N); None where that is not shown.
-        limit: Of that; None where there is none.
-        utilisation: The torque in parts of the limit; None as both of them.
+        name: Name of the joint.
+        body: Index of the body that the joint moves, in MuJoCo's model.
+        anchor: Point on the axis, shape (3,) [m], in the body frame.
+        axis: Direction, shape (3,), in the body frame.
+        world_anchor: Point on the axis, shape (3,) [m], in the world frame.
+        world_axis: Direction, shape (3,), in the world frame.
+        position: Joint position [rad or m].
+        torque: Motor torque [N m or N]; None if loads are not shown.
+        limit: Effort limit [N m or N]; None if no file states one.
+        utilisation: |torque| / limit; None if loads are not shown, or the limit is unknown or zero.
     """
 
     name: str
@@ -80,12 +85,12 @@ class JointAxis:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A foot's contact force.
+    """Contact force on a foot.
 
     Attributes:
-        foot: Its name.
-        point: (3,) the centre of pressure (m).
-        force: (3,) on the foot, in the world (N).
+        foot: Name of the foot, or of a contact with a grip.
+        point: Centre of pressure, shape (3,) [m], in the world frame.
+        force: Force on the foot, shape (3,) [N], in world axes.
     """
 
     foot: str
@@ -95,20 +100,23 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class StandingScene:
-    """What acts on a robot that stands, and what it stands on. In the world.
+    """State of a robot in a stand, with ground and loads. All vectors are in the world frame.
 
     Attributes:
-        ground: The plane, through the origin.
-        contact_positions: (n, 3) where the feet touch it or their steps, which are no softer than
-            rock (m).
-        polygon: (m, 3) the support polygon's corners, each as high as the point that it is, or
-            where a com is in balance on several planes (m).
-        steps: {foot: what is under it, if that is not the ground}.
-        com: (3,) the centre of mass (m).
-        com_projection: (3,) where its plumb line meets the plane through the points (m).
-        com_inside: Whether that is inside of the polygon.
-        joints: In actuator order.
-        contacts: The forces; empty where they are not shown.
+        ground: Ground.
+        contact_positions: Contact points on the rigid ground or steps, shape (n, 3) [m]; the base's
+            projection on height 0 without contacts.
+        polygon: Corners of the support polygon, shape (m, 3) [m], each at the height of the contact
+            point nearest in x and y. On several planes the corners of the region in which the
+            centre of mass is balanced, in the plane fitted to the contact points. With a weld,
+            only the first contact point.
+        steps: {foot: step under this foot}.
+        com: Centre of mass, shape (3,) [m].
+        com_projection: Vertical projection of the centre of mass on the plane fitted to the contact
+            points, shape (3,) [m].
+        com_inside: True if the CoM margin of the stand is not negative.
+        joints: Axes and loads, in actuator order.
+        contacts: Contact forces; empty if loads are not shown.
     """
 
     ground: Ground
@@ -123,25 +131,25 @@ class StandingScene:
 
     @property
     def ground_centre(self) -> Array:
-        """Where the ground's plane is in the middle of the feet (3,) (m)."""
+        """Point of the ground below the mean of the contact points, shape (3,) [m]."""
         x, y = self.contact_positions[:, :2].mean(axis=0)
         return np.array([x, y, self.ground.height((x, y))])
 
     @property
     def ground_normal(self) -> Array:
-        """The direction (3,) out of the ground's plane."""
+        """Unit normal of the ground plane, shape (3,), out of the ground."""
         return self.ground.normal()
 
 
 def describe_scene(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> StandingScene:
-    """Returns what is seen of a robot that stands, but for its shapes.
+    """Evaluate positions, axes and loads of a robot in a stand.
 
     Args:
-        robot: The robot.
-        stand: How it stands.
-        statics: What holds it; without it, neither forces nor torques are shown.
+        robot: Robot.
+        stand: Stand.
+        statics: Static equilibrium; None to omit forces and torques.
     """
     robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)
@@ -152,7 +160,7 @@ def describe_scene(
     return StandingScene(
         ground=ground,
         contact_positions=points,
-        polygon=_balanced(robot, stand, points)
+        polygon=_find_balance_corners(robot, stand, points)
         if ground.planes and not robot.welded
         else compute_polygon_corners(over),
         steps=ground.steps(stand.rigid_targets),
@@ -160,12 +168,14 @@ def describe_scene(
         com_projection=np.array([com[0], com[1], evaluate_plane_height(points, com)]),
         com_inside=stand.com_margin >= 0,
         joints=tuple(describe_joint_axes(config, stand.joint_positions(robot), statics)),
-        contacts=_contacts(robot, stand, statics) if statics else (),
+        contacts=_collect_contacts(robot, stand, statics) if statics else (),
     )
 
 
-def _contacts(robot: Robot, stand: Stand, statics: GravityCompensation) -> tuple[Contact, ...]:
-    """Returns the forces on feet, and on what grips."""
+def _collect_contacts(
+    robot: Robot, stand: Stand, statics: GravityCompensation
+) -> tuple[Contact, ...]:
+    """Return the forces on feet and on contacts with a grip."""
     loads = statics.foot_loads.items()
     feet = [Contact(foot, load.centre_of_pressure, load.force) for foot, load in loads]
     pulls = {name: statics.weld_wrenches[name][:3] for name in robot.grips}
@@ -173,14 +183,25 @@ def _contacts(robot: Robot, stand: Stand, statics: GravityCompensation) -> tuple
 
 
 def evaluate_plane_height(points: Array, place: Array) -> float:
-    """Returns z of the plane through points (n, 3) at a place (2,) (m); of few, the least one."""
+    """Evaluate the height of the least-squares plane through points.
+
+    Args:
+        points: Shape (n, 3) [m]. With fewer than three, the minimum-norm solution is used.
+        place: x and y, shape (2,) or longer [m].
+
+    Returns:
+        z [m].
+    """
     known = np.column_stack([points[:, :2], np.ones(len(points))])
     plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
     return float(plane @ (place[0], place[1], 1.0))
 
 
-def _balanced(robot: Robot, stand: Stand, points: Array) -> Array:
-    """Returns the corners (m, 3) of where a com is in balance, in the plane through the points."""
+def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
+    """Return the corners of the region of balance, shape (m, 3) [m].
+
+    z is the height of the plane through ``points``, shape (n, 3) [m].
+    """
     corners = compute_polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
     return np.array(
         [(x, y, evaluate_plane_height(points, np.array((x, y)))) for x, y, _ in corners]
@@ -188,7 +209,11 @@ def _balanced(robot: Robot, stand: Stand, points: Array) -> Array:
 
 
 def compute_polygon_corners(points: Array) -> Array:
-    """Returns the support polygon's corners (m, 3), each as high as the point that it is (m)."""
+    """Compute the corners of the support polygon, shape (m, 3) [m].
+
+    Each corner has the height of the point nearest in x and y. Points on one line give its two
+    ends.
+    """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # and no line, nor a point
     corners = support_polygon(points) if wide else np.array(hull.coords)
@@ -199,12 +224,15 @@ def compute_polygon_corners(points: Array) -> Array:
 def describe_joint_axes(
     config: Configuration, positions: Array, statics: GravityCompensation | None
 ) -> list[JointAxis]:
-    """Returns where a robot's joints are, and what their motors hold.
+    """Evaluate the axis, position and motor load of each joint.
 
     Args:
-        config: The robot in its configuration.
-        positions: (nu,) of the joints (rad, m).
-        statics: What the motors hold; None if that is not shown.
+        config: Robot in its configuration.
+        positions: Joint positions, shape (nu,) [rad or m].
+        statics: Static equilibrium; None to omit torques.
+
+    Returns:
+        One entry per joint, in actuator order.
     """
     robot = config.robot
     model = robot.mj_model
@@ -235,11 +263,15 @@ def describe_joint_axes(
 def collect_visible_shapes(
     model: mujoco.MjModel, max_faces: int
 ) -> tuple[list[VisibleShape], dict[int, Mesh]]:
-    """Returns the robot's shapes, and the meshes that they have.
+    """Read the visible geoms of a robot, and simplify their meshes.
 
     Args:
-        model: MuJoCo's model of the robot.
-        max_faces: Triangles of all meshes together: finer ones are made coarser.
+        model: MuJoCo model of the robot.
+        max_faces: Approximate upper bound of the triangles of all meshes. If they have more, each
+            mesh is reduced by the same factor, but not below `_MIN_MESH_FACES`.
+
+    Returns:
+        Shapes, and {index of a mesh: mesh}.
     """
     seen = select_visible_geoms(model)
     shapes = []
@@ -251,11 +283,15 @@ def collect_visible_shapes(
     numbers = sorted({shape.mesh for shape in shapes if shape.mesh is not None})
     total = sum(int(model.mesh_facenum[mesh]) for mesh in numbers)
     share = min(1.0, max_faces / max(total, 1))
-    return shapes, {mesh: _mesh(model, mesh, share) for mesh in numbers}
+    return shapes, {mesh: _simplify_mesh(model, mesh, share) for mesh in numbers}
 
 
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
-    """Returns the robot's shapes that are shown: those that MuJoCo's viewer shows, or else all."""
+    """Return the geoms of the robot that MuJoCo's viewer shows.
+
+    If it shows none, all supported geoms are returned. Geoms of the world body and kinds of geoms
+    that are not in `NUM_SIZES` are excluded.
+    """
     own = [
         geom
         for geom in range(model.ngeom)
@@ -264,10 +300,10 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
     return [geom for geom in own if model.geom_group[geom] < NUM_VISIBLE_GROUPS] or own
 
 
-def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Returns a mesh with about ``share`` of its faces."""
+def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
+    """Reduce a mesh to about ``share`` of its faces, by clustering on increasingly coarse grids."""
     found = read_mesh(model, mesh)
-    wanted, cells = max(int(share * len(found.faces)), _FEWEST), _COARSEST
+    wanted, cells = max(int(share * len(found.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
     while len(found.faces) > wanted and cells > 4:
         found = coarsen_mesh(found, cells)
         cells = int(0.75 * cells)
@@ -275,17 +311,17 @@ def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
 
 
 def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
-    """Returns a mesh whose vertices within a cell of a grid are one.
+    """Merge the vertices of a mesh that are in one cell of a grid.
 
     Args:
-        mesh: The mesh.
-        cells: How many of them the longest side of the mesh's box has.
+        mesh: Mesh.
+        cells: Number of cells along the longest side of the bounding box.
 
     Returns:
-        Vertices, each the mean of those in a cell, and the triangles that have not collapsed.
+        Mesh with the mean vertex of each cell, without collapsed triangles.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes",
-    1993: vertex clustering.
+    1993 (vertex clustering).
     """
     vertices, low = mesh.vertices, mesh.vertices.min(axis=0)
     size = float(np.ptp(vertices, axis=0).max()) / cells

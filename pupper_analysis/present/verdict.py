@@ -1,4 +1,8 @@
-"""A verdict in words: the one place that makes them, for terminals and pages."""
+"""Text of a verdict, for terminals and pages.
+
+Input is a ``Verdict``; output are its clauses, sorted by importance, in both languages, and the
+document of a result whose answer is the verdict.
+"""
 
 from __future__ import annotations
 
@@ -34,16 +38,17 @@ from pupper_analysis.simulation.verdict import (
 )
 
 MAX_NAMED_JOINTS = 3
-"""Joints that are named one by one, with what the file has there."""
+"""Largest number of joints with added servos that a message names individually. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True)
 class Clause:
-    """A part of a verdict.
+    """Statement of a verdict.
 
     Attributes:
-        good: Whether it speaks for the stand.
-        message: What it says.
+        good: True if the statement supports the stand.
+        message: Statement.
     """
 
     good: bool
@@ -54,22 +59,25 @@ class Clause:
 
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
-    """Returns what a verdict says: what decides it first, then what else it rests on."""
+    """Return the statements of a verdict, without repetitions.
+
+    Statements that agree with the result come first: those against the stand if the verdict is bad.
+    """
     own, fails = (
         tuple(make_keyframe_run_clauses(verdict.own)),
         verdict.code is VerdictCode.OWN_DRIVES_FAIL,
     )
-    deciding = [one for one in verdict.remarks if one.code == _DECIDING.get(verdict.code)]
+    deciding = [one for one in verdict.remarks if one.code == _DECIDING_REMARKS.get(verdict.code)]
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(own if fails else ()),
-        *_replaced(verdict.servos.replaced),
-        *_computed(verdict),
+        *_make_replaced_clauses(verdict.servos.replaced),
+        *_make_simulation_clauses(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
-        *_creep(verdict),
+        *_make_creep_clauses(verdict),
         *(Clause(True, note) for note in verdict.notes),
         *make_published_clauses(verdict.published),
-        *_beyond(verdict),
+        *_make_limit_clauses(verdict),
         *(() if fails else own),
     )
     once = {str(clause): clause for clause in messages}  # a cause is one, whatever it makes fail
@@ -77,27 +85,27 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
 
 
 def format_verdict(verdict: Verdict) -> str:
-    """Returns a verdict in one line."""
+    """Join the statements of a verdict with semicolons."""
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
-_DECIDING = {
+_DECIDING_REMARKS = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""Codes of the remarks that decide the verdicts ``UNKNOWN_CODES``."""
+"""{verdict code: code of the remark that decides it}. Such a remark comes first."""
 
-_WORDS = {
+_VERDICT_WORDS = {
     Question.STANDS: ("HOLDS", "FAILS"),
     Question.CARRIES: ("carries", "FAILS"),
     Question.TRACKED: ("tracked", "FAILED"),
     Question.LASTS: ("lasts", "FAILS"),
 }
-"""What it does, and what it does else, by what is asked."""
+"""{question: (word of a good verdict, word of a bad verdict)}."""
 
 
 def get_verdict_key(verdict: Verdict) -> str:
-    """Returns a verdict in a word or two, for tables."""
+    """Return the catalogue key of a verdict's word, for tables."""
     if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
     if _disagrees(verdict):
@@ -105,7 +113,7 @@ def get_verdict_key(verdict: Verdict) -> str:
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
         return "HOLDS with feed-forward"
-    return _WORDS[verdict.asked][0 if verdict.passed else 1]
+    return _VERDICT_WORDS[verdict.asked][0 if verdict.passed else 1]
 
 
 def _disagrees(verdict: Verdict) -> bool:
@@ -117,13 +125,16 @@ def _disagrees(verdict: Verdict) -> bool:
 
 
 def clause_text(clause: Clause) -> Text:
-    """Returns a clause in both languages."""
+    """Convert a statement to a text in both languages, marked good or bad."""
     message = clause.message
     return Text(str(message), lambda: message.text("zh"), "good" if clause.good else "bad")
 
 
 def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
-    """Returns what a verdict says, a line each; against one that has passed, warnings."""
+    """Return the statements of a verdict as texts.
+
+    If the verdict is good, the marks of statements against the stand become warnings.
+    """
     lines = map(clause_text, verdict_clauses(verdict))
     if not verdict.passed:
         return tuple(lines)
@@ -131,43 +142,45 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 
 def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
-    """Returns a verdict's lines: what is against it, assumed or asked for, and the others.
+    """Divide a verdict's lines into lines of the short answer and further lines.
 
-    What the file does by itself is among the first, good or not: no verdict goes without it.
+    The short answer contains statements against the stand, warnings, assumptions, and the codes of
+    `_LEADING_CODES`, good or bad.
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
         one.good
         and one.message.severity is not Severity.WARNING
         and one.message.group is not Group.ASSUMED
-        and one.message.code not in _ALWAYS_SAID
+        and one.message.code not in _LEADING_CODES
         for one in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
 
 
-_LEAST_DROP = 1e-3
-"""Clearance at reset (m) above which the line of a file's own run states it."""
+_MIN_STATED_CLEARANCE = 1e-3
+"""Clearance at reset [m] above which the statement of a keyframe run contains the clearance.
+Chosen, not tuned."""
 
-_ALWAYS_SAID = ("servos-given", "own-run", "own-run-diverges")
-"""Codes of lines that are read first, whatever they say."""
+_LEADING_CODES = ("servos-given", "own-run", "own-run-diverges")
+"""Codes of statements that are always part of the short answer."""
 
 
 class JudgedResult(Protocol):
-    """A result that has a verdict."""
+    """Result with a verdict."""
 
     @property
     def name(self) -> str:
-        """The robot's name."""
+        """Name of the robot."""
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict is good."""
+        """True if the verdict is good."""
 
     @property
     def verdict(self) -> Verdict:
-        """Whether it does what is asked, and what that rests on."""
+        """Verdict with its basis."""
 
 
 def judged_document(
@@ -181,20 +194,20 @@ def judged_document(
     word: Words | None = None,
     notes: Iterable[Words] = (),
 ) -> Document:
-    """Returns the document of a result that is judged, whose head is its answer.
+    """Create the document of a result whose answer is its verdict.
 
-    The one rule of short answers: the verdict and what is against it, the key figures, and what was
-    assumed for it. What else the verdict rests on, and all tables, a terminal has with -v.
+    The short answer contains the verdict, the statements against it, the key figures and the
+    assumptions. A terminal prints the other statements and the tables with -v only.
 
     Args:
-        kind: What is shown.
-        judged: The result.
-        blocks: Its tables and plots.
-        answer: Its key figures: some three lines.
-        details: What else is shown of it.
-        failures: What is against it besides the verdict.
-        word: The verdict in a word or two, if it is another than the judge's.
-        notes: What was assumed, found or left out on the way.
+        kind: Kind of result.
+        judged: Result.
+        blocks: Tables and plots.
+        answer: Key figures, about three lines.
+        details: Further statements.
+        failures: Reasons against the result, in addition to those of the verdict.
+        word: Verdict in one or two words. Default: the word of the judge's verdict.
+        notes: Assumptions, findings and omissions.
     """
     first, more = split_verdict_lines(judged.verdict)
     return Document(
@@ -212,16 +225,17 @@ def judged_document(
 
 
 def verdict_word(verdict: Verdict) -> Text:
-    """Returns a verdict in a word or two."""
+    """Return the word of a verdict, in both languages."""
     return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
 
 
 def qualify_verdict_word(key: str, converted: str) -> Text:
-    """Returns the word of a verdict; of a good one it tells if both models are of one file.
+    """Return the word of a verdict; a good verdict states if both models come from one file.
 
     Args:
-        key: The word's, of the catalogue.
-        converted: Which of the robot's models was made of the other one, if one was.
+        key: Key of the word in the catalogue.
+        converted: Model that was converted from the other one, ``urdf`` or ``mjcf``; empty if
+            neither was.
     """
     word = text(key)
     good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
@@ -229,7 +243,11 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 
 
 def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
-    """Says what a file does by itself, whatever comes of it: a line for each run."""
+    """Describe the simulation of the published file from its keyframe, and the causes of a failure.
+
+    There is one statement per run: with the file's own commands, and with angle commands if that
+    run exists. Without a run there is no statement.
+    """
     for run in () if own is None else (own, *((own.held,) if own.held else ())):
         how: dict[str, Any] = {
             "imported": run.imported,
@@ -254,7 +272,7 @@ def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
             place=run.gone,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
-            drop=Quantity(run.clearance, "m") if run.clearance > _LEAST_DROP else None,
+            drop=Quantity(run.clearance, "m") if run.clearance > _MIN_STATED_CLEARANCE else None,
             end=Quantity(run.end_height, "m"),
             lean=Quantity(run.lean, "rad"),
             away=Quantity(run.away, "m"),
@@ -267,16 +285,16 @@ def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
         yield Clause(False, cause_text(cause))
 
 
-def _replaced(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Says which of the file's own servos do not hold what they are meant to."""
+def _make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
+    """State which servos of the file were replaced, because they cannot hold a position."""
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)
         yield Clause(False, diagnose("own-servos-fail", joints=joints, kinds=kinds))
 
 
-def _computed(verdict: Verdict) -> Iterator[Clause]:
-    """Says how the simulations of the computed robot ended, and on which servos."""
+def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
+    """State how the simulations of the computed stand ended, and with which servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
     if fed is Ending.HOLDS and verdict.asked is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
@@ -300,21 +318,23 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
             one=bool(verdict.converted),
             both=alone in (None, Ending.HOLDS),
             duration=Quantity(verdict.seconds, "s"),
-            torque=_within(verdict.torque_error),
-            force=_within(verdict.force_error),
+            torque=_make_error_quantity(verdict.torque_error),
+            force=_make_error_quantity(verdict.force_error),
         )
         yield Clause(True, message)
     if verdict.servos.made:
         yield make_servo_clause(verdict.servos, good=fed is Ending.HOLDS)
     elif verdict.servos.source is ServoSource.GIVEN and fed is not Ending.UNTRIED:
-        yield Clause(fed is Ending.HOLDS, diagnose("servos-given", **_gains(verdict.servos)))
+        yield Clause(
+            fed is Ending.HOLDS, diagnose("servos-given", **_describe_gains(verdict.servos))
+        )
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
         collapses, failures = alone is Ending.COLLAPSES, verdict.failures_alone
         yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
-    """Says how far the robot as published is from the computed one."""
+    """State the deviation of the published robot from the computed one, and its causes."""
     if published is None:
         return
     run = published.worst
@@ -331,17 +351,17 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
 
 def cause_text(cause: Cause) -> Diagnostic:
-    """Tells what makes a file differ from what is computed.
+    """Describe a cause for which a file differs from the computed stand.
 
     Raises:
-        KeyError: If its code is unknown.
+        KeyError: If the code of the cause is unknown.
     """
     if cause.code == "pair":
         return diagnose("files-differ", difference=cause.difference)
-    return diagnose(_CAUSES[cause.code], names=cause.elements, line=cause.line)
+    return diagnose(_CAUSE_MESSAGES[cause.code], names=cause.elements, line=cause.line)
 
 
-_CAUSES = {
+_CAUSE_MESSAGES = {
     "exclude": "excluded-from-touching",
     "override": "contacts-overridden",
     "actuatorgroupdisable": "actuators-disabled",
@@ -379,16 +399,16 @@ _CAUSES = {
     "base-held": "base-held-as-published",
     "ground": "ground-not-level-as-published",
 }
-"""{code of a cause: what is said of it}, where its elements and its line say all."""
+"""{code of a cause: code of the message}, for messages with only elements and line as values."""
 
 
-def _within(error: float | None) -> Quantity | None:
-    """Returns a share that is said to be within; what is less than a millionth is rounded up."""
+def _make_error_quantity(error: float | None) -> Quantity | None:
+    """Convert a relative error to a quantity of at least 1e-6, an upper bound in the message."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
-def _beyond(verdict: Verdict) -> Iterator[Clause]:
-    """Says which motors are beyond their limits, and what grows."""
+def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
+    """State the motors that exceed their limits, and the doubling time if nothing was simulated."""
     if verdict.overloaded:
         yield Clause(
             False,
@@ -403,8 +423,8 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
         yield Clause(False, diagnose("deviation-doubles", doubling_time=time))
 
 
-def _creep(verdict: Verdict) -> Iterator[Clause]:
-    """State how fast the robot creeps; as a warning if that matters."""
+def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
+    """State the creep of the robot; as a warning if it matters."""
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
         return
@@ -419,20 +439,20 @@ def _creep(verdict: Verdict) -> Iterator[Clause]:
 
 
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
-    """Says that a result rests on servos that were made up, and on which."""
+    """State that a result depends on added servos, and name up to `MAX_NAMED_JOINTS` of them."""
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(
         "on-servos-made-up",
         count=len(servos.made),
         names=[servo.joint for servo in few],
         kinds=dict.fromkeys(Term(servo.instead_of.value) for servo in few),
-        **_gains(servos),
+        **_describe_gains(servos),
     )
     return Clause(good, message)
 
 
-def _gains(servos: ServosUsed) -> dict[str, Any]:
-    """Returns the gains of servos, and the greatest where they are not alike."""
+def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
+    """Return the lowest gains of servos, and the highest gains if they differ."""
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {
         "kp": kp,

@@ -313,7 +313,7 @@ def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> N
     assert meshes.keys() == others.keys()
     for shape, geom in zip(shapes, geoms, strict=True):
         if shape.mesh is not None:
-            assert meshes[geom["mesh"]] == write._mesh(whole[shape.mesh])
+            assert meshes[geom["mesh"]] == write._pack_mesh(whole[shape.mesh])
 
 
 def test_meshes_keep_their_size() -> None:
@@ -331,11 +331,11 @@ def test_meshes_keep_their_size() -> None:
             np.asarray(model.mesh_vert[first : first + count], float),
             model.mesh_face[start : start + faces],
         )
-        vertices, triangles = decoded(write._mesh(whole_scene[mesh]))
+        vertices, triangles = decoded(write._pack_mesh(whole_scene[mesh]))
         assert len(triangles) == faces
         assert volume(vertices, triangles) == pytest.approx(whole, rel=2e-3)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices, triangles = decoded(write._mesh(coarse[mesh]))
+        vertices, triangles = decoded(write._pack_mesh(coarse[mesh]))
         assert 0.1 * faces < len(triangles) <= 0.3 * faces
         cell = float((high - low).max()) / 10
         assert vertices.min(axis=0) == pytest.approx(low, abs=cell)
@@ -343,7 +343,7 @@ def test_meshes_keep_their_size() -> None:
 
 
 def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(write, "_PACKAGE", "no_such_package")
+    monkeypatch.setattr(write, "_VIEWER_PACKAGE", "no_such_package")
     assert write.load_viewer_library() is None
     page = Page(written(analysis()))
     assert "three.js was not found" in page.shown()

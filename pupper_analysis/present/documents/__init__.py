@@ -1,1 +1,1 @@
-"""Documents of results: one builder per type, in a module of its name."""
+"""Builders of documents, and parts that several documents share."""

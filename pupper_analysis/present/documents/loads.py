@@ -1,4 +1,4 @@
-"""What motors and feet hold, as tables and drawings: of an analysis and of a single stance."""
+"""Motor torques and contact forces as tables and plots, for documents of stands and analyses."""
 
 from __future__ import annotations
 
@@ -19,13 +19,22 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
 
 NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
+"""Default of optional columns: none."""
 
 WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
-"""Motor utilisation from which it is marked: little is left for a push, or nothing."""
+"""Motor utilisation above which a cell is marked as a warning, or as bad. At 1 the effort limit is
+reached; 0.9 is chosen, not tuned."""
 
 
 def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
-    """Returns a share of a motor's limit as a cell with a bar; a dash where there is no limit."""
+    """Create a cell with a motor utilisation in percent and a bar.
+
+    A dash is shown if the limit is zero or unknown.
+
+    Args:
+        share: |torque| / limit.
+        limit: Effort limit [N m].
+    """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
     mark = "bad" if share > FULL_UTILISATION else "warn" if share > WARNING_UTILISATION else ""
@@ -33,12 +42,12 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
 
 
 def limit_cell(limit: float) -> doc.Cell:
-    """Return a motor's torque limit as a cell; a word if no file states it."""
+    """Create a cell with a torque limit; a word if no file states one."""
     return doc.number_cell(limit, "g") if math.isfinite(limit) else text("limit-unknown")
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Returns a mass that can be borne (kg), rounded down: what is stated is borne."""
+    """Format a payload mass [kg], rounded down so that the printed mass can be carried."""
     if math.isnan(mass):
         return text("limit-unknown")
     if math.isinf(mass):
@@ -47,7 +56,7 @@ def mass_text(mass: float) -> doc.Words:
 
 
 def proof_text(verification: StandVerification) -> doc.Text:
-    """Returns how predicted torques and forces are verified."""
+    """State how predicted torques and forces were verified by simulation."""
     return text(
         "source-verified",
         seconds=f"{verification.duration:g}",
@@ -64,22 +73,22 @@ def load_blocks(
     origins: Iterable[EffortStatement | None],
     more: Mapping[doc.Column, Sequence[float]],
 ) -> list[doc.Block]:
-    """Returns what motors and feet hold, predicted and simulated.
+    """Create the tables and the plot of motor torques and contact forces.
 
     Args:
-        statics: Of the forces that last.
-        min_max_torque: Of least peak utilisation.
-        verification: The simulation.
-        limits: (nu,) of the motors (N m).
-        origins: (nu,) where these are from.
-        more: Further columns, {column: (nu,)}.
+        statics: Equilibrium with minimum tangential forces.
+        min_max_torque: Equilibrium with the smallest peak utilisation.
+        verification: Simulation with feed-forward.
+        limits: Effort limits, shape (nu,) [N m].
+        origins: Statement in the files of each limit; None without one.
+        more: Further columns, {column: values of shape (nu,)}.
     """
     source = (
         text("source-torques"),
         cite_page("explanation/statics.md", "Standing is not hanging"),
         proof_text(verification),
     )
-    peak = _share(peak_utilisation(min_max_torque.motor_utilisation))
+    peak = _format_fraction(peak_utilisation(min_max_torque.motor_utilisation))
     notes = (
         text("torque-distributions", peak=peak),
         text("limit-origins", origins=origins_text(origins)),
@@ -93,12 +102,12 @@ def load_blocks(
     return [
         replace(torques, notes=notes, source=source),
         torque_plot(statics, verification.joint_torques.tolist(), limits),
-        _contacts(statics, verification),
+        _make_contact_table(statics, verification),
     ]
 
 
-def _share(value: float) -> str:
-    """Return a share in percent; a dash if it is unknown or infinite."""
+def _format_fraction(value: float) -> str:
+    """Format a fraction in percent; a dash if it is not finite."""
     return f"{value:.1%}" if math.isfinite(value) else "-"
 
 
@@ -107,12 +116,12 @@ def torque_table(
     limits: Sequence[float],
     more: Mapping[doc.Column, Sequence[float | None]] = NO_COLUMNS,
 ) -> doc.Table:
-    """Returns what every motor holds, of which limit.
+    """Create the table of motor torques, limits and utilisations.
 
     Args:
-        statics: What it takes.
-        limits: (nu,) of the motors (N m).
-        more: Further columns, {column: (nu,)}.
+        statics: Static equilibrium.
+        limits: Effort limits, shape (nu,) [N m].
+        more: Further columns, {column: values of shape (nu,)}.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -138,7 +147,7 @@ def torque_table(
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
-    """Returns where torque limits are from, those of most joints first."""
+    """List the origins of torque limits, the most frequent first, with the number of joints."""
     counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
     listed = []
     for origin, count in counts.most_common():
@@ -153,7 +162,7 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 def torque_plot(
     statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
 ) -> doc.BarPlot:
-    """Draws each motor's torque, predicted and simulated, against its limit."""
+    """Create the bar plot of predicted torques, with simulated torques and limits, in N m."""
     bars = [
         doc.Bar(
             doc.Name(name),
@@ -176,7 +185,7 @@ def torque_plot(
 
 
 def contact_table(statics: GravityCompensation) -> doc.Table:
-    """Returns the contact forces on the feet."""
+    """Create the table of contact forces [N] in world axes, with friction utilisations."""
     loads: dict[str, tuple[Iterable[float], float | None]] = {
         **{
             foot: (load.force, load.friction_utilisation)
@@ -200,7 +209,8 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
     return doc.Table(text("contact-forces-on-the-feet"), columns, tuple(rows))
 
 
-def _contacts(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
+def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
+    """Create the table of contact forces, with notes on centres of pressure, welds and grips."""
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [
         text(
@@ -228,13 +238,13 @@ def view_block(
     statics: GravityCompensation | None,
     motions: Sequence[doc.Motion] = (),
 ) -> doc.View:
-    """Returns the stand in three dimensions; without a robot, none is in it.
+    """Create the 3-D view of a stand; an empty view without a robot.
 
     Args:
-        robot: The robot, if it is at hand.
-        stand: How it stands.
-        statics: What holds it there, if that is to be shown.
-        motions: What can be stepped through.
+        robot: Robot; None if it is not available.
+        stand: Stand.
+        statics: Static equilibrium; None to omit loads.
+        motions: Motions that the view can play.
     """
     return doc.View(
         text("view-title"),

@@ -1,10 +1,10 @@
-"""Which result is shown how: the builder of its type makes its document.
+"""Selection of the builder that creates the document of a result.
 
-A builder is registered by the type of its result (``@build_document.register``), in the module
-``document`` of the tool that has the result, or, of one of the core, of the tool that shows it:
-that of a ``Comparison`` stands in ``tools/crosscheck``. The module is imported when such a result
-is shown for the first time, so that an audit loads no stance. Of a result without a builder its
-fields are shown, with what they mean.
+A builder is registered for the type of its result (``@build_document.register``), in the module
+``document`` of a tool: the tool that has the result or, for a result of the core, the tool that
+shows it. A ``Comparison``, for example, is shown by ``tools/crosscheck``. The module is imported
+when such a result is shown for the first time, so that an audit imports no stance. The document of
+a result without a builder lists its fields with their meanings.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pupper_analysis.robot.robot import Robot
 
 
 def value_cell(value: object) -> Cell:
-    """Returns a value as it is shown: in few words, what is long by its size."""
+    """Create a cell with a value; long values are shortened to their size."""
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
         return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
@@ -46,7 +46,7 @@ def value_cell(value: object) -> Cell:
 
 
 def make_fields_document(result: Result) -> doc.Document:
-    """Returns the fields of a result that has no page of its own, with what they mean."""
+    """Create a document that lists the fields of a result with their meanings and units."""
     kind = type(result)
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -64,19 +64,22 @@ def make_fields_document(result: Result) -> doc.Document:
     return doc.Document(text("result"), doc.Name(""), (table,), passed=passed, verdict=verdict)
 
 
-_HOUSE = "pupper_analysis"
+_PACKAGE_NAME = "pupper_analysis"
+"""Name of the package at which the search for a builder ends."""
 
 
 @singledispatch
 def build_document(result: object, _: Robot | None = None) -> Document:
-    """Returns the document of a result; of one without a builder its fields, and what they mean.
+    """Create the document of a result; of a type without a builder, a list of its fields.
+
+    The module of the builder must have been imported; `make_document` does so.
 
     Args:
-        result: The result.
-        _: The robot that it is of, for views and the lines of its files, if it is at hand.
+        result: Result.
+        _: Robot of the result, for views and quoted lines; None if it is not available.
 
     Raises:
-        TypeError: If it is no result.
+        TypeError: If ``result`` is no result.
     """
     if not isinstance(result, Result):
         raise TypeError(f"{type(result).__name__} is no result")
@@ -86,17 +89,17 @@ def build_document(result: object, _: Robot | None = None) -> Document:
 
 @singledispatch
 def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
-    """Returns what compares several results, all of the type of the first; nothing by default."""
+    """Create blocks that compare several results of the first one's type; none by default."""
     return ()
 
 
 def make_document(result: Result, robot: Robot | None = None, name: str = "") -> Document:
-    """Returns the document of a result, by the builder of its type; see ``build_document``.
+    """Import the builder of a result's type, and create the document of the result.
 
     Args:
-        result: The result.
-        robot: The robot that it is of, if it is at hand.
-        name: What it is called, where it does not say so itself.
+        result: Result.
+        robot: Robot of the result; None if it is not available.
+        name: Title if the builder does not provide one. Default: the name of the type.
     """
     _load_builder(type(result))
     built = build_document(result, robot)
@@ -110,12 +113,14 @@ def build_report(
     robots: Iterable[Robot] = (),
     overview: Iterable[Block] = (),
 ) -> Report:
-    """Returns the documents of several results, and what compares them.
+    """Create the documents of several results, and the blocks that compare them.
+
+    Results are compared if there are several, all of one type.
 
     Args:
-        results: (name, result) of each; the name may be empty, if the result has one of its own.
-        robots: The robots at hand.
-        overview: What else compares them; it stands first.
+        results: (name, result) pairs. The name is used if the document has no title.
+        robots: Available robots, which are assigned to results by their names.
+        overview: Further blocks, which come first.
     """
     known = {robot.name: robot for robot in robots}
     named = list(results)
@@ -127,10 +132,11 @@ def build_report(
     blocks = tuple(overview)
     if len({type(result) for result in listed}) == 1 and len(listed) > 1:
         blocks += compare_results(listed[0], listed)
-    return Report(_title(documents), documents, blocks)
+    return Report(_make_title(documents), documents, blocks)
 
 
-def _title(documents: Sequence[Document]) -> Words:
+def _make_title(documents: Sequence[Document]) -> Words:
+    """Return the title of a report: the common kind of its documents, and their titles."""
     if not documents:
         return text("report")
     kinds = {get_english(one.kind) for one in documents}
@@ -139,10 +145,13 @@ def _title(documents: Sequence[Document]) -> Words:
 
 
 def _load_builder(kind: type) -> None:
-    """Imports the module of a result's builder, if there is one."""
+    """Import the module of the builder for a type, if there is one.
+
+    The package of the type and its parents are searched first, then the tools.
+    """
     for one in kind.__mro__:
         package = getattr(sys.modules.get(one.__module__), "__package__", None) or ""
-        while package and package != _HOUSE:
+        while package and package != _PACKAGE_NAME:
             if find_spec(f"{package}.document") is not None:
                 import_module(f"{package}.document")
                 return

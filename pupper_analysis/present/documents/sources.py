@@ -1,4 +1,4 @@
-"""Where a report's numbers come from: files and their lines, pages of the documentation, proofs."""
+"""Origin of a report's numbers: model files with line numbers, and pages of the documentation."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from pupper_analysis.present.document import Name, Text, text
 from pupper_analysis.robot.robot import Robot
 
 MAX_QUOTED_CHARACTERS, MAX_QUOTED_LINES = 400, 8
-"""Of an element of a file that is quoted: what stands on some lines of the page."""
+"""Limits of the text that is quoted from a model file: characters, and lines of one element.
+Chosen, not tuned."""
 
 
 def cite_page(name: str, heading: str) -> Text:
-    """Returns where the documentation says how something is computed."""
+    """Refer to a section of the documentation that explains a computation."""
     return text("source-docs", page=name, heading=Name(heading))
 
 
 def files_text(robot: Robot | None) -> Text:
-    """Returns which files a robot is from."""
+    """State the files of a robot, and whether a model was converted or changed."""
     if robot is None:
         return text("source-own-files")
     description = robot.description
@@ -36,22 +37,27 @@ def files_text(robot: Robot | None) -> Text:
 
 
 def is_urdf_changed(robot: Robot) -> bool:
-    """Whether a robot's URDF is not word by word what stands in its file, if it has one."""
+    """Return True if a robot's URDF differs from the text of its file.
+
+    False for a URDF that was converted from an MJCF.
+    """
     if robot.description.converted == "urdf":
         return False
-    return robot.description.urdf != _text(robot.description.urdf_source)
+    return robot.description.urdf != _read_text(robot.description.urdf_source)
 
 
 def quote_line(place: str | None, *paths: str) -> str:
-    """Returns what stands at a place in a file, or nothing if there is none.
+    """Return the line at a place in a file, with the preceding lines of the same element.
+
+    An XML reader reports the line on which a tag ends, so earlier lines may belong to the tag.
 
     Args:
-        place: ``file:line``; the file's name, or its path.
-        *paths: The files that may be meant; included ones stand beside them, or below.
+        place: ``file:line``; ``file`` is a name or a path.
+        *paths: Candidate files. Files that they include are searched beside them and in subfolders
+            named in ``place``.
 
     Returns:
-        The line; and those before it, back to where its element begins, as an XML reader tells the
-        line on which a tag ends.
+        The lines; empty if the place is unknown, or the line is missing or blank.
     """
     file, _, line = (place or "").rpartition(":")
     if not file or not line.isdigit() or int(line) < 1:
@@ -61,14 +67,17 @@ def quote_line(place: str | None, *paths: str) -> str:
         candidates += [path] if path.name == Path(file).name else []
         candidates.append(path.parent / file)
     for candidate in candidates:
-        rows = _text(candidate).split("\n")[: int(line)]
+        rows = _read_text(candidate).split("\n")[: int(line)]
         if len(rows) == int(line) and rows[-1].strip():
-            return _element(rows)
+            return _join_element_lines(rows)
     return ""
 
 
-def _element(rows: list[str]) -> str:
-    """Returns the last of some lines, and those before it that belong to the same tag."""
+def _join_element_lines(rows: list[str]) -> str:
+    """Return the last line, preceded by the lines of the same tag.
+
+    At most `MAX_QUOTED_LINES` lines and `MAX_QUOTED_CHARACTERS` characters are returned.
+    """
     begin = len(rows) - 1
     while begin > max(0, len(rows) - MAX_QUOTED_LINES) and not rows[begin].lstrip().startswith("<"):
         begin -= 1
@@ -78,7 +87,8 @@ def _element(rows: list[str]) -> str:
     return shown if len(shown) <= MAX_QUOTED_CHARACTERS else f"{shown[:MAX_QUOTED_CHARACTERS]}…"
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
+    """Return the content of a file; empty if it cannot be read."""
     try:
         return read_content(path, MAX_BYTES).decode("utf-8", errors="replace")
     except InputError:

@@ -1,4 +1,4 @@
-"""What documents of stands share: the robot, what is asked, the ground, units, simulations."""
+"""Parts that documents of stands share: task, ground, quantities of the stand, simulations."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:
-    """Returns the columns of such a table.
+    """Create the columns of a table with one quantity per row: name, values, unit.
 
     Args:
-        *values: Of which runs or files the values are; ``value`` alone where none is given.
-        of: What each row is; a key of the catalogue.
+        *values: Headers of the value columns. Default: ``value``.
+        of: Catalogue key of the first header.
     """
     named = values or (text("value"),)
     middle = (Column(name) for name in named)
@@ -34,12 +34,12 @@ def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]
 
 
 def task_text(task: StandTask) -> Text:
-    """Returns what is asked of a stand, as the task itself says it."""
+    """Describe the task of a stand."""
     return Text(str(task), lambda: task.describe("zh"))
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Returns a robot's files, and what was assumed of it."""
+    """Return the files of a robot and its notes; nothing without a robot."""
     return (
         ()
         if robot is None
@@ -48,7 +48,11 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 
 def ground_text(depths: Iterable[float]) -> Text:
-    """Says on which ground it was simulated, of feet that sink in by ``depths`` (m), or do not."""
+    """State whether the ground is simulated or rigid, in a sentence.
+
+    Args:
+        depths: Penetrations of the feet [m]; all zero on rigid ground.
+    """
     deepest = max(depths, default=0.0)
     if not deepest:
         return text("feet-sunk-into-mujocos-soft")
@@ -59,12 +63,19 @@ def ground_text(depths: Iterable[float]) -> Text:
 
 
 def ground_word(depths: Iterable[float]) -> Text:
-    """Says of which ground numbers are: of feet that sink in by ``depths`` (m), or do not."""
+    """State whether the ground is simulated or rigid, in a few words.
+
+    Args:
+        depths: Penetrations of the feet [m]; all zero on rigid ground.
+    """
     return text("on-simulated-ground" if max(depths, default=0.0) else "on-rigid-ground")
 
 
 def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
-    """Returns how high a stand is, and how far from falling, from touching and from slipping."""
+    """Create the table of height, CoM margin, clearances and largest friction utilisation.
+
+    Quantities that are unknown or not finite are omitted.
+    """
     near, links = stand.ground_clearance, stand.self_clearance
     loads = statics.foot_loads.values() if statics is not None else ()
     known: tuple[tuple[str, float | None, str, float, str], ...] = (
@@ -90,18 +101,18 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
 
 
 def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
-    """Draws the base's height over the simulated time, with feed-forward and without.
+    """Create the plot of the base height over time.
 
     Args:
-        runs: The simulations.
-        task: The height that was asked for (m).
+        runs: Simulations.
+        task: Requested height [m].
     """
     series = [
         doc.Series(
             text("with-feed-forward") if run.feedforward else text("without"),
             run.time,
             1e3 * run.height,
-            note=_mean_loss(run, task),
+            note=_format_mean_loss(run, task),
         )
         for run in runs
     ]
@@ -119,8 +130,8 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
     )
 
 
-def _mean_loss(run: StandVerification, task: float) -> doc.Words:
-    """Return the height loss, averaged over the last second of the curve, as the caption states.
+def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
+    """Format the height loss [mm], averaged over the last second of the curve.
 
     ``run.height_loss`` is the mean over the second before the nudge instead.
     """
@@ -131,7 +142,7 @@ def _mean_loss(run: StandVerification, task: float) -> doc.Words:
 
 
 def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
-    """Returns the simulated motions."""
+    """Return the motions of simulations, for the 3-D view."""
     return [
         doc.Motion(
             text("simulated-with-feed-forward")
@@ -147,11 +158,11 @@ def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
 def run_rows(
     runs: Sequence[Any], names: Collection[str] | None = None
 ) -> tuple[tuple[doc.Cell, ...], ...]:
-    """Returns what simulations made of a stand: a row per quantity, a column per run.
+    """Create the rows of a table of simulated quantities, with one column per run.
 
     Args:
-        runs: ``StandVerification`` each, or what else has the quantities, such as ``SteadyState``.
-        names: Keys of the quantities; by default all.
+        runs: Simulations, or other results with these quantities, such as ``SteadyState``.
+        names: Catalogue keys of the quantities. Default: all.
     """
     return tuple(
         (
@@ -159,13 +170,13 @@ def run_rows(
             *(doc.number_cell(of(run), format, scale=scale) for run in runs),
             doc.Name(unit),
         )
-        for name, unit, of, format, scale in _QUANTITIES
+        for name, unit, of, format, scale in _RUN_QUANTITIES
         if names is None or name in names
     )
 
 
 def simulated_table(run: StandVerification) -> doc.Table:
-    """Returns what one simulation made of a stand."""
+    """Create the table of the quantities of one simulation."""
     return doc.Table(
         text("simulation", seconds=f"{run.duration:g}"),
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
@@ -177,9 +188,9 @@ def simulated_table(run: StandVerification) -> doc.Table:
 
 
 SAG_QUANTITIES = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
-"""Quantities of a run that are predicted, too."""
+"""Catalogue keys of the quantities that the static deflection also predicts."""
 
-_QUANTITIES: tuple[
+_RUN_QUANTITIES: tuple[
     tuple[str, str, Callable[[StandVerification], float | None], str, float], ...
 ] = (
     ("base-height", "mm", lambda run: run.base_height, ".2f", 1e3),
@@ -200,4 +211,5 @@ _QUANTITIES: tuple[
     ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
     ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
 )
-"""What is shown of a run: name, unit, value in SI units, its format, and what it is scaled by."""
+"""Quantities of a run: catalogue key, displayed unit, value in SI units, format and scale
+factor."""

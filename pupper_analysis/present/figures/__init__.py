@@ -1,1 +1,1 @@
-"""Figures, as PNG files. No pyplot: no window, and nobody's backend is touched."""
+"""Figures as PNG files, without Matplotlib's pyplot: no window opens, and its backend is kept."""

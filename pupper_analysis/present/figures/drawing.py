@@ -1,4 +1,4 @@
-"""Plots drawn by matplotlib, mark by mark what a page draws as SVG; and what all figures share."""
+"""Plots as PNG files with Matplotlib, from the marks of the page's SVG; shared parts of figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from pupper_analysis.present.document import Plot, Words, get_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
 DPI = 180
-FONT_SIZE = 8  # pt
+FONT_SIZE = 8
+"""Font size of figures [pt]."""
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
@@ -37,12 +38,14 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
 )
 
 GRID_COLOUR = "#E3E6EB"
+"""Colour of grid lines."""
 SERIES_COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+"""Colours of the lines of a plot, in their order."""
 
 PAGE_WIDTH = 178 / 25.4
-"""A page's text (inch)."""
+"""Width of a figure [inch]: the text width of a printed page, 178 mm."""
 
-_COLOURS = {
+_CLASS_COLOURS = {
     **{f"s{index}": colour for index, colour in enumerate(SERIES_COLOURS)},
     "bar": SKY,
     "other": BLACK,
@@ -53,16 +56,19 @@ _COLOURS = {
 }
 """{class of the page's style sheet: colour}."""
 
-_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
+_CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
-_WIDTHS = {"limit": 1.6, "other": 2.0}
-_SIDES = {"start": "left", "middle": "center", "end": "right"}
+"""{class of the page's style sheet: line style of Matplotlib}."""
+_CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
+"""{class of the page's style sheet: line width [pt]}, if it is not the default."""
+_TEXT_ALIGNMENTS = {"start": "left", "middle": "center", "end": "right"}
+"""{text anchor of SVG: horizontal alignment of Matplotlib}."""
 
-_LETTERS = 12.0
-"""Height of words in a page's drawings (CSS pixels)."""
+_LETTER_HEIGHT = 12.0
+"""Font size of the page's plots [CSS pixels]."""
 
-_COLUMNS = 2
-"""Panels beside each other: of three the words could not be read."""
+_NUM_COLUMNS = 2
+"""Panels in a row: with three, the labels are illegible."""
 
 
 def write_plots(
@@ -72,25 +78,27 @@ def write_plots(
     title: Words | None = None,
     names: Sequence[str] = (),
 ) -> None:
-    """Writes plots as panels of one figure, two in a row.
+    """Write plots as panels of one figure, at most two in a row.
 
     Args:
-        plots: What is drawn.
-        path: The PNG to write.
-        title: Over all; the first plot's by default.
-        names: Over each; by default the plots' own titles, where there are several.
+        plots: Plots.
+        path: PNG file.
+        title: Title of the figure. Default: the title of the first plot.
+        names: Title of each panel. Default: the titles of the plots, if there are several.
 
     Raises:
-        ConfigurationError: If there is nothing to draw.
+        ConfigurationError: If there is no plot.
         OutputError: If the file cannot be written.
     """
     if not plots:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
     drawings = [draw_svg(plot) for plot in plots]
-    columns = min(len(plots), _COLUMNS)
+    columns = min(len(plots), _NUM_COLUMNS)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
     heights = [max(one.height / one.width for one in row) for row in rows]
-    legends = [[_handle(*one) for one in _legend(drawing).items()] for drawing in drawings]
+    legends = [
+        [_make_handle(*one) for one in _collect_legend(drawing).items()] for drawing in drawings
+    ]
     across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
     room = 0.35 + len(rows) * (0.15 * several + 0.06 * max(map(len, legends)))
@@ -101,8 +109,8 @@ def write_plots(
     said = names or [get_english(one.title) if several else "" for one in drawings]
     for index, (drawing, legend, name) in enumerate(zip(drawings, legends, said, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
-        size = _LETTERS * 72 * across / drawing.width
-        _draw(drawing, axes, size)
+        size = _LETTER_HEIGHT * 72 * across / drawing.width
+        _draw_marks(drawing, axes, size)
         title_panel(axes, name)
         if legend:
             axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2,
@@ -110,8 +118,8 @@ def write_plots(
     save_figure(figure, path)
 
 
-def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
-    """Draws a page's drawing into axes, whose unit is the page's."""
+def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
+    """Draw the marks of a page's plot into axes with the page's units."""
     axes.set(xlim=(0, drawing.width), ylim=(drawing.height, 0), aspect="equal", anchor="N")
     axes.set_axis_off()
     for mark in drawing.marks:
@@ -119,61 +127,82 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
         match mark["tag"]:
             case "rect":
                 place, sides = (mark["x"], mark["y"]), (mark["width"], mark["height"])
-                fill, opacity = mark.get("fill") or _COLOURS[kind], mark.get("opacity", 1.0)
+                fill, opacity = mark.get("fill") or _CLASS_COLOURS[kind], mark.get("opacity", 1.0)
                 axes.add_patch(Rectangle(place, *sides, color=fill, alpha=opacity, lw=0))
             case "line":
-                axes.plot([mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]], **_line(kind, 0.7))
+                axes.plot(
+                    [mark["x1"], mark["x2"]],
+                    [mark["y1"], mark["y2"]],
+                    **_make_line_style(kind, 0.7),
+                )
             case "polyline":
-                axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
+                axes.plot(*np.array(mark["points"]).T, **_make_line_style(kind, 1.3))
             case "circle":
                 fill = kind != "grid"
                 place, radius = (mark["cx"], mark["cy"]), mark["r"]
-                axes.add_patch(Circle(place, radius, color=_COLOURS[kind], fill=fill, lw=0.7))
+                axes.add_patch(Circle(place, radius, color=_CLASS_COLOURS[kind], fill=fill, lw=0.7))
             case "text":
-                _write(mark, axes, size)
+                _write_words(mark, axes, size)
     # All of it is inside the drawing's own frame: laying out need not measure each word.
     for artist in axes.get_children():
         artist.set_in_layout(False)
 
 
-def _line(kind: str, width: float) -> dict[str, Any]:
-    colour = _COLOURS.get(kind, GREY)
-    return {"color": colour, "ls": _DASHES.get(kind, "-"), "lw": _WIDTHS.get(kind, width)}
+def _make_line_style(kind: str, width: float) -> dict[str, Any]:
+    """Return Matplotlib's line options for a class of the style sheet.
+
+    Args:
+        kind: Class.
+        width: Default line width [pt].
+    """
+    colour = _CLASS_COLOURS.get(kind, GREY)
+    return {
+        "color": colour,
+        "ls": _CLASS_DASHES.get(kind, "-"),
+        "lw": _CLASS_WIDTHS.get(kind, width),
+    }
 
 
-def _write(mark: Mark, axes: Axes, size: float) -> None:
+def _write_words(mark: Mark, axes: Axes, size: float) -> None:
+    """Write the words of a mark, with their unit."""
     said = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
-    axes.text(mark["x"], mark["y"], said, ha=_SIDES[mark["anchor"]], rotation=turned,
+    axes.text(mark["x"], mark["y"], said, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
               size=size, parse_math=False)  # fmt: skip
 
 
-def _legend(drawing: Drawing) -> dict[str, str]:
-    """Returns {what is said: class of the page's style sheet}; of a note it is empty."""
+def _collect_legend(drawing: Drawing) -> dict[str, str]:
+    """Return {text: class of the style sheet} of a legend; the class of the note is empty."""
     found = {get_english(words): kind for words, kind in drawing.legend}
     return found if drawing.note is None else {**found, get_english(drawing.note): ""}
 
 
-def _handle(name: str, kind: str) -> Artist:
-    """Returns what a legend shows of a class of the page's style sheet, or of a colour."""
+def _make_handle(name: str, kind: str) -> Artist:
+    """Create a legend entry for a class of the style sheet, a colour or, if empty, a note."""
     if not kind:
         return Line2D([], [], ls="", label=name)
-    if kind in _DASHES or kind == "s0" or kind == "other":
-        return Line2D([], [], label=name, **_line(kind, 1.3))
-    return Patch(color=_COLOURS.get(kind, kind), label=name)
+    if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
+        return Line2D([], [], label=name, **_make_line_style(kind, 1.3))
+    return Patch(color=_CLASS_COLOURS.get(kind, kind), label=name)
 
 
 def make_page_figure(
     title: str, height: float, *, layout: Literal["constrained"] | None = None
 ) -> Figure:
-    """Returns an empty figure with a title (inch); ``layout`` is Matplotlib's."""
+    """Create an empty figure with a title, as wide as a page.
+
+    Args:
+        title: Title.
+        height: Height [inch].
+        layout: Layout engine of Matplotlib.
+    """
     figure = Figure(figsize=(PAGE_WIDTH, height), dpi=DPI, layout=layout)
     figure.suptitle(title, x=0.012, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False)
     return figure
 
 
 def title_panel(axes: Axes, title: str) -> None:
-    """Gives a panel its title, and the look of all panels."""
+    """Set the title of a panel, and the style that all panels share."""
     axes.set_title(title, size=FONT_SIZE, weight="bold", loc="left", pad=4, parse_math=False)
     axes.tick_params(labelsize=FONT_SIZE)
     for spine in ("top", "right"):
@@ -181,7 +210,7 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Puts a legend under a figure, in one line."""
+    """Add a legend with one row below a figure."""
     figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT_SIZE,
                   frameon=False, handletextpad=0.5, columnspacing=0.8,
                   handlelength=1.6)  # fmt: skip

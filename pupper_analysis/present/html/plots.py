@@ -1,7 +1,7 @@
-"""Plots drawn as inline SVG: lines, bars and directions, with values that show under the pointer.
+"""Plots as inline SVG: lines and bars, with values at the mouse pointer.
 
-A mark is a dictionary that the template writes as one element: ``tag`` names it, ``words`` is a
-text that it shows, ``points`` are places (n, 2) with one of ``labels`` each.
+A mark is a dictionary that the template writes as one SVG element. ``tag`` is the element's name,
+``words`` a displayed text, ``points`` positions of shape (n, 2) with one entry of ``labels`` each.
 """
 
 from __future__ import annotations
@@ -32,33 +32,36 @@ Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
 
 PLOT_WIDTH, PLOT_HEIGHT = 640.0, 300.0
+"""Size of a line plot [CSS pixels]."""
 LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 78.0, 14.0, 12.0, 44.0
-"""Of a drawing (CSS pixels): itself, and what its axes' words need around it."""
+"""Margins of a line plot for ticks and axis names [CSS pixels]."""
 
 MAX_LINE_POINTS = 160
-"""Points of a line: one per four pixels of its width, which is as near as a pointer can be put."""
+"""Largest number of points of a line: one per four pixels of the plot's width, about the accuracy
+of a mouse pointer. Chosen, not tuned."""
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
-"""Width of a letter (CSS pixels), and letters of a name for which there is room beside a bar."""
+"""Approximate width of a letter [CSS pixels], and the largest number of letters of a bar's name.
+Chosen, not tuned."""
 
 DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
-"""Radius of a point (CSS pixels), and of the one that matters most."""
+"""Radius of a point [CSS pixels], and of the marked point of a series."""
 
 NUM_SERIES_STYLES = 6
-"""Styles of series in the style sheet (``s0`` ...), each of its own colour, dashes and marker."""
+"""Number of series styles in the style sheet (``s0`` ...), with different colours and dashes."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing, with its marks in the user's units of an SVG.
+    """Plot as SVG marks, in the user units of the SVG.
 
     Attributes:
-        title: What it shows.
-        width: Of the drawing.
-        height: Of the drawing.
-        marks: Its lines, points and words, in the order in which they are drawn.
-        legend: (words, class) of each series.
-        note: What is beside the names in it; None for nothing.
+        title: Title.
+        width: Width.
+        height: Height.
+        marks: Lines, points and words, in drawing order.
+        legend: (words, class of the style sheet) pairs.
+        note: Meaning of the notes in the legend; None without one.
     """
 
     kind: ClassVar[str] = "plot"
@@ -72,26 +75,29 @@ class Drawing:
 
 @singledispatch
 def draw_svg(plot: Plot) -> Drawing:
-    """Draws a plot.
+    """Convert a plot to SVG marks.
 
     Raises:
-        TypeError: If nobody has said how such a plot is drawn.
+        TypeError: If there is no implementation for this type of plot.
     """
     raise TypeError(f"no drawing of {type(plot).__name__}")
 
 
-_FLAT = 1e-3
-"""Least height of a drawing, in parts of its values: less than that is level, and would have the
-same six digits at all of its lines."""
+_MIN_HEIGHT_RATIO = 1e-3
+"""Smallest range of the vertical axis, relative to the largest value. On a smaller range the tick
+labels, which have six digits, would be equal."""
 
 
 def format_axis_value(axis: Axis, value: float) -> str:
-    """Writes a value with its unit."""
+    """Format a value with the unit of its axis."""
     return f"{number_cell(value, axis.form).text} {axis.unit}"
 
 
 def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Returns round values between two, about as many as asked for."""
+    """Return about ``count`` round values between two bounds.
+
+    The values are multiples of 1, 2 or 5 times a power of 10.
+    """
     span = max(high - low, 1e-12)
     power = 10.0 ** math.floor(math.log10(span / count))
     step = next(size * power for size in (1, 2, 5, 10) if size * power * count >= span)
@@ -100,17 +106,18 @@ def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 
 @draw_svg.register
-def _lines(plot: LinePlot) -> Drawing:
+def _draw_line_plot(plot: LinePlot) -> Drawing:
+    """Convert a line plot to SVG marks."""
     x, y, series = plot.x, plot.y, plot.series
     lines = []
     for one in series:
         across, up = (np.asarray(values, dtype=float) for values in (one.x, one.y))
         good = np.isfinite(across) & np.isfinite(up)
-        lines.append(_thinned(np.column_stack([across[good], up[good]])))
+        lines.append(_thin_points(np.column_stack([across[good], up[good]])))
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
-    left, right = _range(points[:, 0], 0.0)
-    low, high = _range(points[:, 1], 0.06)
-    flat = _FLAT * max(abs(low), abs(high)) - (high - low)
+    left, right = _compute_range(points[:, 0], 0.0)
+    low, high = _compute_range(points[:, 1], 0.06)
+    flat = _MIN_HEIGHT_RATIO * max(abs(low), abs(high)) - (high - low)
     if flat > 0:
         low, high = low - flat / 2, high + flat / 2
     wide, tall = PLOT_WIDTH - LEFT_MARGIN - RIGHT_MARGIN, PLOT_HEIGHT - TOP_MARGIN - BOTTOM_MARGIN
@@ -138,19 +145,21 @@ def _lines(plot: LinePlot) -> Drawing:
     )
 
 
-_ROUNDED = 1e-9
-"""Of what is drawn: less below zero is rounding, and draws no second side."""
+_ROUNDING_RATIO = 1e-9
+"""Magnitude of a negative value, relative to the largest one, below which it is rounding and the
+bar plot stays one-sided."""
 
 
 @draw_svg.register
-def _bars(plot: BarPlot) -> Drawing:
+def _draw_bar_plot(plot: BarPlot) -> Drawing:
+    """Convert a bar plot to SVG marks."""
     axis, bars = plot.axis, plot.bars
-    shown = [_shortened(bar.name) for bar in bars]
-    names, values, step = 24.0 + LETTER_WIDTH * max(map(_letters, shown)), 84.0, 22.0
+    shown = [_shorten_name(bar.name) for bar in bars]
+    names, values, step = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown)), 84.0, 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
-    one_sided = all(bar.value >= -_ROUNDED * reach for bar in bars)
+    one_sided = all(bar.value >= -_ROUNDING_RATIO * reach for bar in bars)
     low = 0.0 if one_sided else -reach
 
     def at(value: float) -> float:
@@ -186,7 +195,7 @@ def _bars(plot: BarPlot) -> Drawing:
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
-    """Returns each line's name, with what it comes to, and its style."""
+    """Return (words, class of the style sheet) of each series, with its note."""
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
@@ -196,19 +205,20 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     )
 
 
-def _letters(words: Words) -> int:
+def _count_letters(words: Words) -> int:
+    """Return the number of letters of words, in the longer language."""
     return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
 
-def _shortened(words: Words) -> Words:
-    """Returns a name that fits beside its bar: its end, where names differ."""
+def _shorten_name(words: Words) -> Words:
+    """Cut the start of a name that is too long for the space beside a bar."""
     if isinstance(words, Name) and len(words.text) > MAX_BAR_NAME_LENGTH:
         return Name(f"…{words.text[1 - MAX_BAR_NAME_LENGTH :]}")
     return words
 
 
-def _thinned(points: Array) -> Array:
-    """Returns at most ``MOST_POINTS`` of them, the first and the last included."""
+def _thin_points(points: Array) -> Array:
+    """Select at most `MAX_LINE_POINTS` points, among them the first and the last one."""
     if len(points) <= MAX_LINE_POINTS:
         return points
     kept: Array = points[
@@ -217,7 +227,8 @@ def _thinned(points: Array) -> Array:
     return kept
 
 
-def _range(values: Array, room: float) -> tuple[float, float]:
+def _compute_range(values: Array, room: float) -> tuple[float, float]:
+    """Return the bounds of an axis: the range of the values, extended by a fraction ``room``."""
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
     return low - room * span, high + room * span if high > low or room else high + span
@@ -226,7 +237,14 @@ def _range(values: Array, room: float) -> tuple[float, float]:
 def draw_grid(
     across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
 ) -> list[Mark]:
-    """Returns lines at values of both axes, {value: where}, with the values beside them."""
+    """Draw grid lines of both axes, with their values.
+
+    Args:
+        across: {value: x coordinate of its line}.
+        up: {value: y coordinate of its line}.
+        wide: Width of the grid.
+        tall: Height of the grid.
+    """
     marks: list[Mark] = []
     for value, at in across.items():
         marks.append(draw_line(at, TOP_MARGIN, at, TOP_MARGIN + tall, "grid"))
@@ -240,7 +258,7 @@ def draw_grid(
 def draw_axes(
     x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
 ) -> list[Mark]:
-    """Returns both axes, with what they say."""
+    """Draw both axes with their names and units."""
     up = draw_words(14, TOP_MARGIN + tall / 2, y, "middle", units[1])
     return [
         draw_line(LEFT_MARGIN, TOP_MARGIN + tall, LEFT_MARGIN + wide, TOP_MARGIN + tall, "axis"),
@@ -251,7 +269,14 @@ def draw_axes(
 
 
 def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
-    """Returns a line through places (n, 2), which have labels, and its points."""
+    """Draw a line and its points.
+
+    Args:
+        places: Points in user units, shape (n, 2).
+        labels: Text of each point at the mouse pointer.
+        series: Series.
+        index: Index of the series, which selects its style.
+    """
     rounded = np.round(places, 1).tolist()
     style = f"s{index % NUM_SERIES_STYLES}"
     marks: list[Mark] = [
@@ -272,12 +297,12 @@ def draw_series(places: Array, labels: Sequence[str], series: Series, index: int
 
 
 def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
-    """Returns a straight line."""
+    """Create a straight line."""
     return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
 
 
 def draw_words(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
-    """Returns words at a place; their ``anchor`` is ``start``, ``middle`` or ``end``."""
+    """Create words at a position; ``anchor`` is ``start``, ``middle`` or ``end``."""
     return {
         "tag": "text",
         "class": "words",

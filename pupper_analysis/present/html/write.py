@@ -1,8 +1,7 @@
-"""Writes results as one HTML file that needs nothing else.
+"""Results as one HTML file that needs no network and no other file.
 
-Not even to draw in space: three.js is in it, of a package that is installed. MeshCat's viewer has
-it, which PlaCo brings. A scene has a robot's shapes, where they are, and what acts on it; of two
-files that are compared, the MJCF's shapes and the URDF's joints as lines over each other.
+The page contains three.js for its 3-D views, taken from the installed package MeshCat, on which
+PlaCo depends. A scene contains a robot's shapes, their poses, and the loads on the robot.
 """
 
 from __future__ import annotations
@@ -71,32 +70,35 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_FACES = 12_000
-"""Of all meshes of a robot together: some 150 kB of the file, so that six robots fit in 3 MB."""
+"""Largest number of triangles of all meshes of a robot: about 150 kB of the file, so that a report
+of six robots is below 3 MB."""
 
 MAX_FRAMES = 80
-"""Configurations of a motion: what a slider of its width can tell apart."""
+"""Largest number of configurations of a motion, about the resolution of its slider. Chosen, not
+tuned."""
 
 
 @singledispatch
 def serialise_scene(scene: object) -> dict[str, Any] | None:
-    """Returns a scene as plain lists and numbers: lengths in m, in the world unless said.
+    """Convert a scene to lists and numbers: lengths in m, in the world frame unless stated.
 
     Returns:
-        The scene; None where what it is made of has gone.
+        Scene; None if an implementation has nothing to show.
 
     Raises:
-        TypeError: If nobody has said how such a scene is drawn.
+        TypeError: If there is no implementation for this type of scene.
     """
     raise TypeError(f"no view of {type(scene).__name__}")
 
 
 @serialise_scene.register
-def _stand(scene: StandScene) -> dict[str, Any]:
+def _serialise_stand(scene: StandScene) -> dict[str, Any]:
+    """Convert the scene of a stand."""
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
     seen = describe_scene(robot, stand, statics)
     return {
-        **_robot(robot, stand.qpos, (still, *scene.motions), seen.joints),
+        **_serialise_robot(robot, stand.qpos, (still, *scene.motions), seen.joints),
         "contacts": [
             {
                 "name": escape_control(one.foot),
@@ -126,10 +128,11 @@ def _stand(scene: StandScene) -> dict[str, Any]:
 
 
 @serialise_scene.register
-def _motion(scene: MotionScene) -> dict[str, Any]:
+def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
+    """Convert the scene of a moving robot."""
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
-    drawn = _robot(robot, qpos, scene.motions, axes)
+    drawn = _serialise_robot(robot, qpos, scene.motions, axes)
     return {
         **drawn,
         **{"contacts": [], "polygon": [], "steps": [], "com": None, "below": None},
@@ -140,10 +143,10 @@ def _motion(scene: MotionScene) -> dict[str, Any]:
     }
 
 
-def _robot(
+def _serialise_robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
-    """Returns a robot's bodies, shapes, joints and motions, and where it is at a configuration."""
+    """Convert a robot's bodies, shapes, joints and motions, and its extent at ``qpos``."""
     model, data = robot.mj_model, robot.placed(qpos)
     low, high = compute_extent(model, data)
     geoms, meshes = serialise_geoms(model)
@@ -152,15 +155,15 @@ def _robot(
         "bodies": serialise_bodies(model),
         "geoms": geoms,
         "meshes": meshes,
-        "motions": [_frames(robot, data, motion) for motion in motions],
-        "joints": [_joint(one, kinds[one.name]) for one in axes],
+        "motions": [_pack_motion(robot, data, motion) for motion in motions],
+        "joints": [_serialise_joint(one, kinds[one.name]) for one in axes],
         "middle": round_values((low + high) / 2),
         "radius": float(np.linalg.norm(high - low) / 2),
     }
 
 
-def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Returns where the bodies are in some of the configurations."""
+def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
+    """Convert a motion to body poses, at up to `MAX_FRAMES` of its finite configurations."""
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
@@ -173,16 +176,16 @@ def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]
 
 
 def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
-    """Returns poses in few letters.
+    """Pack poses as 16-bit integers.
 
     Args:
-        name: What moves.
-        time: (n,) when (s).
-        poses: (n, bodies, 7) x, y, z (m) and quaternion w, x, y, z.
+        name: Name of the motion.
+        time: Times, shape (n,) [s].
+        poses: Position [m] and quaternion (w, x, y, z) of each body, shape (n, bodies, 7).
 
     Returns:
-        ``frames`` are whole numbers of 16 bits: x, y, z in parts of ``reach`` / 32767, then the
-        quaternion in parts of 1 / 32767.
+        ``frames`` contains the integers in base64: x, y, z in units of ``reach`` / 32767, then the
+        quaternion in units of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
@@ -197,12 +200,16 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
 
 
 def round_values(values: ArrayLike) -> list[Any]:
-    """Returns numbers to a hundredth of a millimetre: a view shows no more."""
+    """Round to five decimals (for lengths 0.01 mm), which suffices for a view."""
     return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
 
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the least and the greatest x, y, z (3,) of the balls round the robot's shapes (m)."""
+    """Compute the bounds of the bounding spheres of a robot's shapes, and of its body frames.
+
+    Returns:
+        Lower and upper bounds, shape (3,) [m], in the world frame.
+    """
     own = select_visible_geoms(model)
     middle, reach = data.geom_xpos[own], model.geom_rbound[own, None]
     frames = data.xpos[1:]
@@ -211,7 +218,7 @@ def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
 
 
 def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
-    """Returns the bodies but the world: names, masses (kg) and coms in their own frames (m)."""
+    """Convert all bodies except the world: name, mass [kg], and CoM in the body frame [m]."""
     return [
         {
             "name": escape_control(str(model.body(body).name)),
@@ -222,8 +229,8 @@ def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
     ]
 
 
-def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
-    """Returns a joint's axis, what it does, where it is and what its motor holds."""
+def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
+    """Convert a joint's axis, motion, position and motor load."""
     return {
         "name": escape_control(one.name),
         "body": one.body - 1,
@@ -239,12 +246,12 @@ def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
 def serialise_geoms(
     model: mujoco.MjModel,
 ) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Returns the robot's shapes, and the meshes that they have, named after their content.
+    """Convert a robot's visible shapes and their meshes.
 
-    So robots that have the same share it.
+    A mesh is named after its content, so that robots with equal meshes share them.
     """
     shapes, found = collect_visible_shapes(model, MAX_FACES)
-    meshes = {number: _mesh(mesh) for number, mesh in found.items()}
+    meshes = {number: _pack_mesh(mesh) for number, mesh in found.items()}
     names = {number: hash_content(orjson.dumps(mesh))[:16] for number, mesh in meshes.items()}
     geoms = [
         {
@@ -261,8 +268,8 @@ def serialise_geoms(
     return geoms, {names[number]: mesh for number, mesh in meshes.items()}
 
 
-def _mesh(mesh: Mesh) -> dict[str, Any]:
-    """Returns a mesh in few letters: its vertices in whole steps of its box's sides."""
+def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
+    """Pack a mesh: vertices as 16-bit integers relative to its bounding box, faces as integers."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     steps = np.round((mesh.vertices - low) / span * 65535).astype("<u2")
@@ -277,19 +284,19 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-_PACKAGE = "meshcat"
-_EXPORT = "THREE:()=>"
-"""How the bundle says that it gives three.js away, beside its own viewer."""
+_VIEWER_PACKAGE = "meshcat"
+"""Package that contains three.js."""
+_EXPORT_MARKER = "THREE:()=>"
+"""Text in the bundle that shows that it exports three.js."""
 
 
 @dataclass(frozen=True)
 class ViewerLibrary:
-    """A script with three.js in it.
+    """Script that contains three.js.
 
     Attributes:
-        script: The script, which leaves ``MeshCat.THREE`` behind; nothing in it ends a script's
-            element.
-        licence: Under which it, and all that is in it, may be passed on.
+        script: Script, which defines ``MeshCat.THREE``; nothing in it ends a script element.
+        licence: Licences of the script and of its parts.
     """
 
     script: str
@@ -297,24 +304,29 @@ class ViewerLibrary:
 
 
 def load_viewer_library() -> ViewerLibrary | None:
-    """Returns three.js, or None where no package with it is installed."""
-    found = find_spec(_PACKAGE)  # which does not import it
+    """Load three.js; None if the package is not installed, unreadable or of another form."""
+    found = find_spec(_VIEWER_PACKAGE)  # which does not import it
     if found is None or found.origin is None:
         return None
     folder = Path(found.origin).parent / "viewer" / "dist"
     try:
         script = (folder / "main.min.js").read_text(encoding="utf-8")
-        licences = _licences(folder)
+        licences = _collect_licences(folder)
     except (OSError, ValueError, PackageNotFoundError):
         return None
-    if _EXPORT not in script:
+    if _EXPORT_MARKER not in script:
         return None
     # Within a script's element "<" before these can only stand in a string or a pattern.
     return ViewerLibrary(re.sub(r"(?i)<(?=/script|!--)", r"\\x3c", script), licences)
 
 
-def _licences(folder: Path) -> str:
-    named = (path for path in distribution(_PACKAGE).files or () if path.name.startswith("LICENSE"))
+def _collect_licences(folder: Path) -> str:
+    """Return the licence texts of the package and of the parts of its bundle."""
+    named = (
+        path
+        for path in distribution(_VIEWER_PACKAGE).files or ()
+        if path.name.startswith("LICENSE")
+    )
     texts = [f"MeshCat\n\n{path.read_text(encoding='utf-8')}" for path in islice(named, 1)]
     parts = json.loads((folder / "main.min.js.THIRD_PARTY_LICENSES.json").read_text("utf-8"))
     texts += [
@@ -325,11 +337,11 @@ def _licences(folder: Path) -> str:
 
 
 HTML_LANGUAGES = {"en": "en", "zh": "zh-Hans"}
-"""The page's languages, and their names in HTML."""
+"""{language: language tag in HTML}."""
 
 Reportable = Result | Table
 ReportInput = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
-"""What may be reported."""
+"""Results that `write_report` accepts."""
 
 
 def write_report(
@@ -340,27 +352,26 @@ def write_report(
     language: str = "en",
     force: bool = False,
 ) -> None:
-    """Writes results as one HTML file, which needs no network and nothing beside it.
+    """Write results as one HTML file, which needs no network and no other file.
 
     Args:
-        results: One result, several, or {name: result}. Analyses, stances, pushed stances,
-            comparisons, audits, paths and studies (``study_outcome``) have pages of their own; of
-            any other result the fields are shown.
-        path: The file; ``-`` is standard output.
-        robots: The robots that the results are of, for the views in three dimensions; they are
-            found by their names.
-        language: In which it opens, ``"en"`` or ``"zh"``; it can be changed on the page.
-        force: Replace what is no page of ours, too.
+        results: One result, several, or {name: result}. Results with a builder, such as analyses,
+            stances and studies (``study_outcome``), have their own pages; of other results the
+            fields are listed.
+        path: File; ``-`` is standard output.
+        robots: Robots of the results, for 3-D views; they are assigned by name.
+        language: Initial language, ``"en"`` or ``"zh"``. The page can switch.
+        force: Also replace an existing file that is not a page of this package.
 
     Raises:
-        ConfigurationError: If there is no result, or the language is neither.
-        OutputError: If the file cannot be written, or is no page of ours.
+        ConfigurationError: If there is no result, or the language is unknown.
+        OutputError: If the file cannot be written, or is not a page of this package.
     """
     if language not in HTML_LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))
     check_type("path", path, str | Path)
     check_type("robots", robots, Iterable[Robot])
-    named = _named(results)
+    named = _name_results(results)
     odd = [one for _, one in named if not isinstance(one, Result | Table)]
     if odd:
         raise ConfigurationError("results", diagnose("no-result", given=reprlib.repr(odd[0])))
@@ -375,9 +386,10 @@ def write_report(
         file.write(render_page(shown, language).encode())
 
 
-def _named(
+def _name_results(
     results: ReportInput,
 ) -> list[tuple[str | None, Reportable]]:
+    """Return (name, result) pairs; the name is None if the caller passed none."""
     if isinstance(results, Result | Table):
         return [(None, results)]
     if isinstance(results, Mapping):
@@ -387,18 +399,18 @@ def _named(
 
 
 def render_page(shown: Report, language: str = "en") -> str:
-    """Returns a report as one HTML page.
+    """Return a report as one HTML page.
 
     Args:
-        shown: The report.
-        language: In which it opens, ``"en"`` or ``"zh"``.
+        shown: Report.
+        language: Initial language, ``"en"`` or ``"zh"``.
     """
     library = load_viewer_library()
     scenes: list[dict[str, Any]] = []
-    sections = tuple(_drawn(document, scenes) for document in shown.documents)
+    sections = tuple(_draw_document(document, scenes) for document in shown.documents)
     meshes = {name: one for scene in scenes for name, one in scene.pop("meshes").items()}
     page: str = (
-        _environment()
+        _make_environment()
         .get_template("page.html")
         .render(
             title=shown.title,
@@ -406,28 +418,28 @@ def render_page(shown: Report, language: str = "en") -> str:
             version=__version__,
             provenance=collect_provenance().lines(),
             sections=sections,
-            overview=[_block(block, scenes) for block in shown.overview],
-            words=_spoken(),
+            overview=[_draw_block(block, scenes) for block in shown.overview],
+            words=_collect_script_words(),
             text=text,
             library=library if scenes else None,
-            three=_as_it_is(library.script if library else ""),
+            three=_mark_safe(library.script if library else ""),
             meshes=meshes,
-            style=_part("style.css"),
-            script=_part("page.js"),
-            viewer=_part("view.js"),
+            style=_read_part("style.css"),
+            script=_read_part("page.js"),
+            viewer=_read_part("view.js"),
         )
     )
     return page
 
 
-def _drawn(document: Document, scenes: list[dict[str, Any]]) -> Document:
-    """Returns a document with its plots drawn, and its views built and put into ``scenes``."""
-    blocks = [_block(block, scenes) for block in document.blocks]
+def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document:
+    """Convert the plots and views of a document; the scenes are appended to ``scenes``."""
+    blocks = [_draw_block(block, scenes) for block in document.blocks]
     return replace(document, blocks=tuple(block for block in blocks if block is not None))
 
 
-def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
-    """Returns what the template shows of a block; None where nothing is to be shown."""
+def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
+    """Convert a block for the template; None if nothing is to be shown."""
     if isinstance(block, Plot):
         return draw_svg(block)
     if not isinstance(block, View):
@@ -442,8 +454,8 @@ def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     return {"kind": "view", "title": block.title, "note": block.note, "scene": scene}
 
 
-def _spoken() -> dict[str, dict[str, str]]:
-    """Returns the words that the page's scripts say, by language."""
+def _collect_script_words() -> dict[str, dict[str, str]]:
+    """Return the words of the page's scripts, {language: {key: word}}."""
     said = {
         "no_library": "view-without-three-js",
         "no_webgl": "view-without-webgl",
@@ -462,8 +474,8 @@ def _spoken() -> dict[str, dict[str, str]]:
     }
 
 
-def _environment() -> jinja2.Environment:
-    """Returns the templates' environment: every text is escaped, and none acts."""
+def _make_environment() -> jinja2.Environment:
+    """Create the environment of the templates, which escapes all texts."""
     import jinja2
     import markupsafe
 
@@ -484,14 +496,14 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _part(name: str) -> object:
-    """Returns a file of the package that is put into the page as it is."""
+def _read_part(name: str) -> object:
+    """Read a file of the package that is inserted into the page without escaping."""
     part = files("pupper_analysis.present.html").joinpath("templates", name)
-    return _as_it_is(part.read_text(encoding="utf-8"))
+    return _mark_safe(part.read_text(encoding="utf-8"))
 
 
-def _as_it_is(script: str) -> object:
-    """Returns the package's own text, or a library's, which is not escaped."""
+def _mark_safe(script: str) -> object:
+    """Mark a text of the package or of the library as not to be escaped."""
     import markupsafe
 
     return markupsafe.Markup(script)

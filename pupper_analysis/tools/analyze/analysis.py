@@ -1,4 +1,7 @@
-"""One variant from its two model files to a verified stand: all results in one place."""
+"""Analysis of one robot: model data, nominal stand, simulation, gain sweep and cross-check.
+
+Input is a robot with a floating base and a task; output is an ``Analysis`` with all results.
+"""
 
 from __future__ import annotations
 
@@ -35,22 +38,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class JointSummary(Result):
-    """What a joint does, and what it can.
+    """Axis, limits and passive terms of a joint.
 
     Attributes:
-        name: Its name, in both files.
-        motion: ``roll``, ``pitch`` or ``yaw``, as far as the axis is within 1 degree of x, y or z
-            of the base at zero angles; otherwise ``oblique``. Of a joint that slides ``along x``,
-            ``along y`` or ``along z``; otherwise ``oblique slide``.
-        axis: (3,) its axis in the base frame at zero angles.
-        lower: rad (here and below, of a joint that slides: m for rad, N for N m, kg for kg m^2).
-        upper: rad.
-        effort: What its motor can give either way, the least that both files state (N m).
-        velocity: rad/s.
-        armature: Of the MJCF (kg m^2).
-        damping: N m s/rad.
-        friction: N m.
-        effort_origin: Which statement of which file ``effort`` is; None without a limit.
+        name: Name of the joint, equal in both files.
+        motion: ``roll``, ``pitch`` or ``yaw`` if the axis is within 1 degree of x, y or z of the
+            base at zero angles; otherwise ``oblique``. For a sliding joint ``along x``, ``along
+            y`` or ``along z``; otherwise ``oblique slide``.
+        axis: Joint axis at zero angles, shape (3,), in the base frame.
+        lower: Lower position limit (rad). Here and below, a sliding joint has m for rad, N for N m
+            and kg for kg m^2.
+        upper: Upper position limit (rad).
+        effort: Effort limit (N m): the smallest one that the files state.
+        velocity: Velocity limit (rad/s).
+        armature: Armature of the MJCF (kg m^2).
+        damping: Viscous damping (N m s/rad).
+        friction: Dry friction (N m).
+        effort_origin: Statement in a file from which ``effort`` was read; None without a limit.
     """
 
     name: str
@@ -67,17 +71,17 @@ class JointSummary(Result):
 
     @property
     def oblique(self) -> bool:
-        """Whether its axis is along none of the base's."""
+        """True if the axis is parallel to none of the base's axes."""
         return self.motion in OBLIQUE_MOTIONS
 
     @property
     def slides(self) -> bool:
-        """Whether it slides, and does not turn."""
+        """True for a sliding joint."""
         return self.motion.startswith("along ") or self.motion == OBLIQUE_MOTIONS[1]
 
 
 def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
-    """Tells of each joint what it does and what it can, in actuator order."""
+    """List axis, limits and passive terms of each joint, in actuator order."""
     rest = Configuration(robot, robot.neutral())
     model, v = robot.pin_model, robot.pin_convention.v_index
     summaries = []
@@ -102,13 +106,15 @@ def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FootJacobian(Result):
-    """The Jacobian of a foot with respect to the joints of its leg.
+    """Jacobian of a foot with respect to the joints of its leg.
 
     Attributes:
-        joints: The leg's joints.
-        matrix: (3, n) in world axes: velocity of the foot's centre per joint velocity (m/rad).
-        singular_values: (3,) (m/rad).
-        condition: Their ratio, greatest to least: 1 is isotropic, infinity singular.
+        joints: Joints of the leg.
+        matrix: Velocity of the foot's centre per joint velocity, shape (3, n) (m/rad), in world
+            axes.
+        singular_values: Singular values of the matrix, in descending order (m/rad).
+        condition: Ratio of the largest to the smallest singular value: 1 is isotropic, infinity
+            singular.
     """
 
     joints: tuple[str, ...]
@@ -119,35 +125,37 @@ class FootJacobian(Result):
 
 @dataclass(frozen=True, eq=False)
 class Analysis(Result):
-    """All that is found out about one robot.
+    """Results of the analysis of one robot.
 
     Attributes:
-        name: The robot's name.
+        name: Name of the robot.
         nq: Size of qpos.
         nv: Size of qvel.
         nu: Number of motors.
-        total_mass: kg.
-        link_masses: {base or joint: mass of the body it moves (kg)}, fixed links included.
-        center_of_mass: (3,) at zero angles in the base frame (m).
-        thigh_length: Distance from the knee's parent joint to the knee, first leg (m); None for a
-            leg of one joint.
-        calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m); None
-            for a leg without joints.
-        joints: Per joint, in actuator order.
-        notes: What was assumed on loading.
-        stand: How it stands, with its feet sunk into MuJoCo's ground (its ``depths``); where that
-            is out of reach, on rigid ground.
-        statics: Torques and contact forces of the stand: those that last.
-        min_max_torque: The same of least peak motor utilisation.
-        hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
-        foot_jacobians: Per foot.
-        verification: The simulated stand, with feed-forward.
-        sagging: The simulated stand, without.
-        verdict: Whether the stand holds, and what that rests on.
-        sweep: The gain sweep.
-        check: The cross-check of the two models.
-        verified: Whether the verdict lets pass, and the cross-check.
-        failures: If not, why.
+        total_mass: Mass of the robot (kg).
+        link_masses: {base or joint: mass of the body that it moves (kg)}, including fixed links.
+        center_of_mass: CoM at zero angles, shape (3,) (m), in the base frame.
+        thigh_length: Distance between the last two joints of the first leg (m); None for a leg with
+            fewer joints.
+        calf_length: Distance from the last joint to the foot in the plane of the first leg (m);
+            None for a leg without joints.
+        joints: Summary of each joint, in actuator order.
+        notes: Assumptions on loading.
+        stand: Stand with the feet sunk into MuJoCo's soft ground (its ``depths``); on rigid ground
+            if that stand is out of reach.
+        statics: Torques and contact forces of the stand, with minimum tangential forces.
+        min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
+        hanging_torques: Motor torques in the same configuration with the base held, shape (nu,) [N
+            m].
+        foot_jacobians: {foot: Jacobian of its leg}.
+        verification: Simulation of the stand with feed-forward.
+        sagging: Simulation of the stand without feed-forward.
+        verdict: Verdict on the stand, with its basis.
+        sweep: Gain sweep.
+        check: Cross-check of the two models.
+        verified: True if the verdict is good, the simulation with feed-forward holds and the models
+            agree.
+        failures: Failures of the simulation with feed-forward and of the cross-check.
     """
 
     name: str
@@ -179,21 +187,21 @@ class Analysis(Result):
 def analyze_variant(
     robot: Robot, task: StandTask | None = None, *, progress: bool = False
 ) -> Analysis:
-    """Takes a robot through all that the package finds out about it.
+    """Analyse a robot: statics, simulation and gain sweep of a stand; cross-check of the models.
 
     Args:
-        robot: A robot with a floating base.
-        task: How it shall stand; the nominal stand by default.
-        progress: Show a progress bar for what takes longer than a second.
+        robot: Robot with a floating base.
+        task: Task of the stand. Default: the nominal stand.
+        progress: Show a progress bar if the gain sweep takes longer than a second.
 
     Returns:
-        All results; ``verified`` is the verdict.
+        All results.
 
     Raises:
         StanceUnreachableError: If the stand is out of reach.
-        StaticsInfeasibleError: If no contact forces balance it.
+        StaticsInfeasibleError: If no contact forces balance the stand.
         ConfigurationError: If the base is fixed.
-        ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
+        ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF.
     """
     stand = solve_stand_as_simulated(robot, solve_stand(robot, task))
     robot = stand.check(robot)
@@ -228,7 +236,7 @@ def analyze_variant(
         nv=robot.nv,
         nu=robot.nu,
         total_mass=robot.total_mass,
-        link_masses=_link_masses(robot),
+        link_masses=_list_link_masses(robot),
         center_of_mass=rest.center_of_mass(),
         thigh_length=thigh,
         calf_length=calf,
@@ -250,7 +258,7 @@ def analyze_variant(
 
 
 def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
-    """Returns each foot's Jacobian with respect to its leg's joints, and how well conditioned."""
+    """Compute the Jacobian of each foot with respect to the joints of its leg."""
     robot = config.robot
     jacobians = {}
     for foot, full in config.foot_jacobians().items():
@@ -266,7 +274,8 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     return jacobians
 
 
-def _link_masses(robot: Robot) -> dict[str, float]:
+def _list_link_masses(robot: Robot) -> dict[str, float]:
+    """Return {base or joint: mass of the body that it moves [kg]}, including fixed links."""
     model = robot.pin_model
     root = 1 if robot.floating else 0
     masses = {robot.base: float(model.inertias[root].mass)}
@@ -276,11 +285,14 @@ def _link_masses(robot: Robot) -> dict[str, float]:
 
 
 def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
-    """Returns the lengths of the first leg's thigh and calf (m); None for one that it lacks.
+    """Compute the lengths of the first leg's thigh and calf at zero angles.
 
-    The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,
-    in the plane of the leg (without the foot's sideways offset along the knee's axis). The knee is
-    the leg's last joint; a leg of one joint has no thigh.
+    The knee is the last joint of the leg. The thigh reaches from the joint before it to the knee.
+    The calf reaches from the knee to the foot, without the component along the knee axis.
+
+    Returns:
+        Thigh and calf length [m]. The thigh is None for a leg with one joint; both are None for a
+        leg without joints.
     """
     foot = robot.contact_points[0]
     rest = Configuration(robot, robot.neutral())

@@ -1,4 +1,4 @@
-"""``pupper-analysis analyze``: robots, from their model files to a verified stand."""
+"""Command ``pupper-analysis analyze``: take robots from their model files to a verified stand."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.document import ComparisonRow
 
 
-_FIGURES = kinds.Folder(
+_FIGURE_FILES = kinds.Folder(
     dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE_KIND)
 )
-"""What is drawn beside the pose of each robot."""
+"""Figures that are written in addition to the pose of each robot."""
 
 
 @shared.command("analyze")
@@ -45,7 +45,7 @@ _FIGURES = kinds.Folder(
 @shared.output_option(
     "-o",
     "--output",
-    holds=lambda given: None if given["no_figures"] else _FIGURES,
+    holds=lambda given: None if given["no_figures"] else _FIGURE_FILES,
     default=Path("output"),
     show_default=True,
     help="Write the figures into this folder; it is created if needed.",
@@ -114,14 +114,14 @@ def command(
     shown = style == "text"
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
-    rows = _compared(meant, analyses)
+    rows = _compare_variants(meant, analyses)
     table, named = comparison_table(rows), [(one.name, one) for one in analyses]
     if shown and (everything or len(rows) > 1):
         print_table(make_console(), table)
     if style == "markdown":
         shared.show_results(named, style, robots=robots, overview=[table])
     if folder is not None:
-        _draw(robots, analyses, folder)
+        _write_figures(robots, analyses, folder)
     shared.write_json(json_path, {"variants": dict(named), "comparison": rows})
     shared.write_page(report_path, [*analyses, table], robots)
     good = sum(analysis.verified for analysis in analyses)
@@ -139,7 +139,7 @@ def command(
 def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
-    """Analyses robots and prints each as it is done."""
+    """Analyse robots, and print each result as soon as it is complete."""
     from pupper_analysis.present.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
     from pupper_analysis.tools.analyze.analysis import analyze_variant
@@ -159,10 +159,10 @@ def _analyze_all(
     return analyses, robots
 
 
-def _compared(
+def _compare_variants(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
-    """Puts each variant beside the base model that it is made of; files have none."""
+    """Compare each variant with its unscaled base model; robots from files have no base model."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
@@ -179,7 +179,8 @@ def _compared(
     ]
 
 
-def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
+def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
+    """Write the figures of the analyses into a folder."""
     from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants

@@ -1,4 +1,4 @@
-"""The document of an analysis: all that was found out about one robot."""
+"""Document of an analysis, and the table that compares several robots."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 @build_document.register(Analysis)
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
-    """Returns all that was found out about one robot; see ``build``."""
+    """Create the document of an analysis; see ``build_document``."""
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
-        *_structure(analysis, robot),
+        *_make_structure_blocks(analysis, robot),
         stand_table(analysis.stand, analysis.statics),
         *load_blocks(
             analysis.statics,
@@ -67,31 +67,32 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         ),
         *simulation_blocks(analysis),
         deviation_table(analysis.sweep),
-        _jacobians(analysis),
-        _check(analysis),
+        _make_jacobian_table(analysis),
+        _make_check_table(analysis),
     ]
     return doc.Document(
         text("analysis"),
         doc.Name(analysis.name),
         tuple(blocks),
         passed=analysis.verified,
-        verdict=_verdict_word(analysis),
+        verdict=_make_verdict_word(analysis),
         failures=tuple(map(doc.diagnostic_text, analysis.failures)),
-        findings=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
+        findings=(*_make_key_figures(analysis), *first, *_report_fall(analysis.sagging)),
         details=tuple(more),
         brief=True,
         notes=tuple(map(doc.diagnostic_text, analysis.notes)),
     )
 
 
-def _verdict_word(analysis: Analysis) -> doc.Text:
+def _make_verdict_word(analysis: Analysis) -> doc.Text:
+    """Return the word of the verdict."""
     if not analysis.verified:
         return text("FAILED")
     return qualify_verdict_word("VERIFIED", analysis.verdict.converted)
 
 
-def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
-    """Says in a line each: mass and peak torque; how high it stands; how well the files agree."""
+def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
+    """State mass and peak torque, base height, and agreement of the files, one line each."""
     statics = analysis.statics
     share = statics.motor_utilisation
     limited = not np.isnan(share).all()
@@ -109,8 +110,8 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     yield text(
         "stands-height-mm-high",
         height=f"{1e3 * analysis.stand.qpos[2]:.1f}",
-        held=_height(analysis.verification),
-        let_go=_height(analysis.sagging),
+        held=_format_height(analysis.verification),
+        let_go=_format_height(analysis.sagging),
     )
     check = analysis.check
     worst = next(one for one in check.quantities if one.name == check.worst)
@@ -121,20 +122,22 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     )
 
 
-def _height(run: StandVerification) -> doc.Words:
+def _format_height(run: StandVerification) -> doc.Words:
+    """Format the base height of a simulation [mm]; a word if the simulation diverged."""
     if not np.isfinite(run.base_height):
         return text("diverged")
     return doc.Name(f"{1e3 * run.base_height:.1f} mm")
 
 
-def _fall(without: StandVerification) -> Iterable[doc.Words]:
-    """Says that it does not stand without feed-forward, if so."""
+def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
+    """State the failures of the simulation without feed-forward, if there are any."""
     if not without.passed:
         why = join_words(map(doc.diagnostic_text, without.failures), "semicolon")
         yield text("does-not-stand-without-feed-forward", why=why).with_mark("warn")
 
 
-def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
+def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
+    """Create the model sizes and the tables of joints and masses."""
     yield doc.Lines(
         (
             text(
@@ -147,14 +150,14 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
             ),
             text(
                 "thigh-thigh-calf-calf",
-                thigh=_millimetres(analysis.thigh_length),
-                calf=_millimetres(analysis.calf_length),
+                thigh=_format_length(analysis.thigh_length),
+                calf=_format_length(analysis.calf_length),
             ),
             task_text(analysis.stand.task),
             files_text(robot),
         )
     )
-    yield _joints(analysis)
+    yield _make_joint_table(analysis)
     yield doc.Table(
         text("masses-of-the-bodies"),
         (
@@ -170,8 +173,8 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     )
 
 
-def _joints(analysis: Analysis) -> doc.Table:
-    """Returns what each joint does and can."""
+def _make_joint_table(analysis: Analysis) -> doc.Table:
+    """Create the table of joint axes, limits and passive terms."""
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
         scale = 1e3 if joint.slides else math.degrees(1.0)
@@ -220,11 +223,13 @@ def _joints(analysis: Analysis) -> doc.Table:
     )
 
 
-def _millimetres(length: float | None) -> str:
+def _format_length(length: float | None) -> str:
+    """Format a length [m] in mm; a dash if it is None."""
     return "-" if length is None else f"{1e3 * length:.1f} mm"
 
 
-def _jacobians(analysis: Analysis) -> doc.Block:
+def _make_jacobian_table(analysis: Analysis) -> doc.Block:
+    """Create the table of foot Jacobians."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(foot),
@@ -251,7 +256,8 @@ def _jacobians(analysis: Analysis) -> doc.Block:
     )
 
 
-def _check(analysis: Analysis) -> doc.Block:
+def _make_check_table(analysis: Analysis) -> doc.Block:
+    """Create the table of the cross-check."""
     check = analysis.check
     rows: list[tuple[doc.Cell, ...]] = []
     for quantity in check.quantities:
@@ -288,7 +294,7 @@ def _check(analysis: Analysis) -> doc.Block:
 
 
 def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
-    """Returns what the simulations of a stand say, with feed-forward and without."""
+    """Create the table and the height plot of the simulations with and without feed-forward."""
     run = analysis.verification
     both = (run, analysis.sagging)
     verdicts = tuple(
@@ -300,8 +306,8 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
             seconds=f"{run.duration:g}",
             integrator=doc.Name(run.integrator),
             step=f"{1e3 * run.timestep:g}",
-            kp=_interval(run.kp),
-            kd=_interval(run.kd),
+            kp=_format_interval(run.kp),
+            kd=_format_interval(run.kd),
         ),
         quantity_columns(text("with-feed-forward"), text("without")),
         (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
@@ -312,13 +318,17 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
-def _interval(values: doc.Array) -> str:
+def _format_interval(values: doc.Array) -> str:
+    """Format the range of values; one number if they are equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
 def deviation_table(sweep: GainSweep) -> doc.Table:
-    """Return the table of height deviations [mm] by servo gains; gains without rest are marked."""
+    """Create the table of height deviations [mm] by kp and kd.
+
+    Gains without a lasting rest are marked.
+    """
     deviations = [
         [
             doc.number_cell(value, ".2g", "" if lasts else "bad", 1e3)
@@ -358,21 +368,25 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRow(Result):
-    """One robot beside the others. Ratios are to its base model, unscaled; files have none.
+    """Key figures of one robot in the comparison.
+
+    Ratios refer to the unscaled base model; robots from files have none.
 
     Attributes:
-        name: The robot.
-        base: Its base model, or its files.
-        total_mass: kg.
-        mass_ratio: Of the total masses; None for a robot of files.
-        thigh_ratio: Of the hip-to-knee distances; None for legs of one joint.
-        height: Of the base, in the task (m).
-        peak_torque: The greatest torque (N m).
-        peak_utilisation: The greatest motor utilisation.
-        servo_sag: Without feed-forward (m).
-        stands_without: Whether it stands without feed-forward.
-        verified: The verdict.
-        converted: Which of the robot's models was made of the other one, if one was.
+        name: Name of the robot.
+        base: Name of the base model, or the robot's files.
+        total_mass: Mass of the robot (kg).
+        mass_ratio: Total mass relative to the base model; None for a robot from files.
+        thigh_ratio: Thigh length relative to the base model; None for legs with one joint, or a
+            robot from files.
+        height: Base height of the task (m).
+        peak_torque: Largest torque magnitude (N m).
+        peak_utilisation: Largest motor utilisation.
+        servo_sag: Height loss by servo deflection without feed-forward (m).
+        stands_without: True if the simulation without feed-forward holds.
+        verified: True if the analysis is verified.
+        converted: Model that was converted from the other one, ``urdf`` or ``mjcf``; empty if
+            neither was.
     """
 
     name: str
@@ -392,21 +406,22 @@ class ComparisonRow(Result):
 def compare_with_base(
     analysis: Analysis, base: str, mass: float | None, thigh: float | None
 ) -> ComparisonRow:
-    """Puts an analysis beside its base model.
+    """Compare an analysis with its base model.
 
     Args:
-        analysis: The analysis.
-        base: The base model's name, or the robot's files.
-        mass: Of the base model (kg); None of files.
-        thigh: The length of its thigh (m); None of files.
+        analysis: Analysis.
+        base: Name of the base model, or the robot's files.
+        mass: Mass of the base model [kg]; None for a robot from files.
+        thigh: Thigh length of the base model [m]; None for a robot from files, or if it has no
+            thigh.
     """
     assert analysis.stand.task.height is not None
     return ComparisonRow(
         name=analysis.name,
         base=base,
         total_mass=analysis.total_mass,
-        mass_ratio=_ratio(analysis.total_mass, mass),
-        thigh_ratio=_ratio(analysis.thigh_length, thigh),
+        mass_ratio=_compute_ratio(analysis.total_mass, mass),
+        thigh_ratio=_compute_ratio(analysis.thigh_length, thigh),
         height=analysis.stand.task.height,
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
         peak_utilisation=peak_utilisation(analysis.statics.motor_utilisation),
@@ -417,19 +432,20 @@ def compare_with_base(
     )
 
 
-def _verdict(row: ComparisonRow) -> str:
-    """Returns a row's verdict: one that rests on feed-forward says so."""
+def _get_verdict_key(row: ComparisonRow) -> str:
+    """Return the catalogue key of a row's verdict."""
     if not row.verified:
         return "FAILED"
     return "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
 
 
-def _ratio(length: float | None, reference: float | None) -> float | None:
+def _compute_ratio(length: float | None, reference: float | None) -> float | None:
+    """Return the ratio of two values; None if either is unknown or the reference is zero."""
     return length / reference if length is not None and reference else None
 
 
 def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
-    """Returns the table that compares robots: a row each, so that it can be sorted."""
+    """Create the table that compares robots, one row each."""
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),
@@ -446,7 +462,7 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
             for _, _, field, form, scale in columns
         ]
         stands = text("stands") if row.stands_without else text("FAILS").with_mark("bad")
-        verdict = qualify_verdict_word(_verdict(row), row.converted).with_mark(
+        verdict = qualify_verdict_word(_get_verdict_key(row), row.converted).with_mark(
             "good" if row.verified else "bad"
         )
         cells.append((Name(row.name), verdict, stands, *numbers))

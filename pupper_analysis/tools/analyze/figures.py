@@ -38,33 +38,39 @@ from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
 
 Array = NDArray[np.float64]
 
-CAMERA_ELEVATION, CAMERA_AZIMUTH = (
-    math.radians(20),
-    math.radians(140),
-)  # of the camera's line of sight
+CAMERA_ELEVATION = math.radians(20)
+"""Angle between the camera's line of sight and the horizontal plane [rad]. Chosen, not tuned."""
+CAMERA_AZIMUTH = math.radians(140)
+"""Angle between the x axis and the camera's line of sight, seen from above [rad]. Chosen, not
+tuned."""
 CAMERA_FORWARD = np.array([math.cos(CAMERA_AZIMUTH), math.sin(CAMERA_AZIMUTH), 0.0])
+"""Horizontal direction of the camera's line of sight, in the world frame."""
 IMAGE_RIGHT = np.array([math.sin(CAMERA_AZIMUTH), -math.cos(CAMERA_AZIMUTH), 0.0])
+"""Direction of the image's x axis, in the world frame."""
 IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATION) * np.array(
     [0.0, 0.0, 1.0]
 )
-_GAP = 0.09  # around a robot, in tile widths
-LABEL_HEIGHT = 0.125  # for the text below it, in tile widths
+"""Direction upwards in the image, in the world frame."""
+_TILE_MARGIN = 0.09
+"""Margin around a robot, relative to the width of its tile. Chosen, not tuned."""
+LABEL_HEIGHT = 0.125
+"""Height of the text below a robot, relative to the width of its tile. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """The part of the picture that shows one robot, in a parallel projection.
+    """Part of the picture that shows one robot, in a parallel projection.
 
     Attributes:
-        robot: The robot.
-        qpos: (nq,) where it is.
-        lines: The same as lines.
-        left: Where the tile begins (pixels from the picture's left edge).
-        top: Likewise, from its top edge.
-        width: Of the tile (pixels).
-        height: Of the tile (pixels).
+        robot: Robot.
+        qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+        lines: Skeleton in this configuration.
+        left: Left edge of the tile in the picture [pixels].
+        top: Upper edge of the tile in the picture [pixels].
+        width: Width of the tile [pixels].
+        height: Height of the tile [pixels].
         scale: Pixels per metre.
-        centre: (2,) what is in the tile's middle: m along ``CAMERA_RIGHT`` and ``CAMERA_UP``.
+        centre: Point in the middle of the tile, shape (2,) [m], along `IMAGE_RIGHT` and `IMAGE_UP`.
     """
 
     robot: Robot
@@ -78,7 +84,7 @@ class Tile:
     centre: Array
 
     def pixels(self, points: Array) -> Array:
-        """Returns where points (n, 3) in the world are in the picture (n, 2), y downwards."""
+        """Convert world points (n, 3) [m] to picture coordinates (n, 2) [pixels], y downwards."""
         offset = self.scale * (project_points(points) - self.centre) * (1, -1)
         middle = (self.left + self.width / 2, self.top + self.height / 2)
         place: Array = middle + offset
@@ -86,13 +92,19 @@ class Tile:
 
 
 def project_points(points: Array) -> Array:
-    """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
+    """Project world points of shape (n, 3) [m] onto the image axes, shape (n, 2) [m]."""
     seen: Array = points @ np.array([IMAGE_RIGHT, IMAGE_UP]).T
     return seen
 
 
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
-    """Gives each robot a tile: all to one scale, and those of a row on one line."""
+    """Assign a tile to each robot, all at one scale, with the robots of a row on one baseline.
+
+    Args:
+        poses: (robot, qpos) pairs.
+        width: Width of the picture [pixels].
+        columns: Tiles in a row.
+    """
     lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
     for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
@@ -101,8 +113,8 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
         low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
     size = high - low
     tile_width = width // columns
-    scale = (1 - 2 * _GAP) * tile_width / float(size[:, 0].max())
-    gap, label = _GAP * tile_width / scale, LABEL_HEIGHT * tile_width / scale
+    scale = (1 - 2 * _TILE_MARGIN) * tile_width / float(size[:, 0].max())
+    gap, label = _TILE_MARGIN * tile_width / scale, LABEL_HEIGHT * tile_width / scale
     tiles: list[Tile] = []
     top = 0
     for first in range(0, len(poses), columns):
@@ -122,18 +134,22 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
 
 Image = NDArray[np.uint8]
 BACKGROUND_COLOUR = "#EEF1F5"
-_OVERSAMPLING = 2  # pixels rendered per pixel shown, in each direction
-_HIDDEN = 5  # a group of geoms that MuJoCo does not draw
-_OFF = ("disable", "disabled", "off", "false", "0")
+"""Colour of the picture's background."""
+_OVERSAMPLING_FACTOR = 2
+"""Rendered pixels per pixel of the picture, in each direction."""
+_HIDDEN_GROUP = 5
+"""Geom group that MuJoCo does not render."""
+_DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
+"""Values of MUJOCO_GL that disable OpenGL."""
 
 
-def _model(tile: Tile) -> mujoco.MjModel:
-    """Compiles a robot's MJCF, its ground hidden, and with the light of the picture."""
+def _compile_model(tile: Tile) -> mujoco.MjModel:
+    """Compile a robot's MJCF without visible ground planes, with the lights of the picture."""
     robot = tile.robot
     spec = robot.description.mjcf.copy()
     for geom in spec.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            geom.group = _HIDDEN
+            geom.group = _HIDDEN_GROUP
     free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
     for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
         spec.delete(element)
@@ -141,8 +157,8 @@ def _model(tile: Tile) -> mujoco.MjModel:
     sun.dir, sun.diffuse = (-0.30, 0.24, -1.0), (0.45,) * 3
     visual = spec.visual
     visual.headlight.ambient, visual.headlight.diffuse = (0.42,) * 3, (0.25,) * 3
-    visual.global_.offwidth = _OVERSAMPLING * tile.width
-    visual.global_.offheight = _OVERSAMPLING * tile.height
+    visual.global_.offwidth = _OVERSAMPLING_FACTOR * tile.width
+    visual.global_.offheight = _OVERSAMPLING_FACTOR * tile.height
     visual.global_.orthographic = True
     visual.quality.offsamples = 0
     spec.stat.extent = max(tile.width, tile.height) / tile.scale / 2
@@ -150,9 +166,13 @@ def _model(tile: Tile) -> mujoco.MjModel:
 
 
 def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
-    """Returns an image per tile, from which backend, and no note; or none, ``lines`` and why."""
+    """Render each tile with the first OpenGL backend that works.
+
+    Returns:
+        Images, name of the backend and None. Without OpenGL: no images, ``lines`` and the reason.
+    """
     reasons = []
-    for backend in _backends():
+    for backend in _list_backends():
         try:
             with _quiet_attempt():
                 return _render_with(backend, tiles), backend, None
@@ -164,13 +184,13 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
     return [], "lines", f"no OpenGL ({why}): a line drawing instead of a rendered picture"
 
 
-def _backends() -> tuple[str, ...]:
-    """Returns the modules of ``mujoco`` to get OpenGL from: the user's, or those that may do.
+def _list_backends() -> tuple[str, ...]:
+    """Return the modules of ``mujoco`` that may provide OpenGL: the user's or the usual ones.
 
-    MuJoCo reads MUJOCO_GL when it is imported, which is too early: so its choice is made here.
+    MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in _OFF:
+    if wanted in _DISABLING_VALUES:
         return ()
     if wanted in ("egl", "osmesa", "glfw", "cgl"):
         return (wanted,)
@@ -182,9 +202,9 @@ def _backends() -> tuple[str, ...]:
 
 @contextmanager
 def _quiet_attempt() -> Iterator[None]:
-    """Keeps drivers quiet, and lets another backend follow if this one fails.
+    """Silence the drivers, and restore modules and variables so that another backend can be tried.
 
-    PyOpenGL is bound to one backend on import, by an environment variable that mujoco sets.
+    PyOpenGL binds to one backend on import, by an environment variable that MuJoCo sets.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)
@@ -207,6 +227,7 @@ def _quiet_attempt() -> Iterator[None]:
 
 
 def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
+    """Render all tiles with one backend."""
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
     try:
@@ -220,7 +241,8 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
 
 
 def _render_tile(tile: Tile) -> Image:
-    model = _model(tile)
+    """Render a tile, with the background in `BACKGROUND_COLOUR`."""
+    model = _compile_model(tile)
     data = mujoco.MjData(model)
     tile.robot.mj_convention.set_state(data, tile.qpos)
     mujoco.mj_forward(model, data)
@@ -234,7 +256,7 @@ def _render_tile(tile: Tile) -> Image:
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
     scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX.value] = 0
-    height, width = _OVERSAMPLING * tile.height, _OVERSAMPLING * tile.width
+    height, width = _OVERSAMPLING_FACTOR * tile.height, _OVERSAMPLING_FACTOR * tile.width
     image, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
     frame = mujoco.MjrRect(0, 0, width, height)
     context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -246,22 +268,26 @@ def _render_tile(tile: Tile) -> Image:
         context.free()
     image[depth == 1.0] = np.round(255 * np.array(to_rgb(BACKGROUND_COLOUR)))
     # Pixels on an outline are shared by robot and ground.
-    parts = image[::-1].reshape(tile.height, _OVERSAMPLING, tile.width, _OVERSAMPLING, 3)
+    parts = image[::-1].reshape(
+        tile.height, _OVERSAMPLING_FACTOR, tile.width, _OVERSAMPLING_FACTOR, 3
+    )
     return np.asarray(np.round(parts.mean(axis=(1, 3))), dtype=np.uint8)
 
 
-_DPI = 100
-_COLUMNS = 3  # robots in a row
+_PICTURE_DPI = 100
+"""Resolution of the picture [pixels per inch]."""
+_NUM_COLUMNS = 3
+"""Largest number of robots in a row."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that has been written.
+    """Picture that was written.
 
     Attributes:
-        path: The PNG.
-        method: Who drew it: ``egl``, ``osmesa``, ``glfw`` or ``cgl`` (OpenGL), or ``lines``.
-        note: Why it is a line drawing, if it is one.
+        path: PNG file.
+        method: ``egl``, ``osmesa``, ``glfw`` or ``cgl`` (OpenGL backends), or ``lines``.
+        note: Reason for a line drawing; None if the picture was rendered.
     """
 
     path: Path
@@ -272,15 +298,16 @@ class Picture:
 def render_variants(
     robots_and_stands: Sequence[tuple[Robot, Stand]], path: str | Path, *, width: int = 1500
 ) -> Picture:
-    """Renders robots standing side by side, to one scale, with names, leg lengths and masses.
+    """Render robots side by side at one scale, with names, leg lengths and masses.
 
     Args:
-        robots_and_stands: The robots, each with its stand.
-        path: The PNG to write.
-        width: Of the picture (pixels).
+        robots_and_stands: (robot, stand) pairs.
+        path: PNG file.
+        width: Width of the picture [pixels].
 
     Returns:
-        What was written. Without OpenGL it is a line drawing, and the note says why.
+        Picture that was written. Without OpenGL it is a line drawing, and the note states the
+        reason.
 
     Raises:
         ConfigurationError: If there is no robot.
@@ -289,11 +316,15 @@ def render_variants(
     if not robots_and_stands:
         raise ConfigurationError("robots_and_stands", diagnose("no-robot-to-draw"))
     poses = [(robot, stand.qpos) for robot, stand in robots_and_stands]
-    tiles = lay_out_tiles(poses, width, min(_COLUMNS, len(poses)))
+    tiles = lay_out_tiles(poses, width, min(_NUM_COLUMNS, len(poses)))
     images, method, note = render_tiles(tiles)
     width = max(tile.left + tile.width for tile in tiles)
     height = max(tile.top + tile.height for tile in tiles)
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=BACKGROUND_COLOUR)
+    figure = Figure(
+        figsize=(width / _PICTURE_DPI, height / _PICTURE_DPI),
+        dpi=_PICTURE_DPI,
+        facecolor=BACKGROUND_COLOUR,
+    )
     canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0), zorder=1)
     canvas.set_axis_off()
     if images:
@@ -310,22 +341,23 @@ def render_variants(
 
 
 def _write_label(canvas: Axes, tile: Tile) -> None:
+    """Write name, leg length and mass below a robot."""
     robot = tile.robot
     # Letters that fit the tile, in points.
-    size = 0.03 * tile.width * 72 / _DPI
+    size = 0.03 * tile.width * 72 / _PICTURE_DPI
     x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL_HEIGHT + 0.02) * tile.width
     legs = sum(length or 0.0 for length in measure_leg_lengths(robot))
     numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
-    below = y + 2.0 * size * _DPI / 72
+    below = y + 2.0 * size * _PICTURE_DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
     canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)
     canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
 
 
 def _draw_lines(canvas: Axes, tile: Tile) -> None:
-    """Draws a robot as lines, in the projection of the rendered picture."""
+    """Draw a robot's skeleton, in the projection of the rendered picture."""
     lines = tile.lines
-    thick = 0.035 * tile.width * 72 / _DPI
+    thick = 0.035 * tile.width * 72 / _PICTURE_DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
     feet = hull_corners(legs[:, -1])
     ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))

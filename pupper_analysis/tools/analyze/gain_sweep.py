@@ -1,4 +1,4 @@
-"""How steady a stand is under a disturbance, for a grid of servo gains."""
+"""Height deviation of a disturbed stand, for a grid of servo gains."""
 
 from __future__ import annotations
 
@@ -45,24 +45,25 @@ GainPair = tuple[float, float]
 """kp and kd."""
 
 GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""The gains that are tried by default, in parts of the model's own."""
+"""Gains of a sweep without arguments, relative to the median gain of the model.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class GainSweep(Tabular):
-    """How steady a stand is under a vertical disturbance, for a grid of servo gains.
+    """Height deviation of a stand under a vertical force, for a grid of servo gains.
 
     Attributes:
-        kp: (n,) N m/rad.
-        kd: (m,) N m s/rad.
-        height_deviation: (n, m) standard deviation of the base's height in the last second (m);
-            infinite where the robot fell or the simulation diverged.
-        fell: (n, m) whether it did.
-        lasts: (n, m) whether it comes to rest undisturbed, and no mode grows there with which it
-            leaves within 12 s (``Stability.lasts``).
-        amplitude: Of the disturbance on the base (N).
-        frequency: Of the disturbance (Hz).
-        duration: s.
+        kp: Stiffnesses, shape (n,) (N m/rad).
+        kd: Dampings, shape (m,) (N m s/rad).
+        height_deviation: Standard deviation of the base height in the last second, shape (n, m)
+            (m); infinite if the robot fell or the simulation diverged.
+        fell: True if the robot fell or the simulation diverged, shape (n, m).
+        lasts: True if the undisturbed robot comes to rest and ``Stability.lasts`` holds there,
+            shape (n, m): no mode grows so fast that the robot leaves the rest within 12 s.
+        amplitude: Amplitude of the force on the base (N).
+        frequency: Frequency of the force (Hz).
+        duration: Simulated time (s).
         integrator: MuJoCo's integrator.
     """
 
@@ -100,46 +101,45 @@ def sweep_gains(
     integrator: str = "implicitfast",
     progress: bool = False,
 ) -> GainSweep:
-    """Simulates a stand under a vertical force on its base, for each kp and kd.
+    """Simulate a stand under a vertical force on its base, for each pair of kp and kd.
 
-    The servos are commanded the stand's joint positions, without feed-forward; the force is
-    amplitude sin(2 pi frequency t), from the first step. All cells run in parallel, on all cores.
-    The default integrator takes kd implicitly: with Euler, high kd jitters.
+    The servos are commanded to the joint positions of the stand, without feed-forward. The force is
+    amplitude sin(2 pi frequency t), from the first step. All pairs run in parallel, on all cores.
+    The default integrator treats kd implicitly; the Euler integrator oscillates at high kd.
 
-    No pair of gains is called the best: a disturbance moves stiffer servos less, without end,
-    and nothing here has the delay, noise and torque that end it on a robot. ``lasts`` tells where a
-    pair is not stable.
+    No pair is called the best: the base moves less with stiffer servos, and the simulation has
+    neither the delay nor the noise that bound the stiffness on a robot. ``lasts`` is False for
+    unstable pairs.
 
     Args:
-        robot: The robot.
-        stand: How it stands.
-        kp: Stiffnesses (N m/rad); by default ``GAIN_FACTORS`` of the model's (of the median
-            joint's).
-        kd: Dampings (N m s/rad), likewise.
-        amplitude: N.
-        frequency: Hz.
-        duration: Simulated time (s), at least 2.
+        robot: Robot.
+        stand: Stand.
+        kp: Stiffnesses [N m/rad]. Default: `GAIN_FACTORS` times the median of the model's.
+        kd: Dampings [N m s/rad]. Default: `GAIN_FACTORS` times the median of the model's.
+        amplitude: Amplitude of the force [N].
+        frequency: Frequency of the force [Hz].
+        duration: Simulated time [s], at least 2.
         integrator: MuJoCo's integrator.
-        progress: Show a progress bar if it takes longer than a second.
+        progress: Show a progress bar if the sweep takes longer than a second.
 
     Returns:
-        The grid of last-second height deviations.
+        Height deviations in the last second, for each pair.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
-        ModelError: If the model has no servos, and kp or kd is not given.
+        ModelError: If the model has no servos, and kp or kd is not passed.
     """
     robot = check_stand(robot, stand, duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", diagnose("must-be-finite"))
     own = None if kp is not None and kd is not None else model_with_servos(robot)
     axes = [
-        _values(given, None if own is None else getattr(own, name))
+        _choose_values(given, None if own is None else getattr(own, name))
         for name, given in (("kp", kp), ("kd", kd))
     ]
     if not all(axes):
         raise ConfigurationError("kp, kd", diagnose("gain-values-missing"))
-    trial = _Trial(robot, stand, integrator, duration)
+    trial = _SweepTrial(robot, stand, integrator, duration)
     cells = list(dict.fromkeys(itertools.product(axes[0], axes[1])))
     found = trial.run(cells, amplitude, frequency, progress=progress)
     pairs = [[found[kp, kd] for kd in axes[1]] for kp in axes[0]]
@@ -157,7 +157,8 @@ def sweep_gains(
     )
 
 
-def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
+def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[float]:
+    """Return the passed gains, or the default multiples of the model's median gain."""
     if given is not None:
         return [float(value) for value in given]
     assert own is not None
@@ -165,8 +166,8 @@ def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
     return [factor * middle for factor in GAIN_FACTORS]
 
 
-class _Trial:
-    """Rollouts of a stand under the disturbance."""
+class _SweepTrial:
+    """Rollouts of a stand under the force."""
 
     def __init__(self, robot: Robot, stand: Stand, integrator: str, duration: float) -> None:
         self.plain, self.stand, self.integrator = robot, stand, integrator
@@ -179,13 +180,17 @@ class _Trial:
     def run(
         self, cells: Sequence[GainPair], amplitude: float, frequency: float, *, progress: bool
     ) -> dict[GainPair, tuple[float, bool]]:
-        """Simulates pairs of gains, and judges each at rest: {pair: deviation (m), if it lasts}."""
+        """Simulate pairs of gains, and evaluate the stability of each at rest.
+
+        Returns:
+            {pair: (height deviation [m], True if the rest lasts)}.
+        """
         from rich.progress import track
 
         robot, stand = self.robot, self.stand
         starts: dict[float, Array] = {}
         rests: dict[float, Array | None] = {}
-        # Refused before anything is simulated.
+        # Raises for invalid gains before the first simulation.
         for cell in cells:
             resolve_servo_gains(robot, *cell)
         first = model_with_servos(robot, *cells[0], self.integrator)
@@ -195,7 +200,7 @@ class _Trial:
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            # Nothing moves where a start is looked for, that kd could damp.
+            # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
             starts[kp] = place_on_ground(robot, drive, stand, self.torques)
             with suppress(PupperAnalysisError):
@@ -231,7 +236,7 @@ class _Trial:
     def _lasts_at_the_end(
         self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
     ) -> bool:
-        """Tells whether where it is in the end, undisturbed, is a rest on its feet that lasts."""
+        """Return True if the undisturbed robot comes to rest on its feet, and this rest lasts."""
         steps = round(HOLD_DURATION / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._stands(watcher, states):
@@ -240,7 +245,7 @@ class _Trial:
         return found.speed <= MAX_RESTING_SPEED and found.lasts()
 
     def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
-        """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
+        """Compute the height deviation in the last second [m]; infinite if the robot fell."""
         if not self._stands(watcher, states):
             return math.inf
         last = round(1.0 / self.timestep)

@@ -1,4 +1,4 @@
-"""``pupper-analysis workspace``: how far a base can go."""
+"""Command ``pupper-analysis workspace``: find the range of the base with planted feet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The document of a workspace: how far a base can go, with its feet planted."""
+"""Document of a workspace: range of the base in each direction, with planted feet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pupper_analysis.stance.workspace import BaseWorkspace
 
 @build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
-    """Returns how far a base can go; see ``build``."""
+    """Create the document of a workspace; see ``build_document``."""
     rows: list[tuple[doc.Cell, ...]] = []
     ranges = []
     for direction, interval in workspace.intervals.items():
