@@ -1,6 +1,6 @@
 """Check all models of a repository, as in CI.
 
-Keeps the models of a repository right: what is checked, and what is known already.
+Compares and audits the models listed in a configuration; findings in a baseline are accepted.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

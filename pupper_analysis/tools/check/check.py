@@ -1,7 +1,7 @@
-"""Checks all models that a repository's configuration names, against its baseline.
+"""Check of all models listed in a repository's configuration against the baseline.
 
-And since a revision, what has changed: of contacts, options, keyframes and motors no URDF can
-contradict an MJCF, so that the last version is the only witness.
+With a revision, changes since this revision are reported as well: a URDF specifies no contacts,
+options, keyframes and motors, so only the previous version shows an error there.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
 
 SIMULATION_KIND = "simulation"
-"""The kind of a remark on what all changes of a file do together."""
+"""Kind of a remark on the combined effect of all changes of a file."""
 
 
 def list_history_remarks(
     file: Path, before: Callable[[Path], Path], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yields a remark per change of a file, and one on what they do together.
+    """Yield a remark per change of a file, and remarks on the combined effect.
 
-    None of a file that is new, or that could not be read before.
+    Nothing is yielded for a new file, or if the comparison fails.
 
     Args:
-        file: The file.
-        before: Returns where its old version is.
-        pair: Whose file it is.
-        folder: The configuration's.
+        file: File.
+        before: Function that returns the path of the old version.
+        pair: Pair that the file belongs to.
+        folder: Folder of the configuration.
     """
     old = before(file)
     if not old.is_file():
@@ -69,52 +69,62 @@ def list_history_remarks(
         diff = diff_models(old, file, packages=pair.packages)
     except PupperAnalysisError:
         return
-    named = relative_path(file, folder)
+    relative = relative_path(file, folder)
     for change in diff.changes:
-        felt = _of_effects(bool(change.effects))
-        bad = min(_severity(change.consequences), felt, key=lambda one: one.rank)
+        effect_severity = _get_effect_severity(bool(change.effects))
+        severity = min(
+            _get_change_severity(change.consequences), effect_severity, key=lambda level: level.rank
+        )
         yield make_remark(
             "diff",
             pair.name,
             change.kind,
             change.element,
-            named,
+            relative,
             change.diagnostic,
-            bad,
+            severity,
             change.new_place or str(file),
             consequences=change.consequences,
         )
     for message in diff.combined:
         yield make_remark(
-            "diff", pair.name, SIMULATION_KIND, "", named, message, _severity((message,)), str(file)
+            "diff",
+            pair.name,
+            SIMULATION_KIND,
+            "",
+            relative,
+            message,
+            _get_change_severity((message,)),
+            str(file),
         )
 
 
-def _of_effects(felt: bool) -> Severity:
+def _get_effect_severity(felt: bool) -> Severity:
+    """Return WARNING for a change with an effect, otherwise NOTE."""
     return Severity.WARNING if felt else Severity.NOTE
 
 
-def _severity(consequences: tuple[Diagnostic, ...]) -> Severity:
-    """Returns how bad a change is: who meant one tells why; a robot that falls nobody means."""
+def _get_change_severity(consequences: tuple[Diagnostic, ...]) -> Severity:
+    """Return ERROR for a fall or a divergence, WARNING for other effects, otherwise NOTE."""
     felt = [message for message in consequences if message.code != "simulation-unchanged"]
     if any(message.values.get("falls") or message.values.get("diverges") for message in felt):
         return Severity.ERROR
-    return _of_effects(bool(felt))
+    return _get_effect_severity(bool(felt))
 
 
 @dataclass(frozen=True, eq=False)
 class PairCheck(Result):
-    """What was checked of one pair.
+    """Result for a pair.
 
     Attributes:
-        name: The pair's name.
-        files: The files that were audited for it, and compared if there are two.
-        agree: Whether they agree within the tolerances; None of one file, or where one cannot be
-            read.
-        failures: How many remarks on it fail: differences, as one those that one slip explains
-            or that have the same values, and findings in its files.
-        known: How many the baseline knows.
-        notes: What was assumed or left out, as messages.
+        name: Name of the pair.
+        files: Files that were audited, and compared if both exist.
+        agree: Whether the files agree within the tolerances; None for a single file, or if a file
+            cannot be read.
+        failures: Number of failing findings in the pair and the files. Differences with the same
+            cause or the same values count once.
+        known: Number of findings in the baseline.
+        notes: Assumptions, and content that was left out.
     """
 
     name: str
@@ -127,19 +137,19 @@ class PairCheck(Result):
 
 @dataclass(frozen=True, eq=False)
 class RepositoryCheck(Result):
-    """What was found in a repository's models.
+    """Result of the check of a repository.
 
     Attributes:
-        config: The file that says what is checked.
-        baseline: The file of what is known; None if there is none.
-        pairs: What was checked.
-        remarks: What was found, what fails first, with what the baseline knows of it.
-        failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``;
-            those that one slip explains, or that have the same values, are one.
-        stale: Entries of the baseline that do not occur any more; they were taken out if it was
-            written anew. None of them while a file cannot be read.
-        updated: Whether the baseline was written anew.
-        passed: Whether nothing fails.
+        config: Path of the configuration.
+        baseline: Path of the baseline; None if there is no file.
+        pairs: Result for each pair.
+        remarks: All remarks, failing remarks first, with the state in the baseline.
+        failures: Number of failing findings: not in the baseline, and as severe as ``fail-on``.
+            Differences with the same cause or the same values count once.
+        stale: Entries of the baseline that no longer occur; removed if the baseline was rewritten.
+            Empty if a file cannot be read.
+        updated: Whether the baseline was rewritten.
+        passed: Whether there are no failures.
     """
 
     config: str
@@ -157,75 +167,80 @@ class RepositoryCheck(Result):
 def check_repository(
     config: str | Path | None = None, *, update_baseline: bool = False, since: str | None = None
 ) -> RepositoryCheck:
-    """Compares and audits all models that a ``pupper-analysis.toml`` names.
+    """Compare and audit all models listed in a ``pupper-analysis.toml``.
 
-    What its baseline has with the same value is known, and passes. A file that cannot be read
-    fails, and the others are checked all the same.
+    Findings in the baseline with the same value pass. A file that cannot be read is a failure; the
+    other files are checked nevertheless.
 
     Args:
-        config: The configuration; by default that of the current folder, or of one above it.
-        update_baseline: Write what is found to the baseline, so that all of it is known; not while
-            a file cannot be read.
-        since: A revision of git: what has changed since then is reported, with what it does; it
-            fails where the robot falls or MuJoCo diverges, and where ``fail-on`` says so. No
-            baseline knows it.
+        config: Configuration; by default the file in the current folder or a folder above.
+        update_baseline: Write all findings to the baseline, unless a file cannot be read.
+        since: Revision of git. Changes since this revision are reported with the effects. A change
+            is an error if the robot falls or MuJoCo diverges. Changes are never in a baseline.
+
+    Returns:
+        Result for each pair, and all remarks.
 
     Raises:
         ConfigurationError: If there is no configuration.
-        ModelError: If it, or the baseline, is not valid; it tells the line. If git does not have
-            the revision.
+        ModelError: If the configuration or the baseline is invalid (with the line), or git does not
+            contain the revision.
         OutputError: If the baseline cannot be written.
     """
     settings = read_config(Path(config) if config is not None else find_config())
     before = read_baseline(settings.baseline)
     if update_baseline:
         check_writable(settings.baseline, BASELINE_FILE)
-    pairs, found = [], []
+    pairs, all_remarks = [], []
     for pair in settings.pairs:
-        done, remarks = _check_pair(pair, settings.path.parent)
+        done, remarks = _check_pair_files(pair, settings.path.parent)
         pairs.append(done)
-        found += remarks
+        all_remarks += remarks
     if since is not None:
-        found += _changed(settings, since, found)
-    known, left = mark_known_remarks(_distinct(found), before.entries)
+        all_remarks += _list_changes(settings, since, all_remarks)
+    known, stale = mark_known_remarks(_drop_repeated(all_remarks), before.entries)
     # Of what cannot be read nobody knows what occurs in it: then nothing is stale, nor written.
-    whole = not _refused(known)
-    if update_baseline and whole:
+    is_complete = not _has_refusal(known)
+    if update_baseline and is_complete:
         known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
-        taken = [BaselineEntry(remark.identity, remark.values) for remark in known if remark.known]
-        write_baseline(settings.baseline, before, taken)
+        entries = [
+            BaselineEntry(remark.identity, remark.values) for remark in known if remark.known
+        ]
+        write_baseline(settings.baseline, before, entries)
     ordered = sorted(
-        (replace(remark, fails=_fails(remark, settings)) for remark in known),
+        (replace(remark, fails=_is_failure(remark, settings)) for remark in known),
         key=lambda remark: (not remark.fails, remark.severity.rank),
     )
     failures = count_findings(remark for remark in ordered if remark.fails)
     return RepositoryCheck(
         config=str(settings.path),
         baseline=str(settings.baseline) if settings.baseline.exists() else None,
-        pairs=tuple(_counted(pair, ordered) for pair in pairs),
+        pairs=tuple(_count_pair_remarks(pair, ordered) for pair in pairs),
         remarks=tuple(ordered),
         failures=failures,
-        stale=left if whole else (),
-        updated=update_baseline and whole,
+        stale=stale if is_complete else (),
+        updated=update_baseline and is_complete,
         passed=not failures,
     )
 
 
-def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Returns what was checked of a pair, with its results."""
-    own = [
+def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
+    """Add the numbers of failures and known findings to the result of a pair."""
+    pair_remarks = [
         remark
         for remark in remarks
         if remark.pair == pair.name or (not remark.pair and remark.file in pair.files)
     ]
-    known = count_findings(remark for remark in own if remark.known)
+    known = count_findings(remark for remark in pair_remarks if remark.known)
     return replace(
-        pair, failures=count_findings(remark for remark in own if remark.fails), known=known
+        pair,
+        failures=count_findings(remark for remark in pair_remarks if remark.fails),
+        known=known,
     )
 
 
-def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
-    """Yields what has changed since a revision, but for what the comparison says itself."""
+def _list_changes(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
+    """Yield changes since a revision, except differences that the comparison reports."""
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
     differences = {
@@ -244,12 +259,12 @@ def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterat
                         yield remark
 
 
-def _fails(remark: Remark, config: GuardConfig) -> bool:
+def _is_failure(remark: Remark, config: GuardConfig) -> bool:
     return not remark.known and remark.severity.rank <= config.fail_on.rank
 
 
-def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
-    """Compares a pair's files, and audits each."""
+def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
+    """Audit and compare the files of a pair, and run the hooks of other tools."""
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []
     notes: tuple[Diagnostic, ...] = ()
@@ -264,7 +279,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             remarks += list_audit_remarks(audit, folder)
     # What cannot be read by itself is not refused once more.
-    if pair.urdf is not None and pair.mjcf is not None and not _refused(remarks):
+    if pair.urdf is not None and pair.mjcf is not None and not _has_refusal(remarks):
         try:
             comparison = compare_files(
                 pair.urdf,
@@ -281,7 +296,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
             agree, notes = comparison.agree, comparison.notes
             remarks = [*list_comparison_remarks(comparison, pair, folder), *remarks]
     packages = find_tool_modules("guard")
-    for tool, sources in pair.guards.items() if not _refused(remarks) else ():
+    for tool, sources in pair.guards.items() if not _has_refusal(remarks) else ():
         try:
             found = import_module(f"{packages[tool]}.guard").guard(files, sources, pair.names)
         except PupperAnalysisError as error:
@@ -292,12 +307,12 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
     return PairCheck(pair.name, names, agree, 0, 0, notes), remarks
 
 
-def _refused(remarks: Iterable[Remark]) -> bool:
+def _has_refusal(remarks: Iterable[Remark]) -> bool:
     return any(remark.kind == REFUSED_KIND for remark in remarks)
 
 
-def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Leaves out findings in files that several pairs have, and that were audited before."""
+def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
+    """Drop repeated findings in files that belong to several pairs."""
     seen = set()
     for remark in remarks:
         key = (remark.identity, str(remark.values), remark.place)

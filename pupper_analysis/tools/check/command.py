@@ -1,4 +1,4 @@
-"""``pupper-analysis check`` and ``diff``: a repository's models, now and before."""
+"""``pupper-analysis check``: check all models of a repository."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def command(
 
     if first:
         refuse_unused("--init", {"--init": {"first", "config"}})
-        _begin(config)
+        _write_first_config(config)
         return
     result = check_repository(config, update_baseline=update_baseline, since=since)
     if style in ("text", "markdown"):
@@ -102,8 +102,8 @@ def command(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-def _begin(config: Path | None) -> None:
-    """Writes the first configuration, and says what comes next."""
+def _write_first_config(config: Path | None) -> None:
+    """Write a first configuration, and print the next steps."""
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.tools.check.config import write_config

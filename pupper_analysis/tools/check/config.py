@@ -1,4 +1,4 @@
-"""``pupper-analysis.toml``: which models of a repository are checked, and how."""
+"""Configuration ``pupper-analysis.toml``: models to be checked, and settings."""
 
 from __future__ import annotations
 
@@ -26,28 +26,27 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
 
 CONFIG_NAME: Final = "pupper-analysis.toml"
-"""The name under which it is looked for."""
+"""File name of the configuration."""
 
 BASELINE_NAME: Final = "pupper-analysis-baseline.txt"
-"""Where the baseline is, beside it, unless it says otherwise."""
+"""Default file name of the baseline, next to the configuration."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardedPair:
-    """One robot: its URDF, its MJCF, or both.
+    """Files of a robot: URDF, MJCF, or both.
 
     Attributes:
-        name: Its name in remarks and in the baseline.
-        urdf: The URDF; None if there is none.
-        mjcf: The MJCF; None if there is none. With both, they are compared.
+        name: Name in remarks and in the baseline.
+        urdf: URDF; None without.
+        mjcf: MJCF; None without. With both, the files are compared.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
-        feet: Frames that are compared; all that both files have, if empty.
-        packages: {ROS package: its folder}.
-        tolerances: Of the comparison.
+        feet: Frames that are compared; all common frames if empty.
+        packages: {ROS package: folder}.
+        tolerances: Tolerances of the comparison.
         strict: Whether names, damping that a URDF does not state, and tilts are differences.
-        disabled: {rule of the audit that is not run: the reason}.
-        guards: {tool: what it is asked to hold against the models}, of tools that have a
-            ``guard.py``.
+        disabled: {disabled audit rule: reason}.
+        guards: {tool: sources to compare with the models}, for tools with a ``guard.py``.
     """
 
     name: str
@@ -64,13 +63,13 @@ class GuardedPair:
 
 @dataclass(frozen=True, eq=False)
 class GuardConfig:
-    """What is checked.
+    """Content of a configuration.
 
     Attributes:
-        path: The file that says so; paths in it are relative to its folder.
-        pairs: The robots.
-        fail_on: The least severity of a finding that fails.
-        baseline: The file of what is known already; it need not exist.
+        path: Path of the configuration. Relative paths refer to this folder.
+        pairs: Robots.
+        fail_on: Lowest severity of a failing finding.
+        baseline: Path of the baseline, which need not exist.
     """
 
     path: Path
@@ -80,10 +79,10 @@ class GuardConfig:
 
 
 def find_config(start: Path | None = None) -> Path:
-    """Looks for the file in a folder, then in those above it.
+    """Find the configuration in a folder or the folders above.
 
     Args:
-        start: The folder; the current one by default.
+        start: Folder; by default the current folder.
 
     Raises:
         ConfigurationError: If there is none.
@@ -96,7 +95,7 @@ def find_config(start: Path | None = None) -> Path:
 
 
 def is_include_part(path: Path) -> bool:
-    """Whether a file is a part that other MJCFs include, and no model."""
+    """Return True if a file is a part that other MJCFs include (root element ``mujocoinclude``)."""
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
@@ -107,24 +106,25 @@ def is_include_part(path: Path) -> bool:
 
 
 def read_config(path: Path) -> GuardConfig:
-    """Reads it.
+    """Read a configuration.
 
     Raises:
-        ModelError: If it cannot be read, or contains an invalid key or value. The message states
-            the line and the valid keys or values.
+        ModelError: If the file cannot be read, or contains an invalid key or value. The message
+            states the line and the valid keys or values.
     """
     try:
         text, values = read_toml(path)
     except InputError as error:
         raise ModelError(source_name(path, error.line), error.cause) from error
-    return _Reader(path, text, values).config()
+    return _ConfigReader(path, text, values).config()
 
 
-_WILD: Final = "*?["
+_WILDCARDS: Final = "*?["
+"""Characters that mark a path as a pattern."""
 
 
-class _Kind(NamedTuple):
-    """What the value of a key must be, in words and by a function of it."""
+class _ValueKind(NamedTuple):
+    """Required kind of a value: description, and function that checks a value."""
 
     valid: Term
     check: Callable[[Any], bool]
@@ -143,26 +143,35 @@ def _is_list(value: Any, kind: type) -> bool:
     return isinstance(value, list) and all(isinstance(item, kind) for item in value)
 
 
-_TEXT: Final = _Kind(Term("a text, in quotes"), _is_text)
-_NAMES: Final = _Kind(Term("a list of names, in quotes"), lambda value: _is_list(value, str))
-_TABLE: Final = _Kind(Term("a table"), lambda value: isinstance(value, dict))
-_BOTH: Final = {
-    "strict": _Kind(Term("true or false"), lambda value: isinstance(value, bool)),
-    **dict.fromkeys(("tolerances", "packages", "disable"), _TABLE),
+_TEXT_VALUE: Final = _ValueKind(Term("a text, in quotes"), _is_text)
+_NAMES_VALUE: Final = _ValueKind(
+    Term("a list of names, in quotes"), lambda value: _is_list(value, str)
+)
+_TABLE_VALUE: Final = _ValueKind(Term("a table"), lambda value: isinstance(value, dict))
+_COMMON_KEYS: Final = {
+    "strict": _ValueKind(Term("true or false"), lambda value: isinstance(value, bool)),
+    **dict.fromkeys(("tolerances", "packages", "disable"), _TABLE_VALUE),
 }
-_PAIRS: Final = _Kind(Term("tables that begin with [[pair]]"), lambda value: _is_list(value, dict))
-_TOP: Final = {"baseline": _TEXT, "fail-on": _TEXT, **_BOTH, "pair": _PAIRS}
-_OWN: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT), "feet": _NAMES}
-_PAIR: Final = {**_OWN, "map": _TABLE, **_BOTH}
-_IN_TABLES: Final = {
-    "tolerances": _Kind(Term("a positive number"), _is_number),
-    "packages": _Kind(Term("a folder that exists"), _is_text),
-    "disable": _Kind(Term("the reason, in quotes"), _is_text),
-    "map": _Kind(Term("the name in the MJCF, in quotes"), _is_text),
+_PAIRS_VALUE: Final = _ValueKind(
+    Term("tables that begin with [[pair]]"), lambda value: _is_list(value, dict)
+)
+_TOP_KEYS: Final = {
+    "baseline": _TEXT_VALUE,
+    "fail-on": _TEXT_VALUE,
+    **_COMMON_KEYS,
+    "pair": _PAIRS_VALUE,
 }
-"""{key whose value is a table: what each value in that must be}."""
-_KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], "disable": [*RULES]}
-"""{key whose value is a table: which keys that may have}; of others any."""
+_ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
+_PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
+_TABLE_VALUES: Final = {
+    "tolerances": _ValueKind(Term("a positive number"), _is_number),
+    "packages": _ValueKind(Term("a folder that exists"), _is_text),
+    "disable": _ValueKind(Term("the reason, in quotes"), _is_text),
+    "map": _ValueKind(Term("the name in the MJCF, in quotes"), _is_text),
+}
+"""{key of a table: required kind of the values in this table}."""
+_TABLE_KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], "disable": [*RULES]}
+"""{key of a table: valid keys in this table}. Other tables accept any key."""
 
 
 Key = tuple[str | int, ...]
@@ -184,13 +193,13 @@ def find_key_line(text: str, key: Key) -> int | None:
             values = tomllib.loads("\n".join(lines[:number]))
         except tomllib.TOMLDecodeError:
             continue  # inside a statement
-        if _contains(values, key):
+        if _contains_path(values, key):
             return start
         start = None
     return None
 
 
-def _contains(values: Any, key: Key) -> bool:
+def _contains_path(values: Any, key: Key) -> bool:
     """Return whether nested tables and arrays contain a path."""
     for part in key:
         if isinstance(part, int):
@@ -202,7 +211,7 @@ def _contains(values: Any, key: Key) -> bool:
     return True
 
 
-class _Reader:
+class _ConfigReader:
     """Reader of one configuration file, which refuses unknown keys and invalid values."""
 
     def __init__(self, path: Path, text: str, values: dict[str, Any]) -> None:
@@ -216,10 +225,11 @@ class _Reader:
     def own(self, *key: str) -> Key:
         """Return the path of a key of the current [[pair]], or of the file's top if only there."""
         own: Key = ("pair", self._entry, *key)
-        return own if _contains(self.top, own) else key
+        return own if _contains_path(self.top, own) else key
 
     def config(self) -> GuardConfig:
-        self.check(self.top, (), _TOP)
+        """Read all pairs and settings."""
+        self.check(self.top, (), _TOP_KEYS)
         entries = self.top.get("pair", [])
         if not entries:
             raise ModelError(self.path, diagnose("config-without-pair"))
@@ -239,14 +249,14 @@ class _Reader:
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
-        """Yields the robots of an entry: one, or one for each file that its pattern matches."""
+        """Yield the pair of an entry, or a pair for each file that the patterns match."""
         self.check(
             entry,
             ("pair", self._entry),
-            {**_PAIR, **dict.fromkeys(find_tool_modules("guard"), _NAMES)},
+            {**_PAIR_KEYS, **dict.fromkeys(find_tool_modules("guard"), _NAMES_VALUE)},
         )
         patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
-        if not any(char in text for text in patterns.values() for char in _WILD):
+        if not any(char in text for text in patterns.values() for char in _WILDCARDS):
             yield self.pair(entry)
             return
         if len(patterns) == 2 and any(
@@ -254,21 +264,21 @@ class _Reader:
         ):
             valid = Term("one * in each, which stands for the same in both")
             raise self.invalid(self.own("urdf"), patterns["urdf"], valid)
-        found: dict[str, dict[str, str]] = {}
+        files_by_part: dict[str, dict[str, str]] = {}
         for kind, pattern in patterns.items():
             for file in self.matches(pattern, kind):
                 part = file
                 if len(patterns) == 2:
                     head, tail = pattern.split("*")
                     part = file[len(head) : len(file) - len(tail)]
-                found.setdefault(part, {})[kind] = file
-        for part, files in found.items():
+                files_by_part.setdefault(part, {})[kind] = file
+        for part, files in files_by_part.items():
             others = {name: value for name, value in entry.items() if name not in patterns}
             name = {"name": f"{entry['name']}/{part}"} if "name" in entry else {}
             yield self.pair({**others, **name, **files})
 
     def matches(self, pattern: str, key: str) -> list[str]:
-        """Returns the files that a pattern matches, relative to the configuration."""
+        """Return the files that a pattern matches, relative to the configuration."""
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
             paths = sorted(path for path in files if not is_include_part(path))
@@ -289,7 +299,7 @@ class _Reader:
         urdf, mjcf = (
             self.file(kind, entry[kind]) if kind in entry else None for kind in ("urdf", "mjcf")
         )
-        both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _IN_TABLES}
+        both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _TABLE_VALUES}
         strict = entry.get("strict", self.top.get("strict", False))
         tolerances = Tolerances.strict() if strict else Tolerances()
         return GuardedPair(
@@ -312,30 +322,32 @@ class _Reader:
         )
 
     def file(self, key: str, text: str) -> Path:
-        """Returns a file; of a tool that guards also a folder, or FILE:NAME."""
+        """Return the path of a file; for another tool also a folder, or ``FILE:NAME``."""
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
-        if not (is_input(path) or (key not in _PAIR and (path.is_dir() or source.is_file()))):
+        if not (is_input(path) or (key not in _PAIR_KEYS and (path.is_dir() or source.is_file()))):
             message = diagnose("pair-file-missing", key=key, file=text)
             raise self.error(self.own(key), message)
         return path
 
     def package(self, name: str, folder: str) -> Path:
         if not (self.folder / folder).is_dir():
-            raise self.invalid(self.own("packages", name), folder, _IN_TABLES["packages"].valid)
+            raise self.invalid(self.own("packages", name), folder, _TABLE_VALUES["packages"].valid)
         return self.folder / folder
 
-    def check(self, table: dict[str, Any], within: Key, valid: Mapping[str, _Kind]) -> None:
+    def check(self, table: dict[str, Any], within: Key, valid: Mapping[str, _ValueKind]) -> None:
         """Refuse invalid keys and values of a table, and of the tables in it."""
         for key, value in table.items():
             if key not in valid:
                 raise self.unknown((*within, key), valid)
             if not valid[key].check(value):
                 raise self.invalid((*within, key), value, valid[key].valid)
-            for name, one in value.items() if key in _IN_TABLES else ():
-                if name not in _KEYS.get(key, value):
-                    raise self.unknown((*within, key, name), _KEYS[key], rule=key == "disable")
-                if not _IN_TABLES[key].check(one):
-                    raise self.invalid((*within, key, name), one, _IN_TABLES[key].valid)
+            for name, item in value.items() if key in _TABLE_VALUES else ():
+                if name not in _TABLE_KEYS.get(key, value):
+                    raise self.unknown(
+                        (*within, key, name), _TABLE_KEYS[key], rule=key == "disable"
+                    )
+                if not _TABLE_VALUES[key].check(item):
+                    raise self.invalid((*within, key, name), item, _TABLE_VALUES[key].valid)
 
     def unknown(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
         """Return the error of a key that is not valid at its place."""
@@ -351,27 +363,28 @@ class _Reader:
 
 # The first `pupper-analysis.toml` of a repository: the models that its folders have.
 
-_PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log")
-"""Folders of what was made or installed; those that begin with a dot are passed over too."""
+_SKIPPED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
+"""Folders of generated or installed files. Folders with a leading dot are skipped as well."""
 
-_HEAD: Final = """\
+_CONFIG_HEADER: Final = """\
 # What pupper-analysis check checks. A pair is one robot's two files, which are compared: here, a
 # URDF and an MJCF of one name. The guide of `check` lists all keys.
 """
+"""Comment at the top of a new configuration."""
 
 
 def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
-    """Writes a configuration that names all models in a folder and those below it.
+    """Write a configuration that lists all models in a folder and below.
 
     Args:
-        folder: The repository's top folder.
+        folder: Top folder of the repository.
 
     Returns:
-        The file, and the names of the models in it.
+        Path of the file, and names of the pairs.
 
     Raises:
         ConfigurationError: If there is a configuration already, or no model.
-        OutputError: If it cannot be written.
+        OutputError: If the file cannot be written.
     """
     path = folder / CONFIG_NAME
     if path.exists():
@@ -380,11 +393,13 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     if not entries:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
     with write_atomically(path, MODEL_KIND) as file:
-        file.write("\n".join([_HEAD, *map(_table, entries)]).encode(errors="replace"))
+        file.write(
+            "\n".join([_CONFIG_HEADER, *map(_format_entry, entries)]).encode(errors="replace")
+        )
     return path, tuple(entry["name"] for entry in entries)
 
 
-def _table(entry: dict[str, str]) -> str:
+def _format_entry(entry: dict[str, str]) -> str:
     # JSON's text is TOML's, but for this one.
     texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}
     keys = [f"{key} = {text}\n".replace("\x7f", "\\u007f") for key, text in texts.items()]
@@ -392,37 +407,38 @@ def _table(entry: dict[str, str]) -> str:
 
 
 def list_pair_entries(folder: Path) -> list[dict[str, str]]:
-    """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem.
+    """List the models in a folder and below: URDF, MJCF, or both with the same stem.
 
-    Those of one folder are one robot's, and the only two of a stem in different ones.
+    Two files with the same stem form a pair if they are in the same folder, or if there are no
+    other unpaired files with this stem.
     """
-    found: dict[Path, dict[str, str]] = {}
-    for path in _files(folder):
+    files_by_key: dict[Path, dict[str, str]] = {}
+    for path in _list_model_files(folder):
         kind, local = kind_of(path), path.relative_to(folder)
         stem = local.with_suffix("")
         if kind:
-            key = local if kind in found.get(stem, {}) else stem
-            found.setdefault(key, {})[kind] = local.as_posix()
-    alone: dict[str, list[Path]] = {}
-    for key, files in found.items():
-        alone.setdefault(key.name, []).extend([key] * (len(files) == 1))
-    for keys in alone.values():
-        if len(keys) == 2 and found[keys[0]].keys() != found[keys[1]].keys():
-            found[keys[0]] |= found.pop(keys[1])
-    count = Counter(key.name for key in found)
+            key = local if kind in files_by_key.get(stem, {}) else stem
+            files_by_key.setdefault(key, {})[kind] = local.as_posix()
+    single_files: dict[str, list[Path]] = {}
+    for key, files in files_by_key.items():
+        single_files.setdefault(key.name, []).extend([key] * (len(files) == 1))
+    for keys in single_files.values():
+        if len(keys) == 2 and files_by_key[keys[0]].keys() != files_by_key[keys[1]].keys():
+            files_by_key[keys[0]] |= files_by_key.pop(keys[1])
+    count = Counter(key.name for key in files_by_key)
     return [
         {
             "name": key.name if count[key.name] == 1 else key.as_posix(),
             **dict(sorted(files.items(), reverse=True)),
         }
-        for key, files in found.items()
+        for key, files in files_by_key.items()
     ]
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    """Yields the files that may be models, in the order of their names."""
+def _list_model_files(folder: Path) -> Iterator[Path]:
+    """Yield files that may be models, sorted by name in each folder."""
     for top, folders, files in os.walk(folder):
-        kept = (name for name in folders if name[0] != "." and name not in _PASSED_OVER)
+        kept = (name for name in folders if name[0] != "." and name not in _SKIPPED_FOLDERS)
         folders[:] = sorted(kept)
         for name in sorted(files):
             if Path(name).suffix.lower() in (".urdf", ".xml", ".mjcf"):

@@ -1,4 +1,4 @@
-"""The document of a check: what of a repository's models fails, and how much is known."""
+"""Document and annotations of a repository check: failures, and the number of known findings."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from pupper_analysis.tools.check.remarks import Remark, count_findings
 
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
-    """Returns what fails, with its place, and how much is known; see ``build``."""
+    """Build the document of a check; see ``build_document``."""
     groups = group_findings(check.remarks)
-    blocks: list[doc.Block] = [_group(group) for group in groups if not group[0].known]
-    if known := tuple(_known(group) for group in groups if group[0].known):
+    blocks: list[doc.Block] = [_describe_group(group) for group in groups if not group[0].known]
+    if known := tuple(_describe_known_group(group) for group in groups if group[0].known):
         title = text("count-known", count=len(known))
         blocks.append(doc.Lines(known, title=title, detail=True))
     if check.stale:
@@ -41,7 +41,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
                 text("stale"),
             )
         )
-    blocks.append(_pairs(check.pairs))
+    blocks.append(_tabulate_pairs(check.pairs))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.diagnostic_text(note))
         for pair in check.pairs
@@ -60,30 +60,32 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Combines what one slip explains, and what has the same values; see `Remark.finding`."""
+    """Combine remarks with the same cause, or with the same values; see `Remark.finding`."""
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)
     return list(groups.values())
 
 
-def _known(group: list[Remark]) -> Text:
+def _describe_known_group(group: list[Remark]) -> Text:
     place = group[0].place or group[0].file
-    return text("name-note", name=doc.Name(relative_to_root(place)), note=_message(group[0]))
+    return text(
+        "name-note", name=doc.Name(relative_to_root(place)), note=_describe_remark(group[0])
+    )
 
 
-def _message(first: Remark) -> doc.Words:
+def _describe_remark(first: Remark) -> doc.Words:
     message = doc.diagnostic_text(first.diagnostic if first.cause is None else first.cause)
-    if not _by_rule(first):
+    if not _is_audit_rule(first):
         return message
     return text("element-message", element=format_element(first.diagnostic), message=message)
 
 
-def _by_rule(remark: Remark) -> bool:
+def _is_audit_rule(remark: Remark) -> bool:
     return remark.check == "audit" and remark.kind in RULES
 
 
-def _group(group: list[Remark]) -> doc.FileFinding:
+def _describe_group(group: list[Remark]) -> doc.FileFinding:
     first, *others = group
     notes: list[doc.Words] = []
     if first.cause is not None:
@@ -105,13 +107,13 @@ def _group(group: list[Remark]) -> doc.FileFinding:
         doc.FilePlace(doc.Name(shown), doc.Name(quote_line(place, first.file)), shown)
         for shown, place in named
     )
-    if _by_rule(first):
+    if _is_audit_rule(first):
         notes.append(get_rule_text(first.kind, "todo"))
-    sides = doc.FileFinding(_message(first), columns, tuple(notes), tag)
+    sides = doc.FileFinding(_describe_remark(first), columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
-def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
+def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
     columns = (
         doc.Column(text("pair"), left=True),
         doc.Column(text("verdict"), left=True),
@@ -136,7 +138,7 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Returns how much was found, in a line."""
+    """Return the numbers of findings, in a line."""
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,
@@ -153,7 +155,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
 
 
 def relative_to_root(place: str) -> str:
-    """Returns ``file:line`` with the file as CI services find it."""
+    """Return ``file:line`` with the path relative to the checkout, as CI services expect."""
     file, line = Annotation("", "", "", place).file_and_line
     return relative_to_checkout(file) if line is None else f"{relative_to_checkout(file)}:{line}"
 
@@ -161,12 +163,12 @@ def relative_to_root(place: str) -> str:
 def make_check_annotations(
     check: RepositoryCheck, *, in_a_change: bool = False
 ) -> list[Annotation]:
-    """Returns the remarks as annotations; what fails is an error, whatever its severity.
+    """Make annotations for the remarks. Failures have level error, whatever the severity.
 
     Args:
-        check: The check.
-        in_a_change: For the page of a change, where what is reported of the lines that it touches
-            alone is seen: a difference is reported in both files.
+        check: Check.
+        in_a_change: Whether the annotations are for the page of a change, which shows changed lines
+            only: each difference is then annotated in both files.
     """
     found = []
     for group in group_findings(check.remarks):
@@ -177,7 +179,8 @@ def make_check_annotations(
                 location for location in (remark.place, remark.other_place) if location
             ]
             found += [
-                _annotation(group, remark, location) for location in places[: 1 + both] or [None]
+                _make_annotation(group, remark, location)
+                for location in places[: 1 + both] or [None]
             ]
     about = about_kind("stale")
     found += [
@@ -197,20 +200,20 @@ def make_check_annotations(
 
 
 def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
-    """Returns the entries of the baseline that do not occur any more."""
+    """List messages about entries of the baseline that no longer occur."""
     return [
         diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
         for entry in check.stale
     ]
 
 
-def _annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
+def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
     both = (remark.place, remark.other_place)
     others = [relative_to_root(location) for location in both if location and location != place]
     message = " ".join([remark.message, *(f"[{location}]" for location in others)])
     kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
     title = f"{kind}{joint}{remark.element}" if remark.element else kind
-    about = RULES[kind].title if _by_rule(remark) else about_kind(kind)
+    about = RULES[kind].title if _is_audit_rule(remark) else about_kind(kind)
     if remark.cause is not None:
         made = text("this-alone-makes-count-differences", count=len(group)).en
         message = f"{remark.cause}. {made} {message}"

@@ -1,6 +1,6 @@
-"""Remarks: what a check says of a repository's models, by names that last; and the baseline.
+"""Remarks of a check with identities that remain valid between runs, and the baseline.
 
-The baseline is a plain file of the remarks that are known, so that only what is new fails.
+The baseline is a text file with known remarks, so that only new remarks fail.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from pupper_analysis.tools.audit.audit import RULES, Audit
 from pupper_analysis.tools.check.config import GuardedPair
 
 NUM_DIGITS = 9
-"""Significant digits of the values that are kept: more are rounding errors of some machine."""
+"""Significant digits of values in the baseline. Further digits are rounding errors."""
 
 
 REFUSED_KIND = "refused"
-"""The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
+"""Kind of a remark about a file that cannot be read, or a failed comparison. Never known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Remark(Result):
-    """One difference between two files, or one finding in a file.
+    """Difference between two files, or finding in a file.
 
     Attributes:
-        check: ``crosscheck``, ``audit``, ``diff`` for what has changed since a revision, or the
-            tool that guards: ``contract``.
-        pair: The name of the pair of which it is a difference; "" for a finding, which is the
-            file's, whatever pairs have that.
-        kind: The difference's kind; ``joint``, ``part`` or ``agreement`` for what is no single
-            number; the audit's rule; ``refused`` if the file could not be read.
-        element: The joint, body or frame.
-        file: The file: of a difference, the pair's URDF. Relative to the configuration, with ``/``.
-        values: What is remembered of it: both values; or its ``code``, and the ``values`` of that.
-        severity: How bad it is.
-        diagnostic: What it is.
-        place: Where it stands, ``file:line``; a path that can be opened.
-        other_place: Where a difference stands in the MJCF.
-        known: Whether the baseline has it, with this value.
-        fails: Whether it makes the check fail: not known, and severe enough.
-        cause: The slip that explains this difference with others.
-        consequences: What a change since a revision does in a simulation.
+        check: ``crosscheck``, ``audit``, ``diff`` for changes since a revision, or the name of
+            another tool, such as ``contract``.
+        pair: Name of the pair; "" for an audit finding, which belongs to the file.
+        kind: Kind of the difference; ``joint``, ``part`` or ``agreement``; audit rule; or
+            ``refused`` if the file could not be read.
+        element: Joint, body or frame.
+        file: File; for a difference, the URDF. Path relative to the configuration, with ``/``.
+        values: Values in the baseline: both values of a difference, or code and values of the
+            diagnostic.
+        severity: Severity.
+        diagnostic: Message.
+        place: ``file:line``, a path that can be opened.
+        other_place: Place of a difference in the MJCF.
+        known: Whether the baseline contains the remark with the same values.
+        fails: Whether the remark makes the check fail: not known, and severe enough.
+        cause: Mistake that explains this difference together with others.
+        consequences: Effects of a change since a revision, in a simulation.
     """
 
     check: str
@@ -78,7 +78,7 @@ class Remark(Result):
 
     @property
     def message(self) -> str:
-        """One sentence; of a finding also what to do."""
+        """Message in one sentence; for an audit finding also the repair."""
         if self.check != "audit" or self.kind not in RULES:
             return "; ".join(map(str, (self.diagnostic, *self.consequences)))
         finding = str(self.diagnostic).rstrip(".")
@@ -86,14 +86,14 @@ class Remark(Result):
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """What distinguishes it from other remarks, whatever its values, and wherever it stands."""
+        """Key of the remark, independent of values and lines."""
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property
     def finding(self) -> tuple[object, ...]:
-        """What distinguishes it from others to be mended.
+        """Key of the finding.
 
-        What one slip explains is one, and so is what has the same values at several elements.
+        Remarks with the same cause, or the same values at several elements, have equal keys.
         """
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
@@ -102,7 +102,7 @@ class Remark(Result):
 def list_comparison_remarks(
     comparison: FilesCompared, pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yields a remark per difference, per joint in one file only, and per objection."""
+    """Yield a remark per difference, part, unmatched joint and objection."""
     file = relative_path(comparison.urdf, folder)
     causes = {
         number: cause.diagnostic for cause in comparison.causes for number in cause.differences
@@ -142,7 +142,7 @@ def list_comparison_remarks(
 
 
 def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
-    """Yields a remark per finding."""
+    """Yield a remark per audit finding."""
     for finding in audit.findings:
         yield make_remark(
             "audit",
@@ -159,14 +159,14 @@ def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
 def list_guard_remarks(
     tool: str, findings: Iterable[Any], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yields a remark per finding of a tool that guards.
+    """Yield a remark per finding of another tool.
 
     Args:
-        tool: Its name.
-        findings: Each with its ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and
-            ``places`` (``file:line``, one or two).
-        pair: Whose models they are about.
-        folder: Of the configuration.
+        tool: Name of the tool.
+        findings: Findings with ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and
+            ``places`` (``file:line``; two for a difference).
+        pair: Pair with the models.
+        folder: Folder of the configuration.
     """
     for finding in findings:
         file, _, line = finding.places[0].rpartition(":")
@@ -189,7 +189,7 @@ def list_guard_remarks(
 def make_error_remark(
     error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
-    """Returns the remark that a file cannot be read, or two cannot be compared."""
+    """Make the remark about a file that cannot be read, or a failed comparison."""
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
     known = Path(file if line.isdecimal() else place).is_file()
@@ -217,7 +217,7 @@ def make_remark(
     other_place: str | None = None,
     consequences: tuple[Diagnostic, ...] = (),
 ) -> Remark:
-    """Returns a remark whose values are its diagnostic's."""
+    """Make a remark with the values of the diagnostic."""
     return Remark(
         check,
         pair,
@@ -234,17 +234,17 @@ def make_remark(
 
 
 def relative_path(file: str | Path, folder: Path) -> str:
-    """Returns a file's path relative to a folder, with ``/``; also if it is not in it."""
+    """Return the path of a file relative to a folder, with ``/``; may begin with ``..``."""
     return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
 
 
 def to_plain(value: Any) -> Any:
-    """Returns a value as numbers, texts, lists and tables of them, without digits of rounding.
+    """Convert a value to numbers, texts, lists and tables, rounded to `NUM_DIGITS`.
 
-    Of a diagnostic its code and its values, in SI units.
+    A diagnostic becomes code and values in SI units.
     """
     if isinstance(value, Diagnostic):
-        values = {name: to_plain(one) for name, one in value.values.items() if one is not None}
+        values = {name: to_plain(item) for name, item in value.values.items() if item is not None}
         return {"code": value.code, **({"values": values} if values else {})}
     if isinstance(value, Quantity):
         return to_plain(value.value)
@@ -257,7 +257,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return to_plain(value.item())
     if isinstance(value, Mapping):
-        return {str(key): to_plain(each) for key, each in value.items()}
+        return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if isinstance(value, float):
@@ -265,29 +265,29 @@ def to_plain(value: Any) -> Any:
     return value if isinstance(value, bool | int | str) or value is None else str(value)
 
 
-_HEAD: Final = """\
+_HEADER_TEXT: Final = """\
 # What `pupper-analysis check` knows of the models: only what is not here, or has changed, fails.
 # Written by `pupper-analysis check --update-baseline`; its diff is what is let pass. A line each:
 # ["check", "pair", "file", "kind", "element", {its values}]
 """
+"""Comment at the top of a baseline."""
 
-_HEAD_LINES: Final = _HEAD.splitlines()
+_HEADER_LINES: Final = _HEADER_TEXT.splitlines()
+"""Lines of the header."""
 
-_VALUE_TOLERANCE: Final = 1e-6
-"""How far numbers may be apart, relative to the largest beside them, and count as the same.
+_VALUE_RTOL: Final = 1e-6
+"""Tolerance of equal numbers, relative to the largest number of a list.
 
-What is kept has 9 digits; angles and inertias that went through rotations have some 12 in common on
-different machines.
-"""
+Values have 9 digits; rotated angles and inertias agree to about 12 digits on different machines."""
 
 
 @dataclass(frozen=True)
 class BaselineEntry(Result):
-    """One remark that is known.
+    """Known remark.
 
     Attributes:
-        identity: The remark's.
-        values: The remark's.
+        identity: Identity of the remark.
+        values: Values of the remark.
     """
 
     identity: tuple[str, ...]
@@ -323,28 +323,32 @@ class Baseline:
         A comment stays above its entry: the new entry with the same value, otherwise the first one
         with the same identity. Comments whose entry is gone move to the end.
         """
-        written = sorted(((_line_of(entry), entry) for entry in entries), key=itemgetter(0))
+        written = sorted(((_format_entry(entry), entry) for entry in entries), key=itemgetter(0))
         above: list[list[str]] = [[] for _ in written]
         end: list[str] = []
         for old, comment in self.comments:
-            alike = [row for row, (_, new) in enumerate(written) if new.identity == old.identity]
-            same = [row for row in alike if values_agree(written[row][1].values, old.values)]
-            row = next(iter((*same, *alike)), None)
+            same_identity = [
+                row for row, (_, new) in enumerate(written) if new.identity == old.identity
+            ]
+            same_value = [
+                row for row in same_identity if values_agree(written[row][1].values, old.values)
+            ]
+            row = next(iter((*same_value, *same_identity)), None)
             (end if row is None else above[row]).extend(comment)
         body = [
             text
             for comments, (line, _) in zip(above, written, strict=True)
             for text in (*comments, line)
         ]
-        return "\n".join([*_HEAD_LINES, *self.top, "", *body, *end, *self.end, ""])
+        return "\n".join([*_HEADER_LINES, *self.top, "", *body, *end, *self.end, ""])
 
 
 def read_baseline(path: Path) -> Baseline:
     """Read a baseline; a file that does not exist has no entries.
 
     Raises:
-        ModelError: If it cannot be read, or a line is neither a comment nor an entry; the error
-            has the line.
+        ModelError: If it cannot be read, or a line is neither a comment nor an entry; the error has
+            the line.
     """
     try:
         content = read_input(path, MAX_TEXT_BYTES)
@@ -361,7 +365,7 @@ def read_baseline(path: Path) -> Baseline:
         if not line or line.startswith("#"):
             block.append(line)
             continue
-        entry = _entry(line)
+        entry = _parse_entry(line)
         if entry is None:
             raise ModelError(source_name(path, number), diagnose("baseline-line-unknown"))
         if not entries:
@@ -382,7 +386,7 @@ def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
         lines: All lines above the first entry; a blank line ends the top.
     """
     own = [*lines]
-    for line in _HEAD_LINES:
+    for line in _HEADER_LINES:
         if line in own:
             own.remove(line)
     blank = max((at for at, line in enumerate(own) if not line), default=0)
@@ -390,7 +394,7 @@ def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
     return tuple(top.split("\n")) if top.strip() else (), own[blank:]
 
 
-def _entry(line: str) -> BaselineEntry | None:
+def _parse_entry(line: str) -> BaselineEntry | None:
     """Return the entry of a line; None if the line is not one."""
     try:
         found = json.loads(line, parse_int=float)  # integers of any number of digits
@@ -402,15 +406,15 @@ def _entry(line: str) -> BaselineEntry | None:
     return None
 
 
-def _line_of(entry: BaselineEntry) -> str:
+def _format_entry(entry: BaselineEntry) -> str:
     return json.dumps([*entry.identity, entry.values], default=dict, ensure_ascii=False)
 
 
 def _is_baseline(file: BinaryIO) -> bool:
     """Return True if a file begins with the package's header, or has an entry."""
     lines = file.read(MAX_TEXT_BYTES).decode("utf-8-sig", errors="replace").splitlines()
-    return lines[:1] == [_HEAD_LINES[0]] or any(
-        _entry(line) is not None for line in lines if line.startswith("[")
+    return lines[:1] == [_HEADER_LINES[0]] or any(
+        _parse_entry(line) is not None for line in lines if line.startswith("[")
     )
 
 
@@ -436,52 +440,60 @@ def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry
 def mark_known_remarks(
     remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
-    """Tells which remarks are known; each entry is for one of them.
+    """Mark the remarks that the baseline contains; each entry matches at most one remark.
 
     Returns:
-        The remarks; and the stale entries, to which there is no remark any more.
+        Remarks, and stale entries without remark.
     """
     waiting: dict[tuple[str, ...], list[BaselineEntry]] = {}
     for entry in entries:
         waiting.setdefault(entry.identity, []).append(entry)
     result = []
     for remark in remarks:
-        here = waiting.get(remark.identity, [])
-        found = next((entry for entry in here if values_agree(entry.values, remark.values)), None)
-        if found is not None:
-            here.remove(found)
+        candidates = waiting.get(remark.identity, [])
+        match = next(
+            (entry for entry in candidates if values_agree(entry.values, remark.values)), None
+        )
+        if match is not None:
+            candidates.remove(match)
         # Nobody can know what is in a file that cannot be read.
-        result.append(replace(remark, known=found is not None and remark.kind != REFUSED_KIND))
-    return tuple(result), tuple(entry for here in waiting.values() for entry in here)
+        result.append(replace(remark, known=match is not None and remark.kind != REFUSED_KIND))
+    return tuple(result), tuple(entry for candidates in waiting.values() for entry in candidates)
 
 
 def count_findings(remarks: Iterable[Remark]) -> int:
-    """Counts what is to be mended; see `Remark.finding`."""
+    """Count the findings; see `Remark.finding`."""
     return len({remark.finding for remark in remarks})
 
 
-def values_agree(one: Any, two: Any) -> bool:
-    """Whether two values are the same but for rounding."""
-    if isinstance(one, Mapping) and isinstance(two, Mapping):
-        return one.keys() == two.keys() and all(values_agree(one[key], two[key]) for key in one)
-    here, there = _leaves(one), _leaves(two)
-    sizes = [abs(leaf) for leaf in (*here, *there) if _is_finite(leaf)]
-    if any(isinstance(leaf, str) for leaf in here):
+def values_agree(first: Any, second: Any) -> bool:
+    """Return True if two values are equal within `_VALUE_RTOL`."""
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return first.keys() == second.keys() and all(
+            values_agree(first[key], second[key]) for key in first
+        )
+    first_leaves, second_leaves = _flatten_value(first), _flatten_value(second)
+    sizes = [abs(leaf) for leaf in (*first_leaves, *second_leaves) if _is_finite(leaf)]
+    if any(isinstance(leaf, str) for leaf in first_leaves):
         sizes = []  # no list of numbers of one kind: each is held against its like
-    return len(here) == len(there) and all(
-        abs(a - b) <= _VALUE_TOLERANCE * max([*sizes, abs(a), abs(b)])
+    return len(first_leaves) == len(second_leaves) and all(
+        abs(a - b) <= _VALUE_RTOL * max([*sizes, abs(a), abs(b)])
         if _is_finite(a) and _is_finite(b)
         else repr(a) == repr(b)
-        for a, b in zip(here, there, strict=True)
+        for a, b in zip(first_leaves, second_leaves, strict=True)
     )
 
 
-def _leaves(value: Any) -> list[Any]:
-    """Returns what nested lists and tables hold, with their ends."""
+def _flatten_value(value: Any) -> list[Any]:
+    """List the leaves of nested lists and tables, with markers for the ends."""
     if isinstance(value, list | tuple):
-        return [(), *(leaf for item in value for leaf in _leaves(item)), ()]
+        return [(), *(leaf for item in value for leaf in _flatten_value(item)), ()]
     if isinstance(value, Mapping):
-        return [{}, *(leaf for key in sorted(value) for leaf in (key, *_leaves(value[key]))), {}]
+        return [
+            {},
+            *(leaf for key in sorted(value) for leaf in (key, *_flatten_value(value[key]))),
+            {},
+        ]
     return [value]
 
 

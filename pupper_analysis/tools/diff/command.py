@@ -1,4 +1,4 @@
-"""``pupper-analysis diff``: a model now and before."""
+"""``pupper-analysis diff``: show the changes between two versions of a model."""
 
 from __future__ import annotations
 

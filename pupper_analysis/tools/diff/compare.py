@@ -1,4 +1,9 @@
-"""What has changed between two versions of a model, and what it does."""
+"""Changes between two versions of a model, and the effects of the changes.
+
+Both versions are converted to trees with the same joints. Numbers in the trees are compared, and
+the effect of each change is evaluated at random states. Elements that are not in a tree (contacts,
+options, keyframes, motors) are compared by `elements`.
+"""
 
 from __future__ import annotations
 
@@ -50,22 +55,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ModelChange(Result):
-    """One number, vector or element that has changed.
+    """Change of a number, a vector or an element.
 
     Attributes:
-        kind: As of a `Difference` between a URDF and an MJCF; also ``joint``, which one version
-            lacks, ``name`` of a joint that is called otherwise, and ``motor``.
-        element: The joint, the body (named by the joint that moves it, or the base), the frame or
-            the motor, by its old name.
-        old: The old value; None if it was not there.
-        new: The new value, in the old link frames; None if it is not there any more.
-        unit: Of both.
-        diagnostic: The change, with both values, as a message.
-        effects: {quantity: what it does alone}; empty for what is not in a tree of joints, nor felt
-            by a simulation.
-        consequences: Of what touches, options and keyframes: what it does in a simulation.
-        old_place: File and line, where known.
-        new_place: File and line, where known.
+        kind: Kind of a `Difference`; also ``joint`` (only in one version), ``name`` (renamed joint)
+            and ``motor``.
+        element: Joint, body (named by the moving joint, or the base), frame or motor, by the old
+            name.
+        old: Old value; None if the element is new.
+        new: New value, in the old link frames; None if the element was removed.
+        unit: Unit of both values.
+        diagnostic: Message with both values.
+        effects: {quantity: effect of this change alone}; empty for changes outside the tree without
+            simulated effect.
+        consequences: Effects of contacts, options and keyframes in a simulation.
+        old_place: File and line in the old version, if known.
+        new_place: File and line in the new version, if known.
     """
 
     kind: str
@@ -81,28 +86,28 @@ class ModelChange(Result):
 
     @property
     def message(self) -> str:
-        """The change in a sentence."""
+        """Change in a sentence."""
         return str(self.diagnostic)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelDiff(Result):
-    """What has changed between two versions of a model.
+    """Changes between two versions of a model.
 
     Attributes:
-        old: The old file.
-        new: The new file.
+        old: Old file.
+        new: New file.
         same: Whether nothing has changed, within the tolerances.
-        changes: What has, the greatest effect first.
-        mass: The old and the new total mass (kg).
-        torques: {joint: (old, new) greatest torque against gravity (N m; of slides N)} with the
-            base level and held, at random positions; of all joints that both have.
-        deviations: {quantity: relative deviation between the two}.
+        changes: Changes, sorted by effect, the largest first.
+        mass: Total mass of the old and the new version.
+        torques: {joint: (old, new)}, largest torque (N m; force in N for slides) against gravity,
+            base level and held, at random positions, for joints in both versions.
+        deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
-        complete: Whether nothing is left.
-        combined: Of two MJCFs: what all changes do when both files are simulated as they are; none
-            if it is reported of the only one.
-        notes: What was assumed or left out.
+        complete: Whether all residuals are within the tolerance.
+        combined: For two MJCFs: effects of all changes together in a simulation of the unmodified
+            files; empty if the effect is reported for the only change.
+        notes: Assumptions, and content that was left out.
     """
 
     old: str
@@ -127,34 +132,38 @@ def diff_models(
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> ModelDiff:
-    """Compares two URDFs or two MJCFs: two versions of one file, or two files.
+    """Compare two URDFs or two MJCFs: two versions of a file, or two files.
 
-    What is a matter of choice (link frames, where a hinge's origin is on its axis) is no change.
-    Shapes count where they touch: where their surfaces are, and of an MJCF their numbers of
-    contact, with its pairs, options, flags and keyframes. What is only seen, and sensors, do not.
+    Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
+    Collision shapes are compared by surface; in an MJCF also contact parameters, pairs, options,
+    flags and keyframes. Visual shapes and sensors are ignored.
 
     Args:
-        old: The old file, or ``REVISION:PATH`` for one that git has.
-        new: The new one, likewise.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-        tolerances: What counts as a change; by default rounding errors alone do not.
+        old: Old file, or ``REVISION:PATH`` for a file in git.
+        new: New file, or ``REVISION:PATH``.
+        packages: {ROS package: folder}, for ``package://`` paths.
+        tolerances: Largest ignored changes; by default rounding errors.
+
+    Returns:
+        Changes, with effects.
 
     Raises:
-        ModelError: If a file cannot be read, git does not have it, or only one is a URDF.
+        ModelError: If a file cannot be read, git does not contain the file, the formats differ, or
+            the versions have no joint in common.
     """
     tolerances = tolerances or Tolerances.strict()
     with open_version(old) as before, open_version(new) as after:
-        one, two = (
+        old_version, new_version = (
             read_version(source.read(lambda path: read_model(path, packages)))
             for source in (before, after)
         )
-        if type(one.file) is not type(two.file):
+        if type(old_version.file) is not type(new_version.file):
             raise ModelError(after.name, diagnose("formats-differ", other=before.name))
-        return _Comparison(one, two, (before, after), tolerances).result()
+        return _Comparison(old_version, new_version, (before, after), tolerances).result()
 
 
 class _Comparison:
-    """Two versions, with the same joints."""
+    """Comparison of two versions, reduced to common joints."""
 
     def __init__(
         self,
@@ -173,10 +182,12 @@ class _Comparison:
         self.pairs = alike | dict(match_by_structure(one.tree, second, alike).pairs)
         self.new_name = {**self.pairs, one.tree.base: two.tree.base}
         self.old_name = {new: old for old, new in self.new_name.items()}
-        self.first, self.second = self._alike(one.tree, second)
+        self.first, self.second = self._unify_joints(one.tree, second)
 
-    def _alike(self, one: MultibodyTree, two: MultibodyTree) -> tuple[MultibodyTree, MultibodyTree]:
-        """Fixes the joints that one version lacks, and gives the new one the old names."""
+    def _unify_joints(
+        self, one: MultibodyTree, two: MultibodyTree
+    ) -> tuple[MultibodyTree, MultibodyTree]:
+        """Fix joints that only one version has, and rename new joints to the old names."""
         if one.joints and two.joints and not self.pairs:
             message = diagnose("no-joint-in-common", other=self.sources[0].name)
             raise ModelError(self.sources[1].name, message)
@@ -211,7 +222,7 @@ class _Comparison:
         return one, two
 
     def result(self) -> ModelDiff:
-        """Compares the trees, and what is not in them."""
+        """Compare trees and other elements, and sort the changes."""
         first, second, tolerances = self.first, self.second, self.tolerances
         # The comparison is fair in one convention; that it was another one is a change.
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
@@ -228,62 +239,62 @@ class _Comparison:
             if change.felt:
                 effects = judge.effects(before, trial.evaluate_tree(change.apply(first, second)))
             self.differences.append(change.difference(effects))
-        self.differences += self._others()
+        self.differences += self._compare_extra_values()
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
-        there = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
-        self.differences += find_changed_elements(self.one.elements, there)
+        matched = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
+        self.differences += find_changed_elements(self.one.elements, matched)
         combined: tuple[Diagnostic, ...] = ()
-        one, two = self.one.file, self.two.file
-        if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            effects, combined = SimulatedPair.from_files(one, two).compute_effects(
+        old_file, new_file = self.one.file, self.two.file
+        if isinstance(old_file, MjcfFile) and isinstance(new_file, MjcfFile):
+            effects, combined = SimulatedPair.from_files(old_file, new_file).compute_effects(
                 explained=bool(self.differences)
             )
             match self.differences:
                 case [ElementDifference() as only]:  # what one does alone is told of it
-                    told = (*only.consequences, *combined)
-                    self.differences = [replace(only, effects=effects, consequences=told)]
+                    consequences = (*only.consequences, *combined)
+                    self.differences = [replace(only, effects=effects, consequences=consequences)]
                     combined = ()
             if self.differences or combined:
-                self.differences += find_changed_compiler_settings(one, two)
+                self.differences += find_changed_compiler_settings(old_file, new_file)
         patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))
-        left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
+        residual = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.compute_holding_torques(first), trial.compute_holding_torques(second)
         self.differences.sort(key=lambda difference: difference.rank)
         return ModelDiff(
             old=self.sources[0].name,
             new=self.sources[1].name,
             same=not (self.differences or combined),
-            changes=tuple(map(self._change, self.differences)),
-            mass=(_mass(first), _mass(second)),
+            changes=tuple(map(self._make_change, self.differences)),
+            mass=(_sum_mass(first), _sum_mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
-            residual=left,
-            complete=all(value <= MAX_RESIDUAL for value in left.values()),
+            residual=residual,
+            complete=all(value <= MAX_RESIDUAL for value in residual.values()),
             combined=combined,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
         )
 
-    def _others(self) -> Iterator[Difference]:
-        """Yields changes of what is not in a tree: motors, springs, tendons, mimics ..."""
-        here = self.one.extra_values
-        there = {
-            (kind, self.old_name.get(element, element)): _with_names(value, self.old_name)
+    def _compare_extra_values(self) -> Iterator[Difference]:
+        """Yield changes of motors, springs, tendons, mimic joints and other extra values."""
+        old_values = self.one.extra_values
+        new_values = {
+            (kind, self.old_name.get(element, element)): _rename_targets(value, self.old_name)
             for (kind, element), value in self.two.extra_values.items()
         }
-        for key in dict.fromkeys((*here, *there)):
+        for key in dict.fromkeys((*old_values, *new_values)):
             kind, element = key
-            old, new = here.get(key), there.get(key)
-            if _values(old) != _values(new):
+            old, new = old_values.get(key), new_values.get(key)
+            if _to_lists(old) != _to_lists(new):
                 both = {
-                    "one": _stated_value(old, new),
-                    "two": _stated_value(new, old),
+                    "one": _describe_value(old, new),
+                    "two": _describe_value(new, old),
                     **VERSION_NAMES.named,
                 }
                 message = diagnose("element-differs", subject=(kind, element), **both)
                 yield Difference(kind, element, old, new, "", message, {})
 
-    def _change(self, difference: Difference) -> ModelChange:
-        """Returns a difference as a change, with where it stands in both files."""
+    def _make_change(self, difference: Difference) -> ModelChange:
+        """Convert a difference to a change, with the places in both files."""
         kind, element = difference.kind, difference.element
         found: Sequence[Place | None]
         if isinstance(difference, ElementDifference):
@@ -308,12 +319,12 @@ class _Comparison:
         )
 
 
-def _mass(values: MultibodyTree) -> float:
+def _sum_mass(values: MultibodyTree) -> float:
     return float(sum(body.mass for body in values.bodies.values()))
 
 
-def _with_names(value: Any, names: Mapping[str, str]) -> Any:
-    """Returns what a mimic joint or a motor follows by its old name."""
+def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
+    """Replace the joint names in the value of a mimic joint or a motor."""
     if isinstance(value, list) and value and isinstance(value[0], str):
         return [names.get(value[0], value[0]), *value[1:]]
     if isinstance(value, dict) and str(value.get("at", "")).startswith("joint "):
@@ -322,77 +333,77 @@ def _with_names(value: Any, names: Mapping[str, str]) -> Any:
     return value
 
 
-def _values(value: Any) -> Any:
-    """Returns a value in lists, by which two are compared."""
+def _to_lists(value: Any) -> Any:
+    """Convert a value to lists, for comparison."""
     if isinstance(value, Mapping):
-        return {key: _values(each) for key, each in value.items()}
+        return {key: _to_lists(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return value.tolist()
     return list(value) if isinstance(value, list | tuple) else value
 
 
-def _stated_value(value: Any, other: Any) -> Diagnostic | Term | str:
-    """Says a value; of a table, what is another in the other."""
-    value, other = _values(value), _values(other)
+def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
+    """Describe a value; for a table, only entries that differ from the other table."""
+    value, other = _to_lists(value), _to_lists(other)
     if value is None:
         return Term("none")
     if isinstance(value, dict):
         other = other if isinstance(other, dict) else {}
         keys = [key for key in value if value[key] != other.get(key)]
-        entries = [diagnose("entry", entry=key, value=_words(value[key])) for key in keys]
+        entries = [diagnose("entry", entry=key, value=_format_value(value[key])) for key in keys]
         return diagnose("entries", entries=entries) if entries else Term("nothing of the like")
-    return _words(value)
+    return _format_value(value)
 
 
-def _words(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, list):
-        return "(" + ", ".join(map(_words, value)) + ")"
+        return "(" + ", ".join(map(_format_value, value)) + ")"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 # What changes are judged by: quantities of a tree of joints at random states, in MuJoCo.
 
 
-_COUNT = 10
-"""States: as many as those that differences of a URDF and an MJCF are judged at."""
+_NUM_STATES = 10
+"""Number of random states, as many as for the comparison of a URDF with an MJCF."""
 
 
 @dataclass(frozen=True, eq=False)
 class RandomStates:
-    """Random states of a tree, the same for every tree with joints of these names.
+    """Random states of a tree, equal for all trees with the same joint names.
 
     Attributes:
-        values: Whose limits the joints keep.
+        values: Tree that defines the joint limits.
     """
 
     values: MultibodyTree
 
     @cached_property
     def qpos(self) -> Array:
-        """(n, nq) positions: the base's place and quaternion, if it is free, and the joints'."""
+        """Positions, shape (n, nq): base pose if floating, then the joints [m, rad]."""
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
         lower = [joint.lower if np.isfinite(joint.lower) else -np.pi for joint in joints]
         upper = [joint.upper if np.isfinite(joint.upper) else np.pi for joint in joints]
-        turns = rng.normal(size=(_COUNT, 4))
+        turns = rng.normal(size=(_NUM_STATES, 4))
         turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-        base = [rng.uniform(-1, 1, (_COUNT, 3)), turns] if self.values.floating else []
+        base = [rng.uniform(-1, 1, (_NUM_STATES, 3)), turns] if self.values.floating else []
         ends = np.minimum(lower, upper), np.maximum(lower, upper)
-        return np.hstack([*base, rng.uniform(*ends, (_COUNT, len(joints)))])
+        return np.hstack([*base, rng.uniform(*ends, (_NUM_STATES, len(joints)))])
 
     @cached_property
     def qvel(self) -> Array:
-        """(n, nv) velocities, likewise (m/s, rad/s)."""
+        """Velocities, shape (n, nv) [m/s, rad/s]."""
         size = len(self.values.joints) + 6 * self.values.floating
-        return np.random.default_rng(1).normal(size=(_COUNT, size))
+        return np.random.default_rng(1).normal(size=(_NUM_STATES, size))
 
     @cached_property
-    def _tree(self) -> MujocoTree:
+    def _mujoco_tree(self) -> MujocoTree:
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
-        """Returns a tree in MuJoCo, and where the states' positions and velocities are in it."""
-        tree = self._tree if self._tree.fits(values) else MujocoTree(values)
+        """Return the MuJoCo model of a tree, and the indices of the states in qpos and qvel."""
+        tree = self._mujoco_tree if self._mujoco_tree.fits(values) else MujocoTree(values)
         tree.take(values)
         ids = [tree.model.joint(name).id for name in self.values.joints]
         base = self.values.floating
@@ -400,7 +411,11 @@ class RandomStates:
         return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
     def evaluate_tree(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluates a tree of the same joints at all states; damping is among the bias forces."""
+        """Evaluate a tree with the same joints at all states.
+
+        Returns:
+            {quantity: shape (n, ...)}. Bias forces include passive forces such as damping.
+        """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         bodies = [int(model.joint(name).bodyid[0]) for name in self.values.joints]
@@ -426,10 +441,10 @@ class RandomStates:
         return {name: np.array(found) for name, found in rows.items()}
 
     def compute_holding_torques(self, values: MultibodyTree) -> dict[str, float]:
-        """Returns {joint: the greatest torque (N m) or force (N) against gravity}.
+        """Compute the largest gravity torque [N m] or force [N] of each joint over all states.
 
-        With the base level and held, at the positions of the states: what a motor must give to
-        hold its links in the air.
+        A floating base is level and held. The torque is that of a motor that holds the links in the
+        air.
         """
         model, places, dofs = self._load_tree(values)
         data, count = mujoco.MjData(model), len(self.values.joints)
@@ -445,7 +460,7 @@ class RandomStates:
 
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Returns the same robot with other names of joints, {name: new name}; others stay."""
+    """Rename joints of a tree, {name: new name}; names that are not listed stay."""
 
     def new(name: str) -> str:
         return names.get(name, name)
@@ -462,15 +477,15 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
 
 
 def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
-    """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
+    """Replace a joint by a fixed joint at zero, merging the body with the parent."""
     joint = values.joints[name]
     pose, joints = joint.placement, {}
-    for other, child in values.joints.items():
+    for other_name, child in values.joints.items():
         if child.parent == name:
             child = replace(child.placed(pose * child.placement), parent=joint.parent)
-        if other != name:
-            joints[other] = child
-    bodies = {other: body for other, body in values.bodies.items() if other != name}
+        if other_name != name:
+            joints[other_name] = child
+    bodies = {other_name: body for other_name, body in values.bodies.items() if other_name != name}
     carried = pose.act(values.bodies[name].rigid)
     parent = values.bodies[joint.parent]
     bodies[joint.parent] = TreeBody.of(parent.rigid + carried, parent.link)

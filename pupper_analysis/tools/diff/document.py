@@ -1,4 +1,4 @@
-"""The document of a diff: what has changed between two versions of a model."""
+"""Document of a diff: changes between two versions of a model."""
 
 from __future__ import annotations
 
@@ -15,44 +15,45 @@ from pupper_analysis.robot.compare.differences import MIN_FACTOR
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
-_LEAST_CHANGE = 1e-3
-"""Relative change of a torque or a mass that is shown: less changes no digit that is printed."""
+_MIN_RELATIVE_CHANGE = 1e-3
+"""Smallest relative change of a torque that is shown. Smaller changes do not alter printed digits.
+"""
 
 
 @build_document.register(ModelDiff)
 def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
-    """Returns what has changed, and what it does to mass and torques; see ``build``."""
+    """Build the document of a diff; see ``build_document``."""
     count = len(diff.changes)
     changes = text("1-change") if count == 1 else text("count-changes", count=count)
     return doc.Document(
         text("changes"),
         text("old-and-new", old=doc.Name(diff.old), new=doc.Name(diff.new)),
-        tuple(_blocks(diff)),
+        tuple(_list_blocks(diff)),
         passed=diff.same,
         verdict=text("same") if diff.same else text("different"),
-        findings=(text("no-change") if diff.same else changes, *_mass(diff)),
+        findings=(text("no-change") if diff.same else changes, *_describe_mass(diff)),
         notes=tuple(map(doc.diagnostic_text, diff.notes)),
     )
 
 
-def _mass(diff: ModelDiff) -> Iterable[doc.Words]:
+def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
     if not diff.same:
         old, new = diff.mass
         mass = text("mass-old-kg-now-new", old=f"{old:.6g}", new=f"{new:.6g}")
-        if change := _percent(old, new):
+        if change := _format_percent(old, new):
             mass = text("mass-change", mass=mass, change=change)
         yield mass
 
 
-def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
+def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
     for change in diff.changes:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),
             (
-                _place(diff.old, change.old_place, change.old, change.unit),
-                _place(diff.new, change.new_place, change.new, change.unit),
+                _make_file_place(diff.old, change.old_place, change.old, change.unit),
+                _make_file_place(diff.new, change.new_place, change.new, change.unit),
             ),
-            tuple(map(doc.diagnostic_text, change.consequences)) or (_effects(change),),
+            tuple(map(doc.diagnostic_text, change.consequences)) or (_describe_effects(change),),
         )
     if diff.combined:
         title = text("all-changes-together") if diff.changes else text("no-change-explains")
@@ -62,7 +63,7 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
             title,
         )
     if not diff.same:
-        yield from _torques(diff)
+        yield from _tabulate_torques(diff)
     if not diff.complete:
         name = max(diff.residual, key=lambda quantity: diff.residual[quantity])
         left = text(
@@ -73,13 +74,13 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
         yield doc.Lines((left,), "bad")
 
 
-def _place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
+def _make_file_place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
     line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.FilePlace(named, doc.Name("-" if value is None else line), place)
 
 
-def _effects(change: ModelChange) -> doc.Text:
+def _describe_effects(change: ModelChange) -> doc.Text:
     if not change.effects:
         return text("no-effect-on-the-dynamics").with_mark("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
@@ -94,21 +95,21 @@ def _effects(change: ModelChange) -> doc.Text:
     return text("alone-it-changes-effects", effects=listed)
 
 
-def _percent(old: float, new: float) -> str:
+def _format_percent(old: float, new: float) -> str:
     if not old or old == new:
         return ""
     return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"
 
 
-def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yields the torques against gravity that have changed."""
+def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
+    """Yield a table of the gravity torques that have changed, or a line if none has."""
     changed = {
         name: pair
         for name, pair in diff.torques.items()
-        if abs(pair[1] - pair[0]) > _LEAST_CHANGE * max(pair)
+        if abs(pair[1] - pair[0]) > _MIN_RELATIVE_CHANGE * max(pair)
     }
     if not changed:
-        less = text("torques-change-by-less", most=f"{100 * _LEAST_CHANGE:g}")
+        less = text("torques-change-by-less", most=f"{100 * _MIN_RELATIVE_CHANGE:g}")
         moved = any(old != new for old, new in diff.torques.values())
         yield doc.Lines((less if moved else text("the-torques-that-hold"),))
         return
@@ -117,7 +118,7 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
             doc.Name(name),
             doc.number_cell(old, ".4g"),
             doc.number_cell(new, ".4g"),
-            doc.Number(_percent(old, new), 100 * (new / old - 1) if old else float("nan")),
+            doc.Number(_format_percent(old, new), 100 * (new / old - 1) if old else float("nan")),
         )
         for name, (old, new) in changed.items()
     ]

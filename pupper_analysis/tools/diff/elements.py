@@ -1,8 +1,7 @@
-"""Changes of what touches, of MuJoCo's options and of keyframes, and what they do.
+"""Changes of collision shapes, MuJoCo's options and keyframes, and the simulated effects.
 
-What they do together, MuJoCo says: both files are simulated, each from its first keyframe. Robots
-are published without a ground, in a file that scenes include: where neither file has one, both
-stand on a plane that is laid under them.
+The combined effect is simulated: both files run from the first keyframe. If neither file has a
+ground and both robots float, the same plane is added under both.
 """
 
 from __future__ import annotations
@@ -48,20 +47,21 @@ from pupper_analysis.models.stated.model import UrdfModel
 from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
 
 Key = tuple[str, str]
-"""An element's tag and name."""
+"""Tag and name of an element."""
 
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """An element of an MJCF.
+    """Element of a model file.
 
     Attributes:
-        values: {word: its numbers}.
-        place: Returns where a word of it is stated, in itself or a default class; where it stands
-            itself, if it is not.
-        shape: That of a geom.
-        touches: Whether a geom can touch anything, by ``contype`` and ``conaffinity`` or in a pair.
-        owners: The body of a geom, the two geoms of a pair, or the two bodies of an exclude.
+        values: {attribute: numbers}.
+        place: Function that returns the place of an attribute, in the element or a default class;
+            otherwise the place of the element.
+        shape: Shape of a geom; None for other elements.
+        touches: Whether a geom can collide, by ``contype`` and ``conaffinity`` or in a pair; True
+            for other elements.
+        owners: Body of a geom, geoms of a pair, or bodies of an exclude.
     """
 
     values: Mapping[str, Value]
@@ -71,18 +71,18 @@ class Element:
     owners: tuple[str, ...] = ()
 
 
-_FRICTION_OF: Final = {1: 0, 3: 1, 4: 2, 6: 3}
-"""{condim: how many of a geom's three coefficients of friction act}; the greater one of two geoms
-counts, and that of a scene's ground is 3."""
+_NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
+"""{condim: number of effective friction coefficients}. The larger condim of two geoms is used; a
+default ground has 3."""
 
 
 def list_elements(file: MjcfFile) -> dict[Key, Element]:
-    """Returns what an MJCF states besides bodies and joints.
+    """List geoms, pairs, excludes, options, flags, keyframes, and values of joints and actuators.
 
-    Pairs and excludes are called after what they are of.
+    Values of tendons and equalities are included.
 
     Args:
-        file: A file that MuJoCo compiles.
+        file: File that MuJoCo compiles.
     """
     model = file.model
     found: dict[Key, Element] = {}
@@ -91,7 +91,7 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     condim = max((3, *model.geom_condim.tolist()))
     for geom, name in enumerate(names):
         values = element_values(model, "geom", geom)
-        values["friction"] = values["friction"][: _FRICTION_OF[condim]]
+        values["friction"] = values["friction"][: _NUM_FRICTION_COEFFICIENTS[condim]]
         place = partial(place_of_geom, file, geom)
         body = model.body(int(model.geom_bodyid[geom])).name
         found["geom", name] = Element(
@@ -101,31 +101,31 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     for pair in range(model.npair):
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = element_values(model, "pair", pair)
-        at = _at(_nth(pairs, pair, model.npair, file))
+        at = _make_constant_finder(_get_nth_place(pairs, pair, model.npair, file))
         found["pair", join_names(ends)] = Element(values, at, owners=ends)
     for exclude, signature in enumerate(model.exclude_signature.tolist()):
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
-        at = _at(_nth(excludes, exclude, model.nexclude, file))
+        at = _make_constant_finder(_get_nth_place(excludes, exclude, model.nexclude, file))
         found["exclude", join_names(ends)] = Element({}, at, owners=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
     found["option", "option"] = Element(
-        element_values(model, "option", 0), _stating(file, "option", stated)
+        element_values(model, "option", 0), _make_attribute_finder(file, "option", stated)
     )
     flags = next((place for _, place in file.elements("flag")), stated)
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
         enabled = {ENABLED_WORD: (float(has_flag(model, bit)),)}
-        found["flag", get_flag_name(bit)] = Element(enabled, _at(flags))
-    found |= _bound(file)
+        found["flag", get_flag_name(bit)] = Element(enabled, _make_constant_finder(flags))
+    found |= _list_tree_elements(file)
     for key in range(model.nkey):
         name = model.key(key).name or f"#{key}"
         found["key", name] = Element(
-            element_values(model, "key", key), _at(file.place("key", name))
+            element_values(model, "key", key), _make_constant_finder(file.place("key", name))
         )
     return found
 
 
-def _bound(file: MjcfFile) -> dict[Key, Element]:
-    """Returns joints, motors, tendons and equalities, with what no tree of joints has of them."""
+def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
+    """List joints, actuators, tendons and equalities, with the values that trees do not contain."""
     model, found = file.model, dict[Key, Element]()
     counts = {
         "joint": model.njnt,
@@ -140,29 +140,29 @@ def _bound(file: MjcfFile) -> dict[Key, Element]:
                 name = joint_name(model, row)
             elif kind == "equality":
                 name = equality_name(model, row)
-            place = partial(_place_of, file, kind, name, row)
+            place = partial(_find_element_place, file, kind, name, row)
             found[kind, name] = Element(element_values(model, kind, row), place)
     return found
 
 
-def _place_of(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
+def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
     if name.startswith("#"):
         return file.numbered(kind, row)
     return file.stated(kind, name, (word,)) or file.place(kind, name)
 
 
 def join_names(ends: Iterable[str]) -> str:
-    """Returns what a pair or an exclude is called."""
+    """Return the name of a pair or an exclude: both names in alphabetical order."""
     return " and ".join(sorted(ends))
 
 
-def _nth(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
-    """Returns the place of MuJoCo's n-th; the file alone where it has others than are written."""
+def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
+    """Return the n-th place; the file without line if the numbers of elements differ."""
     return places[number] if len(places) == count else Place(file.path)
 
 
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
-    """Returns each geom's name; one without is called after its body and its place there."""
+    """List the names of geoms; a geom without name gets the name of the body and a number."""
     names, seen = [], dict[int, int]()
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
@@ -173,19 +173,21 @@ def list_geom_names(model: mujoco.MjModel) -> list[str]:
 
 
 def list_collisions(model: UrdfModel) -> dict[Key, Element]:
-    """Returns the shapes of a URDF that touch, {("collision", link, or "link #2"): element}."""
+    """List the collision shapes of a URDF: {("collision", link or "link #2"): element}."""
     found: dict[Key, Element] = {}
     for link in model.links.values():
         touching = [shape for shape in link.shapes if shape.collides]
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
             place = model.file.nth(link.name, "collision", number - 1)
-            found["collision", name] = Element({}, _at(place), shape, owners=(link.name,))
+            found["collision", name] = Element(
+                {}, _make_constant_finder(place), shape, owners=(link.name,)
+            )
     return found
 
 
-def _stating(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
-    """Returns what finds the element of a tag that states a word."""
+def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
+    """Return a function that finds the first element of a tag with an attribute."""
 
     def place(word: str) -> Place:
         stated = (where for words, where in file.elements(tag) if word in words)
@@ -194,28 +196,31 @@ def _stating(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Plac
     return place
 
 
-def _at(place: Place) -> Callable[[str], Place]:
+def _make_constant_finder(place: Place) -> Callable[[str], Place]:
     return lambda _: place
 
 
 ENABLED_WORD: Final = "enabled"
-"""What a flag says: 1 or 0."""
+"""Attribute of a flag: 1 or 0."""
 
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
 )
+"""Flags that are enabled by default."""
+
 ENABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtEnableBit.__members__.values() if bit.name.startswith("mjENBL_")
 )
+"""Flags that are disabled by default."""
 
 
 def get_flag_name(bit: Any) -> str:
-    """Returns a flag's attribute of ``<flag>``."""
+    """Return the attribute of ``<flag>`` for a bit."""
     return str(bit.name).split("_", 1)[1].lower()
 
 
 def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
-    """Whether what a flag is of is enabled."""
+    """Return True if the feature of a bit is enabled."""
     if isinstance(bit, mujoco.mjtDisableBit):
         return not model.opt.disableflags & bit.value
     return bool(model.opt.enableflags & bit.value)
@@ -228,55 +233,64 @@ MIN_FELT_MOTION = 1e-4
 reported. A stand is settled to 1e-5."""
 
 SIMULATION_SECONDS = 2.0
-"""Of a simulation (s): what falls has fallen, and servos of some hertz have come to rest."""
+"""Duration of a simulation [s], enough for a fall and for servos of some hertz to settle. Chosen.
+"""
 
-_MOST_STEPS = 4000
-"""Of a simulation with a small time step; it is cut then, and says its seconds."""
+_MAX_STEPS = 4000
+"""Largest number of time steps. Simulations with small time steps are shortened."""
 
-_SAMPLES = 200
-"""Of a simulation: what a blow moves for 10 ms is seen."""
+_NUM_SAMPLES = 200
+"""Number of samples per simulation: one per 10 ms."""
 
-_FALL = 1.0
-"""m: what loses more has gone through the floor, or off it."""
+_MIN_FALL_HEIGHT = 1.0
+"""Smallest loss of height [m] that counts as falling through or off the floor. Chosen."""
 
 NUMBER_RTOL = 1e-9
-"""Relative: files that were written anew round their numbers so."""
+"""Relative tolerance of numbers, for rounding by programs that rewrite files."""
 
 SURFACE_ATOL = 1e-6
-"""m: shapes whose surfaces are no further apart are one."""
+"""Largest distance between the surfaces of equal shapes [m]."""
 
 SHAPE_WORD: Final = "shape"
+"""Name of the shape, in place of an attribute."""
 
 
 @dataclass(frozen=True, eq=False)
 class ElementDifference(Difference):
-    """A change of one number or shape of elements that had it alike; or what came or went.
+    """Equal change in one or more elements, or an element that was added or removed.
 
     Attributes:
-        consequences: What it does in a simulation.
-        places: Where the first of them stands, in both files; None where it does not.
+        consequences: Effects in a simulation.
+        places: Place of the first element in both files; None if missing.
     """
 
     consequences: tuple[Diagnostic, ...] = ()
     places: tuple[Place | None, Place | None] = (None, None)
 
 
-def measure_surface_distance(one: Shape, two: Shape) -> float:
-    """Returns how far the surfaces of two shapes' hulls are apart at most (m).
+def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
+    """Compute the largest distance between the surfaces of two shapes' hulls [m].
 
-    Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
-    if they differ.
+    Shapes without extent (planes, missing meshes) are compared by pose and size: 0 if equal,
+    otherwise infinity.
     """
-    first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (one, two))
+    first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:
         return float(np.abs(first - second).max())
-    ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
+    ends = [
+        (shape.pose.position, shape.pose.rotation, shape.size)
+        for shape in (first_shape, second_shape)
+    ]
     near = (
-        np.allclose(here, there, rtol=0, atol=SURFACE_ATOL)
-        for here, there in zip(*ends, strict=True)
+        np.allclose(first_value, second_value, rtol=0, atol=SURFACE_ATOL)
+        for first_value, second_value in zip(*ends, strict=True)
     )
     return (
-        0.0 if one.kind == two.kind and len(one.size) == len(two.size) and all(near) else math.inf
+        0.0
+        if first_shape.kind == second_shape.kind
+        and len(first_shape.size) == len(second_shape.size)
+        and all(near)
+        else math.inf
     )
 
 
@@ -286,133 +300,142 @@ def match_elements(
     bodies: Mapping[str, str],
     joints: Mapping[str, str],
 ) -> dict[Key, Element]:
-    """Returns new elements by what the old file calls those that they are like.
+    """Rename new elements to the names of the old elements that they correspond to.
 
-    Geoms of one name are one. Of the others of a body those are one that are exactly alike, then
-    those of one shape, and the rest in their order: another number in the file is no change. What
-    only the new file has is numbered on.
+    Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
+    values, then in shape, then in order, so that a different order in the file is no change. New
+    geoms get unused numbers.
 
     Args:
-        old: The old file's.
-        new: The new one's.
-        bodies: {body of the new file: what it is called in the old one}.
-        joints: Likewise.
+        old: Elements of the old file.
+        new: Elements of the new file.
+        bodies: {body of the new file: name in the old file}.
+        joints: {joint of the new file: name in the old file}.
     """
-    found: dict[Key, Element] = {}
-    calls: dict[str, str] = {}
+    matched: dict[Key, Element] = {}
+    new_names: dict[str, str] = {}
     taken = {name for _, name in (*old, *new)}
-    for (kind, body), (here, there) in _unnamed(old, new, bodies).items():
-        pairs = _most_alike(here, there, old, new)
-        for key in there:
+    for (kind, body), (old_keys, new_keys) in _list_unnamed_shapes(old, new, bodies).items():
+        pairs = _match_similar_shapes(old_keys, new_keys, old, new)
+        for key in new_keys:
             name = pairs[key][1] if key in pairs else key[1]
-            if key not in pairs and ((kind, name) in old or (kind, name) in found):
+            if key not in pairs and ((kind, name) in old or (kind, name) in matched):
                 name = next(free for n in count(2) if (free := f"{body} #{n}") not in taken)
                 taken.add(name)
-            found[kind, name], calls[key[1]] = new[key], name
+            matched[kind, name], new_names[key[1]] = new[key], name
     for (kind, name), element in new.items():
-        if element.shape is not None and name in calls:
+        if element.shape is not None and name in new_names:
             continue
         if kind in ("pair", "exclude"):
-            ends = calls if kind == "pair" else bodies
+            ends = new_names if kind == "pair" else bodies
             name = join_names(ends.get(end, end) for end in element.owners)
         elif kind == "joint":
             name = joints.get(name, name)
-        found[kind, name] = element
-    return found
+        matched[kind, name] = element
+    return matched
 
 
-def _unnamed(
+def _list_unnamed_shapes(
     old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
 ) -> dict[Key, tuple[list[Key], list[Key]]]:
-    """Returns {tag and body: the shapes of both files that have no name in common}."""
-    found: dict[Key, tuple[list[Key], list[Key]]] = {}
+    """Return {(tag, body): old and new shapes without a common name}."""
+    shapes_by_body: dict[Key, tuple[list[Key], list[Key]]] = {}
     for number, elements in enumerate((old, new)):
         for key, element in elements.items():
             names = {
-                one.shape.name if (one := side.get(key)) and one.shape else ""
+                counterpart.shape.name
+                if (counterpart := side.get(key)) and counterpart.shape
+                else ""
                 for side in (old, new)
             }
             if element.shape is not None and names != {key[1]}:
                 body = element.owners[0]
                 body = bodies.get(body, body) if number else body
-                found.setdefault((key[0], body), ([], []))[number].append(key)
-    return found
+                shapes_by_body.setdefault((key[0], body), ([], []))[number].append(key)
+    return shapes_by_body
 
 
-def _most_alike(
-    here: list[Key], there: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
+def _match_similar_shapes(
+    old_keys: list[Key], new_keys: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
 ) -> dict[Key, Key]:
-    """Returns {one there: that of the ones here which it is}."""
+    """Return {new shape: matching old shape}."""
 
-    def is_of_one_shape(one: Element, two: Element) -> bool:
-        assert one.shape is not None
-        assert two.shape is not None
+    def is_of_one_shape(first: Element, second: Element) -> bool:
+        assert first.shape is not None
+        assert second.shape is not None
         return (
-            one.shape.kind == two.shape.kind
-            and measure_surface_distance(one.shape, two.shape) <= SURFACE_ATOL
+            first.shape.kind == second.shape.kind
+            and measure_surface_distance(first.shape, second.shape) <= SURFACE_ATOL
         )
 
-    def is_alike(one: Element, two: Element) -> bool:
-        same = all(_same(*values) for values in _numbers_of_both(one, two).values())
-        return same and one.touches == two.touches and is_of_one_shape(one, two)
+    def is_alike(first: Element, second: Element) -> bool:
+        same = all(_numbers_agree(*values) for values in _pair_numbers(first, second).values())
+        return same and first.touches == second.touches and is_of_one_shape(first, second)
 
-    def touches_alike(one: Element, two: Element) -> bool:
-        return one.touches == two.touches
+    def touches_alike(first: Element, second: Element) -> bool:
+        return first.touches == second.touches
 
-    found: dict[Key, Key] = {}
-    left = list(here)
+    matches: dict[Key, Key] = {}
+    remaining = list(old_keys)
     for test in (is_alike, is_of_one_shape, touches_alike):
-        for key in there:
+        for key in new_keys:
             near = (
                 candidate
-                for candidate in left
-                if key not in found and test(old[candidate], new[key])
+                for candidate in remaining
+                if key not in matches and test(old[candidate], new[key])
             )
             if (match := next(near, None)) is not None:
-                found[key] = match
-                left.remove(match)
-    return found
+                matches[key] = match
+                remaining.remove(match)
+    return matches
 
 
-def _numbers_of_both(one: Element, two: Element) -> dict[str, tuple[Value, Value]]:
-    """Returns {word: its numbers in both}, as far as both have them."""
-    found = {}
-    for word in dict.fromkeys((*one.values, *two.values)):
-        here, there = one.values.get(word, ()), two.values.get(word, ())
+def _pair_numbers(first: Element, second: Element) -> dict[str, tuple[Value, Value]]:
+    """Return {attribute: numbers in both elements}. Friction is cut to the shorter list."""
+    pairs = {}
+    for word in dict.fromkeys((*first.values, *second.values)):
+        first_numbers, second_numbers = first.values.get(word, ()), second.values.get(word, ())
         if word == "friction":  # those that another condim adds are no change of their own
-            here, there = (values[: min(len(here), len(there))] for values in (here, there))
-        found[word] = here, there
-    return found
+            first_numbers, second_numbers = (
+                values[: min(len(first_numbers), len(second_numbers))]
+                for values in (first_numbers, second_numbers)
+            )
+        pairs[word] = first_numbers, second_numbers
+    return pairs
 
 
 def find_changed_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
 ) -> Iterator[ElementDifference]:
-    """Yields what has changed; elements whose number has changed alike are one change."""
+    """Yield the changes. Elements with an equal change form one difference."""
     alike: dict[tuple[Any, ...], list[Key]] = {}
     for key in dict.fromkeys((*old, *new)):
-        one, two = old.get(key), new.get(key)
-        if not any(element is not None and element.touches for element in (one, two)):
-            continue  # it is seen alone
-        if one is None or two is None:
-            if key[0] not in _IN_TREES:
-                alike.setdefault((key[0], "", one is None, key), []).append(key)
-            continue
-        for word, (here, there) in _numbers_of_both(one, two).items():
-            if not _same(here, there):
-                alike.setdefault((key[0], word, here, there), []).append(key)
-        if (
-            one.shape is not None
-            and two.shape is not None
-            and measure_surface_distance(one.shape, two.shape) > SURFACE_ATOL
+        old_element, new_element = old.get(key), new.get(key)
+        if not any(
+            element is not None and element.touches for element in (old_element, new_element)
         ):
-            alike.setdefault((key[0], SHAPE_WORD, *_reshaped(one.shape, two.shape)), []).append(key)
+            continue  # it is seen alone
+        if old_element is None or new_element is None:
+            if key[0] not in _TREE_ELEMENTS:
+                alike.setdefault((key[0], "", old_element is None, key), []).append(key)
+            continue
+        for word, (old_numbers, new_numbers) in _pair_numbers(old_element, new_element).items():
+            if not _numbers_agree(old_numbers, new_numbers):
+                alike.setdefault((key[0], word, old_numbers, new_numbers), []).append(key)
+        if (
+            old_element.shape is not None
+            and new_element.shape is not None
+            and measure_surface_distance(old_element.shape, new_element.shape) > SURFACE_ATOL
+        ):
+            alike.setdefault(
+                (key[0], SHAPE_WORD, *_make_shape_key(old_element.shape, new_element.shape)), []
+            ).append(key)
     for (kind, word, *_), keys in alike.items():
-        yield _change(kind, word, keys, old, new)
+        yield _make_difference(kind, word, keys, old, new)
 
 
-_COMPILER: Final = {
+_COMPILER_ATTRIBUTES: Final = {
     "degree": "angle",
     **{
         word: word
@@ -431,22 +454,24 @@ _COMPILER: Final = {
         )
     },
 }
-"""{what MuJoCo's spec calls a number of the compiler that others follow from: its attribute}."""
+"""{field of MuJoCo's spec: attribute of ``<compiler>``}."""
 
 
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
-    """Yields what has changed of the compiler: numbers change with it whose lines have not."""
-    for name, word in _COMPILER.items():
-        one, two = (_stated_flag(name, getattr(file.spec.compiler, name)) for file in (old, new))
-        if one == two:
+    """Yield changed settings of the compiler, which change numbers on other lines."""
+    for name, word in _COMPILER_ATTRIBUTES.items():
+        old_setting, new_setting = (
+            _format_setting(name, getattr(file.spec.compiler, name)) for file in (old, new)
+        )
+        if old_setting == new_setting:
             continue
         message = diagnose(
             "mjcf-element-differs",
             subject=("compiler", word),
             others=(),
             what="",
-            one=one,
-            two=two,
+            one=old_setting,
+            two=new_setting,
             **VERSION_NAMES.named,
         )
         places = [
@@ -456,8 +481,8 @@ def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[Ele
         yield ElementDifference(
             kind="compiler",
             element=word,
-            urdf=one,
-            mjcf=two,
+            urdf=old_setting,
+            mjcf=new_setting,
             unit="",
             diagnostic=message,
             effects={},
@@ -465,7 +490,7 @@ def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[Ele
         )
 
 
-def _stated_flag(name: str, value: Any) -> str:
+def _format_setting(name: str, value: Any) -> str:
     if name == "degree":
         return "degree" if value else "radian"
     if isinstance(value, bool | np.bool_):
@@ -477,23 +502,23 @@ def _stated_flag(name: str, value: Any) -> str:
     return ("" if name == "eulerseq" else " ").join(map(str, value))
 
 
-_IN_TREES: Final = ("joint", "actuator", "tendon", "equality")
-"""Elements that come and go with the trees of joints, and what acts on them."""
+_TREE_ELEMENTS: Final = ("joint", "actuator", "tendon", "equality")
+"""Elements whose addition or removal is reported by the comparison of trees."""
 
 
-def _reshaped(one: Shape, two: Shape) -> tuple[object, ...]:
-    """Returns what has changed of a shape: left and right are one change where it is the size."""
-    ends = [(shape.pose.position, shape.pose.rotation) for shape in (one, two)]
+def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
+    """Return the change of a shape: kinds and sizes if the pose is equal, or both descriptions."""
+    ends = [(shape.pose.position, shape.pose.rotation) for shape in (old_shape, new_shape)]
     if all(np.array_equal(here, there) for here, there in zip(*ends, strict=True)):
-        return one.kind, tuple(one.size), two.kind, tuple(two.size)
-    return str(one.diagnostic), str(two.diagnostic)
+        return old_shape.kind, tuple(old_shape.size), new_shape.kind, tuple(new_shape.size)
+    return str(old_shape.diagnostic), str(new_shape.diagnostic)
 
 
-def _same(one: Value, two: Value) -> bool:
-    return len(one) == len(two) and np.allclose(one, two, rtol=NUMBER_RTOL, atol=1e-12)
+def _numbers_agree(first: Value, second: Value) -> bool:
+    return len(first) == len(second) and np.allclose(first, second, rtol=NUMBER_RTOL, atol=1e-12)
 
 
-def _change(
+def _make_difference(
     kind: str,
     word: str,
     keys: list[Key],
@@ -501,39 +526,46 @@ def _change(
     new: Mapping[Key, Element],
 ) -> ElementDifference:
     names = tuple(name for _, name in keys)
-    one, two = old.get(keys[0]), new.get(keys[0])
-    before, after = (_value(element, word) for element in (one, two))
+    old_element, new_element = old.get(keys[0]), new.get(keys[0])
+    before, after = (_format_value(element, word) for element in (old_element, new_element))
     whole = kind in ("option", "flag")  # of which there is one, with many numbers
     message = diagnose(
         "mjcf-element-differs",
         subject=(kind, word if kind == "option" else names[0]),
         others=() if whole else names[1:],
-        what="" if whole else Term(word) if word in _TERMS else word,
+        what="" if whole else Term(word) if word in _TRANSLATED_WORDS else word,
         one=before,
         two=after,
         **VERSION_NAMES.named,
     )
     consequences: tuple[Diagnostic, ...] = ()
-    shapes = [element.shape for element in (one, two) if element is not None and element.shape]
+    shapes = [
+        element.shape
+        for element in (old_element, new_element)
+        if element is not None and element.shape
+    ]
     if word == SHAPE_WORD and math.isfinite(distance := measure_surface_distance(*shapes)):
         moved = diagnose("surface-moves", distance=Quantity(distance, "m"))
         consequences = (moved,)
     return ElementDifference(
         kind=kind,
         element=word if kind == "option" else names[0],
-        urdf=_plain(one, word),
-        mjcf=_plain(two, word),
+        urdf=_to_plain(old_element, word),
+        mjcf=_to_plain(new_element, word),
         unit=next(
             (row.unit for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)), ""
         ),
         diagnostic=message,
         effects={},
         consequences=consequences,
-        places=(one.place(word) if one else None, two.place(word) if two else None),
+        places=(
+            old_element.place(word) if old_element else None,
+            new_element.place(word) if new_element else None,
+        ),
     )
 
 
-_CHOICES: Final = {
+_ENUM_TYPES: Final = {
     "integrator": mujoco.mjtIntegrator,
     "cone": mujoco.mjtCone,
     "solver": mujoco.mjtSolver,
@@ -542,11 +574,13 @@ _CHOICES: Final = {
     "gaintype": mujoco.mjtGain,
     "biastype": mujoco.mjtBias,
 }
+"""{attribute: MuJoCo enumeration of the values}."""
 
-_TERMS: Final = (SHAPE_WORD, "friction")
+_TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
+"""Attributes whose names are translated."""
 
 
-def _value(element: Element | None, word: str) -> object:
+def _format_value(element: Element | None, word: str) -> object:
     if element is None:
         return Term("none")
     if not word:
@@ -555,15 +589,15 @@ def _value(element: Element | None, word: str) -> object:
         assert element.shape is not None
         return element.shape.diagnostic
     numbers = element.values.get(word, ())
-    if word in _CHOICES and numbers:
-        return _CHOICES[word](int(numbers[0])).name.split("_", 1)[1].lower()
+    if word in _ENUM_TYPES and numbers:
+        return _ENUM_TYPES[word](int(numbers[0])).name.split("_", 1)[1].lower()
     if word == ENABLED_WORD:
         return Term("enabled" if numbers[0] else "disabled")
     return " ".join(f"{number:.6g}" for number in numbers) or Term("none")
 
 
-def _plain(element: Element | None, word: str) -> object:
-    """Returns a value as data."""
+def _to_plain(element: Element | None, word: str) -> object:
+    """Convert a value to plain data, for JSON."""
     if element is None:
         return None
     if word in ("", SHAPE_WORD):
@@ -576,15 +610,16 @@ def _plain(element: Element | None, word: str) -> object:
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """What a simulation came to.
+class _SimulatedRun:
+    """Result of a simulation.
 
     Attributes:
-        seconds: How long it was (s).
-        qpos: (samples, n) of the joints looked at; not numbers from where it diverged.
-        slid: (n,) which of them are lengths.
-        com: (samples,) height of all that moves (m).
-        friction: The least coefficient of a contact with the world at the end; None without any.
+        seconds: Duration [s].
+        qpos: Positions of the selected joints, shape (samples, n) [m, rad]; NaN after divergence.
+        slid: Whether each coordinate is a length, shape (n,).
+        com: Height of the CoM of the moving trees, shape (samples,) [m].
+        friction: Smallest friction coefficient of a contact with the world at the end; None without
+            contact.
     """
 
     seconds: float
@@ -595,26 +630,27 @@ class _Run:
 
 
 ROUNDING_NUDGE = 1e-9
-"""rad, m: what files that mean the same are apart by; a fall may make centimetres of it."""
+"""Velocity [rad/s, m/s] of the nudge that represents rounding errors."""
 
 
-def _image(model: mujoco.MjModel) -> bytes:
+def _serialise_model(model: mujoco.MjModel) -> bytes:
     image = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, image)
     return image.tobytes()
 
 
 MOTION_QUANTITY: Final = "simulated motion"
+"""Name of the quantity for simulated effects."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPair:
-    """Two MJCFs that are simulated.
+    """Two MJCFs for simulation.
 
     Attributes:
-        old: What MuJoCo makes of the old file.
-        new: Of the new one.
-        has_added_floor: Whether a ground was laid under both, because neither has one.
+        old: Model of the old file.
+        new: Model of the new file.
+        has_added_floor: Whether a ground was added to both, since neither has one.
     """
 
     old: mujoco.MjModel
@@ -623,12 +659,17 @@ class SimulatedPair:
 
     @staticmethod
     def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
-        """Returns two files' models, on a ground if they have one to stand on or none at all."""
+        """Compile two files.
+
+        A ground is added if both robots float and neither file has static geoms.
+        """
         models = old.model, new.model
-        stand = all(has_free_joint(model) and not _stays(model).any() for model in models)
+        stand = all(
+            has_free_joint(model) and not _find_static_geoms(model).any() for model in models
+        )
         if not stand:
             return SimulatedPair(old.model, new.model, has_added_floor=False)
-        height = min(map(_ground_under, models))
+        height = min(map(_find_ground_height, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
         floors[1].conaffinity = floors[0].conaffinity  # one ground, that the old file's feet touch
@@ -640,19 +681,22 @@ class SimulatedPair:
     def compute_effects(
         self, *, explained: bool
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Returns by how much the two differ as they are, and what of it a user would see.
+        """Compute the difference of both simulations, and the visible effects.
 
         Args:
-            explained: Whether a change was found; if not, what rounding can do is no effect.
+            explained: Whether a change was found. Otherwise, effects that rounding can cause are
+                dropped.
         """
         old, new = self.old, self.new
-        if not self._common or (not explained and _image(old) == _image(new)):
+        if not self._common_joints or (
+            not explained and _serialise_model(old) == _serialise_model(new)
+        ):
             return {}, ()
-        before, after = self._simulate(old), self._simulate(new)
-        effects, messages = self._weigh(before, after)
+        before, after = self._simulate_joints(old), self._simulate_joints(new)
+        effects, messages = self._compare_pair(before, after)
         if explained or not effects:
             return (effects, messages) if explained else ({}, ())
-        nudged, _ = self._weigh(before, self._simulate(old, ROUNDING_NUDGE))
+        nudged, _ = self._compare_pair(before, self._simulate_joints(old, ROUNDING_NUDGE))
         # A tenth: where both have left their course, they are apart by any part of the way.
         rounding = (
             nudged and nudged[MOTION_QUANTITY].deviation > 0.1 * effects[MOTION_QUANTITY].deviation
@@ -660,39 +704,42 @@ class SimulatedPair:
         return ({}, ()) if rounding else (effects, messages)
 
     @cached_property
-    def _common(self) -> list[str]:
-        """The joints that both have: what moves otherwise is in one file alone."""
+    def _common_joints(self) -> list[str]:
+        """Joints of both models."""
         names = [
             [joint_name(model, n) for n in range(model.njnt)] for model in (self.old, self.new)
         ]
         return [name for name in names[0] if name in names[1]]
 
-    def _simulate(self, model: mujoco.MjModel, nudge: float = 0.0) -> _Run:
+    def _simulate_joints(self, model: mujoco.MjModel, nudge: float = 0.0) -> _SimulatedRun:
         number = {joint_name(model, n): n for n in range(model.njnt)}
-        return _simulate(model, [number[name] for name in self._common], nudge)
+        return _simulate_model(model, [number[name] for name in self._common_joints], nudge)
 
-    def _weigh(self, before: _Run, after: _Run) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Returns by how much two simulations differ, and what of it a user would see."""
+    def _compare_pair(
+        self, before: _SimulatedRun, after: _SimulatedRun
+    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+        """Compare two simulations, with the context for messages."""
         seconds = Quantity(min(before.seconds, after.seconds), "s")
         start = self.old.key(0).name if self.old.nkey else ""
-        return _weigh(
+        return _compare_runs(
             before, after, {"seconds": seconds, "start": start, "laid": self.has_added_floor}
         )
 
 
-def _stays(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Says which geoms stand in the world and can touch."""
+def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return a mask of the geoms that are fixed to the world and can collide."""
     touch = (model.geom_contype | model.geom_conaffinity) != 0
     touch[[*model.pair_geom1, *model.pair_geom2]] = True
     still: NDArray[np.bool_] = touch & (model.body_weldid[model.geom_bodyid] == 0)
     return still
 
 
-def _ground_under(model: mujoco.MjModel) -> float:
-    """Returns the height of a ground (m): 0, as in scenes, if the robot begins above it.
+def _find_ground_height(model: mujoco.MjModel) -> float:
+    """Return the height of an added ground [m].
 
-    Home poses are published with feet centimetres in the ground; who is in it by more than a
-    quarter of his height up to the com is below it, and is put on one at his lowest point.
+    The height is 0, as in scenes. If the robot begins deeper in this ground than a quarter of the
+    CoM height above the lowest point, it is the height of the lowest point. Published home poses
+    may have feet some centimetres in the ground.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
@@ -702,20 +749,22 @@ def _ground_under(model: mujoco.MjModel) -> float:
     return lowest if -lowest > 0.25 * (com - lowest) else 0.0
 
 
-def _simulate(model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0) -> _Run:
-    """Simulates a model from its first keyframe, as MuJoCo leaves it when it is reset to it.
+def _simulate_model(
+    model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0
+) -> _SimulatedRun:
+    """Simulate a model from the first keyframe, or from ``qpos0`` if there is none.
 
     Args:
-        model: The model; it begins at its ``qpos0`` if it has no keyframe.
-        joints: Those that are looked at, and the trees that they move.
-        nudge: Of all velocities at the start (rad/s, m/s).
+        model: Model.
+        joints: Indices of the joints that are recorded.
+        nudge: Offset of all initial velocities [rad/s, m/s].
     """
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qvel += nudge
     step = float(model.opt.timestep)
-    seconds = min(SIMULATION_SECONDS, _MOST_STEPS * step)
+    seconds = min(SIMULATION_SECONDS, _MAX_STEPS * step)
     ends = [*model.jnt_qposadr.tolist(), model.nq]
     places = [place for joint in joints for place in range(ends[joint], ends[joint + 1])]
     lengths = {JointKind.SLIDE: 1, JointKind.FREE: 3}
@@ -728,8 +777,8 @@ def _simulate(model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0) 
     masses = model.body_mass * np.isin(model.body_rootid, roots) * (model.body_weldid != 0)
     qpos, com, done = [], [], 0
     with silence_mujoco():
-        for sample in range(1, _SAMPLES + 1):
-            wanted = round(sample * seconds / _SAMPLES / step)
+        for sample in range(1, _NUM_SAMPLES + 1):
+            wanted = round(sample * seconds / _NUM_SAMPLES / step)
             try:
                 mujoco.mj_step(model, data, nstep=wanted - done)
             except mujoco.FatalError:
@@ -739,16 +788,16 @@ def _simulate(model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0) 
             qpos.append(np.full(len(places), np.nan) if lost else data.qpos[places])
             height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
             com.append(np.nan if lost else height)
-    return _Run(
+    return _SimulatedRun(
         seconds,
         np.array(qpos),
         np.array(slid, dtype=bool),
         np.array(com),
-        _least_friction(model, data),
+        _find_min_friction(model, data),
     )
 
 
-def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
+def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
     found = [
         float(contact.friction[0]) if contact.dim > 1 else 0.0
         for contact in data.contact
@@ -757,15 +806,15 @@ def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
     return min(found, default=None)
 
 
-def _weigh(
-    before: _Run, after: _Run, where: Mapping[str, Any]
+def _compare_runs(
+    before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
     if before.qpos.shape != after.qpos.shape:
         return {}, ()
     same_end = np.isnan(before.qpos) & np.isnan(after.qpos)
-    off = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
-    off = np.nan_to_num(off, nan=math.inf).max(axis=0, initial=0.0)
-    moved, turned = (float(off[kind].max(initial=0.0)) for kind in (after.slid, ~after.slid))
+    offsets = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
+    offsets = np.nan_to_num(offsets, nan=math.inf).max(axis=0, initial=0.0)
+    moved, turned = (float(offsets[kind].max(initial=0.0)) for kind in (after.slid, ~after.slid))
     worst = max(moved, turned)
     facts = []
     if worst > MIN_FELT_MOTION:
@@ -775,8 +824,10 @@ def _weigh(
                 "simulation-changes",
                 diverges=math.isnan(rise),
                 higher=Quantity(rise, "m") if rise > MIN_FELT_MOTION else None,
-                lower=Quantity(-rise, "m") if -_FALL <= rise < -MIN_FELT_MOTION else None,
-                falls=Quantity(-rise, "m") if rise < -_FALL else None,
+                lower=Quantity(-rise, "m")
+                if -_MIN_FALL_HEIGHT <= rise < -MIN_FELT_MOTION
+                else None,
+                falls=Quantity(-rise, "m") if rise < -_MIN_FALL_HEIGHT else None,
                 ends=abs(rise) > MIN_FELT_MOTION,
                 off=[
                     diagnose("coordinate-off", length=unit == "m", most=Quantity(most, unit))

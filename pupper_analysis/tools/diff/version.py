@@ -1,4 +1,4 @@
-"""One file as it is compared with another of its format: its tree, and what is not in a tree."""
+"""Content of a model file for comparison with another version, and access to versions in git."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ from pupper_analysis.tools.diff.elements import Element, Key, list_collisions, l
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """One file.
+    """Content of a file.
 
     Attributes:
-        file: The file.
-        tree: Its joints and bodies. The base of a URDF is free, for it states none.
-        extra_values: {(kind, element): value} of elements that are not in the tree: mimic joints,
-            motors, springs, tendons ...
-        elements: What touches, and of an MJCF its options and keyframes.
-        bodies: {base or joint: the body that it moves}.
-        sources: Where the numbers stand.
-        notes: What was assumed or left out.
+        file: File.
+        tree: Joints and bodies. The base of a URDF is free, since a URDF does not specify the type.
+        extra_values: {(kind, element): value} outside the tree: mimic joints, motors, springs,
+            tendons ...
+        elements: Collision shapes; for an MJCF also options and keyframes.
+        bodies: {base or joint: body that it moves}.
+        sources: Lines of the numbers.
+        notes: Assumptions, and content that was left out.
     """
 
     file: UrdfFile | MjcfFile
@@ -75,15 +75,15 @@ class Version:
 
 
 def read_version(file: UrdfFile | MjcfFile) -> Version:
-    """Reads what is compared.
+    """Read the content of a file for comparison.
 
     Raises:
-        ModelError: If it is no robot with joints.
+        ModelError: If the file is not a robot with joints.
     """
-    return _of_urdf(file) if isinstance(file, UrdfFile) else _of_mjcf(file)
+    return _read_urdf_version(file) if isinstance(file, UrdfFile) else _read_mjcf_version(file)
 
 
-def _of_urdf(file: UrdfFile) -> Version:
+def _read_urdf_version(file: UrdfFile) -> Version:
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
     tree = UrdfTree(root)
@@ -104,10 +104,10 @@ def _of_urdf(file: UrdfFile) -> Version:
     )
 
 
-def _of_mjcf(file: MjcfFile) -> Version:
+def _read_mjcf_version(file: MjcfFile) -> Version:
     published = file
     if file.spec.compiler.fusestatic:
-        file = _kept_apart(file)
+        file = _disable_fusestatic(file)
     spec = file.spec.copy()
     named, joined = name_elements(spec, set()), join_free_base(spec)
     whole = compile_spec(spec.copy(), file.path)
@@ -125,7 +125,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
         for joint in range(model.njnt)
         if model.jnt_type[joint] != JointKind.FREE
     ]
-    base = _base(model, names)
+    base = _find_base_body(model, names)
     carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     carriers = {base: base, **carriers}
     reference = Reference(whole if joined else file.model, whole, names, base)
@@ -137,7 +137,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     return Version(
         file=published,
         tree=with_null_efforts(mjcf_tree(spec, file.path, base, frames), null_efforts(file)),
-        extra_values={**others, **_motors(NamedModel(reference))},
+        extra_values={**others, **_list_motors(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
@@ -145,49 +145,52 @@ def _of_mjcf(file: MjcfFile) -> Version:
     )
 
 
-def _kept_apart(file: MjcfFile) -> MjcfFile:
-    """Returns the same file with bodies that are fixed to others kept apart: they are one robot."""
+def _disable_fusestatic(file: MjcfFile) -> MjcfFile:
+    """Return the file without fusing of static bodies."""
     file.check_compiled()
     spec = file.spec.copy()
     spec.compiler.fusestatic = False
     return replace(file, spec=spec, _model=compile_spec(spec.copy(), file.path))
 
 
-def _base(model: mujoco.MjModel, names: list[str]) -> str:
-    """Returns the body that the tree of the first joint, or of the last body, begins with."""
+def _find_base_body(model: mujoco.MjModel, names: list[str]) -> str:
+    """Return the root body of the first joint's tree; without joints, of the last body's tree."""
     body = int(model.joint(names[0]).bodyid[0]) if names else model.nbody - 1
     while model.body_parentid[body] != 0:
         body = int(model.body_parentid[body])
     return str(model.body(body).name)
 
 
-def _motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
-    """Returns what commands make motors do, {("motor", name): numbers}; limits are the joints'."""
+def _list_motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
+    """Return {("motor", name): transmission, gains and control ranges}.
+
+    Force limits belong to the joints.
+    """
     model, found = scene.model, {}
     for motor in range(model.nactuator):
         value: dict[str, Any] = {
-            "at": _target(scene, motor),
-            "gear": _short(actuator_gear(model, motor)),
-            "gain": _short(model.actuator_gainprm[motor]),
-            "bias": _short(model.actuator_biasprm[motor]),
+            "at": _describe_target(scene, motor),
+            "gear": _to_numbers(actuator_gear(model, motor)),
+            "gain": _to_numbers(model.actuator_gainprm[motor]),
+            "bias": _to_numbers(model.actuator_biasprm[motor]),
         }
         first = int(model.actuator_ctrladr[motor])
         for control in range(first, first + int(model.actuator_ctrlnum[motor])):
             if model.actuator_ctrllimited[control]:
                 word = "ctrlrange" if control == first else f"ctrlrange {control - first + 1}"
-                value[word] = _short(model.actuator_ctrlrange[control], trim=False)
+                value[word] = _to_numbers(model.actuator_ctrlrange[control], trim=False)
         found["motor", scene.name("actuator", motor)] = value
     return found
 
 
-def _target(scene: NamedModel, motor: int) -> str:
+def _describe_target(scene: NamedModel, motor: int) -> str:
     what, (target, _) = list_actuator_targets(scene.model, motor)
     kind = what.name.removeprefix("mjOBJ_").lower()
     return f"{kind} {scene.joint_name(target) if kind == 'joint' else scene.name(kind, target)}"
 
 
-def _short(values: Any, *, trim: bool = True) -> list[float]:
-    """Returns numbers without the zeros at their end."""
+def _to_numbers(values: Any, *, trim: bool = True) -> list[float]:
+    """Convert numbers to a list; trailing zeros are removed if ``trim``."""
     numbers = np.asarray(values, dtype=float)
     return list(map(float, np.trim_zeros(numbers, "b") if trim else numbers))
 
@@ -196,19 +199,30 @@ def _short(values: Any, *, trim: bool = True) -> list[float]:
 
 _T = TypeVar("_T")
 
-_NEEDED = (".urdf", ".xml", ".mjcf", ".stl", ".obj", ".msh", ".dae", ".ply", ".png", ".hfield")
-"""Ends of the names of files that a model may need; a repository may hold films, too."""
+_MODEL_SUFFIXES = (
+    ".urdf",
+    ".xml",
+    ".mjcf",
+    ".stl",
+    ".obj",
+    ".msh",
+    ".dae",
+    ".ply",
+    ".png",
+    ".hfield",
+)
+"""Suffixes of files that a model may need. Other files of a revision are not extracted."""
 
 
 @dataclass(frozen=True)
 class VersionedFile:
-    """A file, or what git has of it.
+    """File, or a copy of a file in git.
 
     Attributes:
-        path: Where it can be read.
-        name: What the user calls it.
-        revision: The revision, if git has it.
-        root: The folder that stands for the repository's.
+        path: Path for reading.
+        name: Name passed by the user.
+        revision: Revision; empty for a file outside git.
+        root: Folder with the extracted revision; None for a file outside git.
     """
 
     path: Path
@@ -217,20 +231,20 @@ class VersionedFile:
     root: Path | None = None
 
     def label(self, place: Place) -> str:
-        """Returns a place as the user knows it."""
-        return self._known(place.path)
+        """Return a place with the path replaced by the user's name."""
+        return self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path], _T]) -> _T:
-        """Reads the file; an error tells of it as the user knows it."""
+        """Read the file. Errors refer to the user's name of the file."""
         try:
             return read(self.path)
         except ModelError as error:
             if self.root is None:
                 raise
-            cause = error.cause.with_names(self._known)
-            raise ModelError(self._known(error.source), cause) from error
+            cause = error.cause.with_names(self._replace_paths)
+            raise ModelError(self._replace_paths(error.source), cause) from error
 
-    def _known(self, text: str) -> str:
+    def _replace_paths(self, text: str) -> str:
         if self.root is None:
             return text
         top = f"{self.revision}:"
@@ -239,14 +253,14 @@ class VersionedFile:
 
 @contextmanager
 def open_version(given: str | Path) -> Iterator[VersionedFile]:
-    """Yields a file, or a copy of what git has of it, with all that it may include.
+    """Yield a file, or a copy of a file in git with all files that it may include.
 
     Args:
-        given: A path; or ``REVISION:PATH``, as ``git show`` has it: from the repository's top, or,
-            if it begins with ``./``, from the current folder.
+        given: Path, or ``REVISION:PATH`` as for ``git show``: relative to the top of the
+            repository, or to the current folder if PATH begins with ``./`` or ``../``.
 
     Raises:
-        ModelError: If git does not have it; the message is git's.
+        ModelError: If git does not contain the file; with git's message.
     """
     text = str(given)
     revision, separator, inside = text.partition(":")
@@ -264,57 +278,59 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
     relative = find_path_in_revision(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
-        write_revision(text, revision, root, (*_NEEDED, relative.lower()))
+        write_revision(text, revision, root, (*_MODEL_SUFFIXES, relative.lower()))
         yield VersionedFile(root / relative, text, revision, root)
 
 
 @contextmanager
 def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path]]:
-    """Yields what returns the place of a copy of what git has of a file, with all it may include.
+    """Yield a function that returns the extracted copy of a file in a revision.
+
+    All files that a model may include are extracted.
 
     Args:
-        revision: The revision.
-        folder: A folder of the repository.
+        revision: Revision.
+        folder: Folder in the repository.
 
     Raises:
-        ModelError: If git does not have it; the message is git's.
+        ModelError: If git does not contain the revision; with git's message.
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
     top = find_repository_top(folder)
     with tempfile.TemporaryDirectory() as copy:
         root = Path(copy).resolve()
-        write_revision(revision, revision, root, _NEEDED, folder)
+        write_revision(revision, revision, root, _MODEL_SUFFIXES, folder)
         yield lambda path: root / os.path.relpath(path.resolve(), top.resolve())
 
 
 # Files of a revision, as git has them, without anything that a repository brings along.
 
 
-_LINK = "120000"
-"""The mode of a symbolic link in a tree."""
+_SYMLINK_MODE = "120000"
+"""Mode of a symbolic link in a git tree."""
 
 
 def find_repository_top(folder: Path) -> Path:
-    """Returns the top folder of the repository that a folder is in.
+    """Return the top folder of the repository of a folder.
 
     Raises:
-        ModelError: If it is in none; the message is git's.
+        ModelError: If the folder is in no repository; with git's message.
     """
     return Path(_git_text(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
 
 
 def find_path_in_revision(given: str, revision: str, inside: str) -> str:
-    """Returns a path of ``REVISION:PATH`` from the repository's top, if git has it.
+    """Return the path of ``REVISION:PATH`` relative to the top of the repository.
 
     Args:
-        given: What the user asked for, for the message.
-        revision: The revision.
-        inside: The path: from the repository's top, or, if it begins with ``./`` or ``../``, from
-            the current folder.
+        given: Text for the message.
+        revision: Revision.
+        inside: Path relative to the top, or to the current folder if it begins with ``./`` or
+            ``../``.
 
     Raises:
-        ModelError: If git does not have it; the message is git's.
+        ModelError: If git does not contain the file; with git's message.
     """
     prefix = _git_text(given, "rev-parse", "--show-prefix").strip()
     given_path = prefix + inside if inside.startswith(("./", "../")) else inside
@@ -326,20 +342,20 @@ def find_path_in_revision(given: str, revision: str, inside: str) -> str:
 def write_revision(
     given: str, revision: str, root: Path, endings: tuple[str, ...], folder: Path | None = None
 ) -> None:
-    """Writes those files of a revision to a folder whose names end in one of some ways.
+    """Write the files of a revision with given suffixes to a folder.
 
-    Files are as they are committed; in place of a pointer of Git LFS is its file, if the repository
-    has that. Symbolic links are left out.
+    Files are written as committed. Pointers of Git LFS are replaced by the file if the repository
+    has a copy. Symbolic links are left out.
 
     Args:
-        given: What the user asked for, for the message.
-        revision: The revision.
-        root: The folder, which is empty.
-        endings: In small letters.
-        folder: A folder of the repository; by default the current one.
+        given: Text for the message.
+        revision: Revision.
+        root: Empty folder.
+        endings: Suffixes, in lower case.
+        folder: Folder in the repository; by default the current folder.
 
     Raises:
-        ModelError: If git does not have it; the message is git's.
+        ModelError: If git does not contain the revision; with git's message.
     """
     listed = _git_answer(given, "ls-tree", "-r", "-z", "--full-tree", revision, folder=folder)
     kept = _git_text(
@@ -349,21 +365,21 @@ def write_revision(
         entry
         for entry in git_entries(listed) or []
         if entry.path.lower().endswith(endings)
-        and entry.mode != _LINK
-        and not _leads_out(entry.path)
+        and entry.mode != _SYMLINK_MODE
+        and not _is_outside(entry.path)
     ]
-    for entry, content in _contents(given, wanted, folder):
+    for entry, content in _read_git_objects(given, wanted, folder):
         place = root / entry.path
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(_brought(content, Path(kept)))
+        place.write_bytes(_resolve_lfs_pointer(content, Path(kept)))
 
 
-def _leads_out(path: str) -> bool:
+def _is_outside(path: str) -> bool:
     return path.startswith("/") or ".." in path.split("/")
 
 
-def _brought(content: bytes, kept: Path) -> bytes:
-    """Returns a file's content, from the store of Git LFS if it is a pointer to what is there."""
+def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
+    """Return the content of a file; for a pointer of Git LFS, the stored file if present."""
     found = pointed_file(content)
     if found is None or not found.isalnum():
         return content
@@ -374,20 +390,20 @@ def _brought(content: bytes, kept: Path) -> bytes:
 
 
 def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
-    """Returns git's answer as text; see ``_git_answer``."""
+    """Run git and return the output as text; see `_git_answer`."""
     return _git_answer(given, *arguments, folder=folder).decode(errors="surrogateescape")
 
 
 def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> bytes:
-    """Returns git's answer.
+    """Run git and return the output.
 
     Args:
-        given: What the user asked for, for the message.
-        *arguments: Of git.
-        folder: A folder of the repository; by default the current one.
+        given: Text for the message.
+        *arguments: Arguments of git.
+        folder: Folder in the repository; by default the current folder.
 
     Raises:
-        ModelError: If it gives none; the message is git's.
+        ModelError: If git fails; with git's message.
     """
     result = run_git(_git_command(given, *arguments), folder)
     if result.returncode:
@@ -397,16 +413,17 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
 
 
 def _git_command(given: str, *arguments: str) -> list[str]:
-    """Returns a command line of git that starts no program of the repository's."""
+    """Return a command line of git that starts no program of the repository."""
     git = shutil.which("git")
     if git is None:
         raise ModelError(given, diagnose("no-file-and-no-git"))
     return [git, *SAFE_OPTIONS, *arguments]
 
 
-def _contents(
+def _read_git_objects(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
+    """Yield the content of each entry; missing objects (partial clones) are skipped."""
     command = _git_command(given, "cat-file", "--batch")
     with subprocess.Popen(
         command,
