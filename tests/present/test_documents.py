@@ -26,7 +26,7 @@ def report(name: str) -> Report:
 
 
 @pytest.mark.parametrize("name", REPORTS)
-def test_documents_are_the_golden_ones(name: str) -> None:
+def test_documents_equal_the_golden_files(name: str) -> None:
     assert write_markdown(report(name)) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 
 

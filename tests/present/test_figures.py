@@ -56,7 +56,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments
 
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
-def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
+def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
     legs = draw_skeleton(robot, qpos).legs
@@ -67,7 +67,7 @@ def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 1), ("v3", 1)])
-def test_the_base_is_its_boxes(name: str, count: int) -> None:
+def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
     robot = load(name)
     boxes = draw_skeleton(robot, robot.neutral()).boxes
     assert boxes.shape == (count, 8, 3)
@@ -103,7 +103,7 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
 
 
 @pytest.mark.slow
-def test_the_legend_of_a_height_is_the_mean_of_the_curves_last_second() -> None:
+def test_height_legend_states_the_mean_of_the_last_second() -> None:
     """v3-long-leg loses 26 mm in the second before the nudge, and 32 mm in the last second."""
     robot = load("v3-long-leg")
     stand = pa.solve_stand_as_simulated(robot)

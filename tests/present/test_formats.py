@@ -53,7 +53,7 @@ def shown(text: str) -> str:
 
 @pytest.mark.slow
 @given(title=TEXT, message=TEXT)
-def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
+def test_workflow_command_is_read_back_with_any_characters(title: str, message: str) -> None:
     level, properties, read = read_command(
         write_github([Annotation("error", title, message, "r.xml:3")])
     )
@@ -66,7 +66,7 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
         assert read == shown(message)
 
 
-def test_junit_fails_what_is_new_and_no_notice() -> None:
+def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:
     found = [
         Annotation("error", "mass", "5 % < 4 & more", "go1.urdf:7", rule="mass"),
         Annotation("error", "limit", "0.9 rad\nand 1.1 rad", known=True),
@@ -95,7 +95,7 @@ PRINTABLE = st.text(
 
 @pytest.mark.slow
 @given(title=PRINTABLE, message=PRINTABLE)
-def test_junit_is_xml_whatever_is_said(title: str, message: str) -> None:
+def test_junit_is_valid_xml_with_any_characters(title: str, message: str) -> None:
     root = ElementTree.fromstring(write_junit([Annotation("error", title, message)]).encode())
     assert [one.get("name") for one in root.iter("testcase")] == [escape_control(title)]
 
@@ -105,7 +105,7 @@ HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] 
 
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("hostile", [HOSTILE, f"::error::{HOSTILE}", f"##[error]{HOSTILE}"])
-def test_the_console_shows_what_would_act(hostile: str, terminal: bool) -> None:
+def test_console_escapes_control_characters(hostile: str, terminal: bool) -> None:
     out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
     out.print(f"robot {hostile.replace(chr(10), '')}")
     name, place = Name(hostile), FilePlace(Name(hostile), Name(hostile), hostile)
@@ -128,7 +128,7 @@ def test_the_console_shows_what_would_act(hostile: str, terminal: bool) -> None:
     assert ":smile:" in plain
 
 
-def test_names_in_a_model_cannot_forge_workflow_commands(
+def test_workflow_commands_cannot_be_forged_by_names_in_a_model(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """GitHub executes each printed line that begins with ``::``, also in JUnit's XML."""

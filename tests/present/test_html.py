@@ -100,7 +100,7 @@ def comparison() -> pa.analysis.Comparison:
 
 
 @pytest.mark.slow
-def test_a_page_is_well_formed_and_loads_nothing() -> None:
+def test_page_is_well_formed_and_loads_no_resource() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
     policy = next(a for tag, a in page.strict.tags if "http-equiv" in a)
@@ -115,7 +115,7 @@ def test_a_page_is_well_formed_and_loads_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_every_number_s_header_has_a_unit() -> None:
+def test_header_has_a_unit_if_the_column_has_numbers() -> None:
     """A column's own, or one beside it for each row."""
     count = 0
     for page in (page_of(analysis()), page_of(comparison()), page_of(stance())):
@@ -145,7 +145,7 @@ def stance() -> object:
     return study_stance(load("v3"), pa.StandTask(swing={"FL": 0.02}, com="inside"))
 
 
-def test_lines_of_both_files_are_side_by_side() -> None:
+def test_page_quotes_the_lines_of_both_files_side_by_side() -> None:
     page = page_of(comparison())
     first = page.root.find(".//div[@class='sides']")
     lines = [pre.text_content() for pre in first.iter("pre")]
@@ -157,7 +157,7 @@ def test_lines_of_both_files_are_side_by_side() -> None:
     assert "✗ DISAGREE" in page.shown()
 
 
-def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
+def test_element_on_several_lines_is_quoted_completely(tmp_path: Path) -> None:
     (tmp_path / "part.xml").write_text('<a>\n  <body name="b"\n    pos="0 0 1"/>\n</a>\n')
     main = str(tmp_path / "main.xml")
     assert sources.quote_line("part.xml:3", main) == '<body name="b"\npos="0 0 1"/>'
@@ -198,7 +198,7 @@ def evil_analysis() -> pa.analysis.Analysis:
 
 
 @pytest.mark.slow
-def test_names_cannot_become_markup() -> None:
+def test_names_with_markup_are_escaped_in_the_page() -> None:
     tame, wild = page_of(analysis()), Page(written(evil_analysis(), robots=False))
     assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own
     assert "img" not in {tag for tag, _ in wild.strict.tags}
@@ -216,7 +216,7 @@ class Drawn:
 
 
 @pytest.mark.slow
-def test_names_in_a_view_cannot_end_their_script() -> None:
+def test_names_with_a_script_end_are_escaped_in_a_view() -> None:
     robot = load("v3")
     drawn = drawn_of(StandScene(robot, stand_of("v3"), analysis().statics))
     for index, joint in enumerate(drawn["joints"]):
@@ -232,7 +232,7 @@ def test_names_in_a_view_cannot_end_their_script() -> None:
     assert not [a for _, a in page.strict.tags for name in a if name.startswith("on")]
 
 
-def test_what_would_turn_a_line_around_is_shown_as_its_number() -> None:
+def test_text_direction_characters_are_escaped_in_the_page() -> None:
     table = Table(Name("t"), (Column(Name("\u202etxt"), left=True),), ((Name("a\x1b[31m"),),))
     shown_text = Page(written(table)).shown()
     assert "\\u202etxt" in shown_text
@@ -243,7 +243,7 @@ def test_what_would_turn_a_line_around_is_shown_as_its_number() -> None:
 # Three dimensions
 
 
-def test_bodies_are_where_pinocchio_has_their_joints() -> None:
+def test_scene_bodies_equal_the_joint_poses_of_pinocchio() -> None:
     """The frames are MuJoCo's of the MJCF, in whole numbers; Pinocchio's are the URDF's."""
     robot, stand = load("v3"), stand_of("v3")
     other = stand.qpos + np.concatenate([[0.01, 0.02, 0.03], np.zeros(4), np.full(12, 0.1)])
@@ -265,7 +265,7 @@ def test_bodies_are_where_pinocchio_has_their_joints() -> None:
     assert drawn["motions"][1]["time"] == [0.5]
 
 
-def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_pit() -> None:
+def test_scene_positions_are_correct_on_a_slope_with_a_step_and_a_pit() -> None:
     """All lie on the ground or on its steps; the com's plumb line meets the polygon's plane."""
     robot = load("v3")
     ground = pa.Ground(slope=0.1, uphill=0.7, heights={"FR": 0.02, "RL": -0.01})
@@ -305,7 +305,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
-def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> None:
+def test_robots_share_equal_meshes_in_one_page() -> None:
     models = load("v3").mj_model, load("v3-heavy").mj_model
     (geoms, meshes), (_, others) = map(write.serialise_geoms, models)
     shapes, whole = collect_visible_shapes(models[0], write.MAX_FACES)
@@ -316,7 +316,7 @@ def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> N
             assert meshes[geom["mesh"]] == write._pack_mesh(whole[shape.mesh])
 
 
-def test_meshes_keep_their_size() -> None:
+def test_coarsened_meshes_keep_their_size() -> None:
     """The torso's volume by the file's triangles is that of what the page has."""
     model = load("v3").mj_model
     shapes, whole_scene = collect_visible_shapes(model, int(model.mesh_facenum.sum()))
@@ -342,7 +342,7 @@ def test_meshes_keep_their_size() -> None:
         assert vertices.max(axis=0) == pytest.approx(high, abs=cell)
 
 
-def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_is_omitted_without_three_js(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "_VIEWER_PACKAGE", "no_such_package")
     assert write.load_viewer_library() is None
     page = Page(written(analysis()))
@@ -351,7 +351,7 @@ def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatc
     assert len(page.text) < 400_000
 
 
-def test_the_library_comes_with_its_licences() -> None:
+def test_page_contains_the_licences_of_three_js() -> None:
     found = write.load_viewer_library()
     assert found is not None
     assert not re.search(r"(?i)</script|<!--", found.script)
@@ -363,7 +363,7 @@ def test_the_library_comes_with_its_licences() -> None:
 # Drawings
 
 
-def test_a_line_is_where_its_values_are() -> None:
+def test_line_plot_points_are_at_their_values() -> None:
     axis = Axis(Name("x"), "s", ".1f"), Axis(Name("y"), "mm", ".1f")
     drawing = plots.draw_svg(
         LinePlot(Name("t"), *axis, [Series(Name("a"), [0, 5, 10], [1.0, np.nan, 3.0])])
@@ -385,7 +385,7 @@ def test_a_line_is_where_its_values_are() -> None:
 # Files and commands
 
 
-def test_bad_arguments_are_refused(tmp_path: Path) -> None:
+def test_write_report_raises_for_invalid_arguments(tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match="no result"):
         pa.report.write_report([], tmp_path / "r.html")
     with pytest.raises(pa.ConfigurationError, match="'en' nor 'zh'"):
@@ -395,7 +395,7 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_rounded_below_zero_draws_no_second_side() -> None:
+def test_bar_plot_is_one_sided_if_negative_values_are_rounding() -> None:
     """Hips that hold nothing are -1e-17 N m by one robot's numbers, and 0 by another's."""
 
     def limits(least: float) -> int:

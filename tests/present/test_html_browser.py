@@ -96,7 +96,7 @@ def share_changed(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[
     return float((np.abs(one - other).max(axis=-1) > 20).mean())
 
 
-def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
+def test_view_draws_and_turns_the_robot(opened: Opened) -> None:
     canvas = stage(opened)
     before = opened.pixels(canvas)
     assert share_of_torso(before) > 0.005
@@ -114,7 +114,7 @@ def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     opened.page.locator(".reset").click()
 
 
-def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: Path) -> None:
+def test_views_are_printed_if_they_were_never_visible(browser: Any, file: Path) -> None:
     one = Opened(browser, file, viewport={"width": 900, "height": 300})
     assert one.page.locator(".canvas canvas").count() == 0  # it is further down
     one.page.evaluate("dispatchEvent(new Event('beforeprint'))")
@@ -128,7 +128,7 @@ def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: 
     one.close()
 
 
-def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
+def test_view_draws_joints_at_the_positions_of_pinocchio(opened: Opened) -> None:
     """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
     stage(opened)
     drawn = opened.page.evaluate(
@@ -142,7 +142,7 @@ def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
         assert along == pytest.approx(config.joint_axis(joint), abs=2e-4)
 
 
-def test_forces_are_drawn_from_where_feet_touch(opened: Opened) -> None:
+def test_view_draws_forces_from_the_contact_points(opened: Opened) -> None:
     stage(opened)
     drawn = opened.page.evaluate(
         """() => window.report.views[0].layers.forces.map((group) =>
@@ -155,7 +155,7 @@ def test_forces_are_drawn_from_where_feet_touch(opened: Opened) -> None:
         assert along == pytest.approx(force / np.linalg.norm(force), abs=1e-5)
 
 
-def test_a_joint_lights_up_and_says_what_it_does(opened: Opened) -> None:
+def test_view_highlights_and_describes_a_selected_joint(opened: Opened) -> None:
     canvas = stage(opened)
     dark = opened.pixels(canvas)
     button = opened.page.get_by_role("button", name="leg_front_r_2", exact=True)
@@ -170,7 +170,7 @@ def test_a_joint_lights_up_and_says_what_it_does(opened: Opened) -> None:
     assert opened.page.locator(".hint").inner_text().startswith("Drag to turn")
 
 
-def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
+def test_view_plays_the_simulated_motion(opened: Opened) -> None:
     canvas = stage(opened)
     opened.page.locator("select.motion").select_option(label="simulated, without feed-forward")
     slider = opened.page.locator("input.time")
@@ -186,7 +186,7 @@ def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
     assert opened.page.evaluate(forces)
 
 
-def test_a_table_sorts_by_number_and_back(opened: Opened) -> None:
+def test_table_is_sorted_by_number_and_restored(opened: Opened) -> None:
     table = opened.page.locator("figure.table", has_text="hanging").first
     header = table.locator("th", has_text="simulated")
 
@@ -205,7 +205,7 @@ def test_a_table_sorts_by_number_and_back(opened: Opened) -> None:
     assert column() == given
 
 
-def test_a_drawing_tells_its_values(opened: Opened) -> None:
+def test_plot_shows_values_at_the_pointer(opened: Opened) -> None:
     drawing = opened.page.locator("figure.plot", has_text="Height of the simulated base")
     svg = drawing.locator("svg").first
     svg.scroll_into_view_if_needed()
@@ -222,7 +222,7 @@ def test_a_drawing_tells_its_values(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("kind", ["svg", "png"])
-def test_a_drawing_can_be_saved(opened: Opened, kind: str) -> None:
+def test_plot_is_saved_as_svg_and_png(opened: Opened, kind: str) -> None:
     button = opened.page.locator(f"figure.plot .save[data-as={kind}]").first
     with opened.page.expect_download() as caught:
         button.click()
@@ -236,7 +236,7 @@ def test_a_drawing_can_be_saved(opened: Opened, kind: str) -> None:
         assert b"var(" not in saved
 
 
-def test_the_language_switches_everything(opened: Opened) -> None:
+def test_language_button_switches_all_texts(opened: Opened) -> None:
     page = opened.page
     assert page.locator("h2").first.inner_text() == "Summary"
     page.locator("#language").click()
@@ -251,7 +251,7 @@ def test_the_language_switches_everything(opened: Opened) -> None:
     assert page.locator("h2").first.inner_text() == "Summary"
 
 
-def test_a_page_begins_in_the_language_of_a_chinese_browser(browser: Any, file: Path) -> None:
+def test_page_opens_in_chinese_with_a_chinese_browser(browser: Any, file: Path) -> None:
     one = Opened(browser, file, locale="zh-CN")
     assert one.page.locator("html").get_attribute("lang") == "zh-Hans"
     assert one.page.locator("#language").inner_text() == "English"
@@ -259,7 +259,9 @@ def test_a_page_begins_in_the_language_of_a_chinese_browser(browser: Any, file: 
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
+def test_page_has_light_and_dark_themes_and_fits_a_phone(
+    browser: Any, file: Path, scheme: str
+) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
     long = "CARRIES (at the stated peak torque, for moments)"
     one.page.locator(".verdict .en").first.evaluate(f"one => one.textContent = {long!r}")
@@ -273,7 +275,7 @@ def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, sch
     one.close()
 
 
-def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
+def test_view_states_that_webgl_is_missing(browser: Any, file: Path) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null"
     one = Opened(browser, file, script=none)
     one.page.locator(".canvas").scroll_into_view_if_needed()
@@ -294,7 +296,7 @@ def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     one.close()
 
 
-def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_path: Path) -> None:
+def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Path) -> None:
     """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
     file = tmp_path / "two.html"
     both = [analysis(), replace(analysis(), name="other")]

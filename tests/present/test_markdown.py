@@ -57,7 +57,7 @@ DOCUMENT = Document(
 )
 
 
-def test_a_document_is_markdown() -> None:
+def test_document_is_written_as_markdown() -> None:
     report = Report(text("report"), (DOCUMENT,))
     assert (
         write_markdown(report)
@@ -134,7 +134,7 @@ def test_no_name_acts(name: str) -> None:
     assert len(re.findall(r"(?<!\\)\|", row)) == 2
 
 
-def test_a_comment_has_room_for_it() -> None:
+def test_markdown_is_cut_to_the_length_of_a_comment() -> None:
     rows = tuple((Name("x" * 500), Number("1", 1.0), Name("")) for _ in range(100))
     long = replace(TABLE, rows=rows)
     shown = write_markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,)),)))

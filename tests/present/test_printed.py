@@ -20,7 +20,7 @@ def printed(shown: Document) -> list[str]:
     return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
 
 
-def test_what_is_compared_is_what_is_meant() -> None:
+def test_comparison_row_fields_come_from_the_analysis() -> None:
     """Each field of a row from its own of the analysis; ratios the right way up."""
     stub = Stub(**{**vars(ANALYSIS), "stand": Stub(task=Stub(height=0.1234))})
     found = vars(comparison.compare_with_base(stub, "v3", 1.5, 0.05))
@@ -34,7 +34,7 @@ def test_what_is_compared_is_what_is_meant() -> None:
     assert {key: found[key] for key in numbers} == pytest.approx(numbers)
 
 
-def test_a_stance_that_fails() -> None:
+def test_stance_document_states_why_a_stance_fails() -> None:
     failing = stance(
         passed=False,
         verification=run(0.0, passed=False),

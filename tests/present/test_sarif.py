@@ -49,7 +49,7 @@ def finding(**values: Any) -> Annotation:
     return Annotation(**{"place": "a.urdf:3", **usual, **values})
 
 
-def test_a_finding_is_a_sarif_result() -> None:
+def test_finding_becomes_a_sarif_result() -> None:
     run = checked_log(write_sarif([finding(about="A mass", known=True)]))
     assert run["tool"]["driver"]["rules"] == [
         {"id": "audit/mass", "shortDescription": {"text": "A mass"}}
@@ -65,7 +65,7 @@ def test_a_finding_is_a_sarif_result() -> None:
     }
 
 
-def test_levels_rules_and_states() -> None:
+def test_sarif_has_levels_rules_and_baseline_states() -> None:
     findings = [
         finding(level="notice", known=False),
         finding(level="warning", rule="b", place="a.urdf"),
@@ -82,7 +82,7 @@ def test_levels_rules_and_states() -> None:
     assert run["tool"]["driver"]["rules"][1]["shortDescription"]["text"] == "b"
 
 
-def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
+def test_fingerprint_is_independent_of_line_and_numbers() -> None:
     def print_of(**values: Any) -> str:
         found = checked_log(write_sarif([finding(**values)]))["results"][0]
         return str(found["partialFingerprints"])
@@ -92,7 +92,7 @@ def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
         assert print_of(**other) != print_of()
 
 
-def test_of_the_commands(tmp_path: Path) -> None:
+def test_commands_write_sarif(tmp_path: Path) -> None:
     text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
     text = text.replace('<mass value="1.506"/>', '<mass value="-1.506"/>')
     (tmp_path / "robot.urdf").write_text(text)

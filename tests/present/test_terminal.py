@@ -41,7 +41,7 @@ def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> l
     return printed(document, width=width, everything=everything).splitlines()
 
 
-def test_a_table_too_wide_is_in_parts_and_no_number_is_cut() -> None:
+def test_table_is_printed_in_parts_without_cut_numbers_if_too_wide() -> None:
     lines = shown(table(9, letters=9))
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("joint") for line in lines) == 2 * (1 + 12)  # header and rows
@@ -55,7 +55,7 @@ def test_a_table_too_wide_is_in_parts_and_no_number_is_cut() -> None:
     assert lines[row].index("000000.01") + 9 == lines[row - 2].index("(N m)") + 5
 
 
-def test_lines_are_wrapped_on_a_terminal_alone() -> None:
+def test_lines_are_wrapped_only_on_a_terminal() -> None:
     wrapped = diagnostic_text(problem("a word " * 40))
     document = Document(Name(""), Name("robot"), (), findings=(Name("x"), wrapped))
     assert len(printed(document).splitlines()) == 2

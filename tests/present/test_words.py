@@ -18,7 +18,7 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
-def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None:
+def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]]) -> None:
     for key, both in words.items():
         assert set(both) == set(LANGUAGES), key
         english, chinese = both["en"], both["zh"]
@@ -31,7 +31,7 @@ def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None
 
 
 @pytest.mark.slow
-def test_no_text_is_left_over() -> None:
+def test_catalogue_has_no_unused_text() -> None:
     measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
     left = set(TEXTS) - written() - measures
     assert {key for key in left if not key.startswith(tuple(begun()))} == set()
@@ -45,12 +45,12 @@ def begun() -> Iterator[str]:
             yield str(one.values[0].value)
 
 
-def test_a_text_that_is_not_there_is_refused() -> None:
+def test_text_raises_for_an_unknown_key() -> None:
     with pytest.raises(KeyError):
         text("no-such-text")
     assert word("leg_front_r_1") == Name("leg_front_r_1")
 
 
-def test_keys_are_no_english() -> None:
+def test_text_keys_are_lower_case_with_hyphens() -> None:
     """What English says may be corrected alone, and no translation is lost."""
     assert [key for key in TEXTS if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", key)] == []
