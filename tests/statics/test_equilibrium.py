@@ -157,7 +157,7 @@ def joint_torques(
 @pytest.mark.parametrize("friction", [0.15, 0.8])
 @settings(max_examples=30)
 @given(config=near_stands, seed=st.integers(0, 1000))
-def test_nothing_feasible_nearby_is_better(
+def test_distribution_is_optimal_among_feasible_perturbations(
     friction: float, config: pa.Configuration, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -231,7 +231,7 @@ def linear_programme(
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.8])
-def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> None:
+def test_min_max_torque_equals_a_linear_program(variant: str, friction: float) -> None:
     """The polyhedral cones inside and around the true one differ by cos(pi / 64)."""
     robot = load(variant)
     stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, com=(0.01, 0.01)))
@@ -249,14 +249,14 @@ def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> Non
     assert peak < 0.95 * even.motor_utilisation.max()
 
 
-def test_least_peak_without_limits_is_of_the_torque() -> None:
+def test_min_max_torque_minimises_the_torque_without_limits() -> None:
     config = at_stand("v3")
     free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
     one, two = (pa.gravity_compensation(c, distribution="min-max torque") for c in (config, free))
     np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
 
 
-def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
+def test_min_max_torque_ignores_motors_with_a_limit_of_zero() -> None:
     config = at_stand("v3")
     efforts = np.full(12, 3.0)
     efforts[0] = 0.0
@@ -270,7 +270,7 @@ def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
 
 
 @pytest.mark.parametrize("distribution", ["x", None, 3, "MIN_TANGENTIAL"])
-def test_an_unknown_sharing_is_refused(distribution: object) -> None:
+def test_unknown_distribution_raises(distribution: object) -> None:
     with pytest.raises(
         pa.ConfigurationError, match=r"distribution.*'minimum tangential', 'minimum torque'"
     ):
@@ -287,7 +287,7 @@ def v3_at_zero() -> pa.Configuration:
     return pa.Configuration(load("v3"), load("v3").neutral())
 
 
-def test_even_shares_are_those_of_the_lever_arms() -> None:
+def test_minimum_tangential_forces_equal_the_lever_arm_shares() -> None:
     result = pa.gravity_compensation(
         v3_at_zero(), distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
     )
@@ -300,7 +300,7 @@ def test_even_shares_are_those_of_the_lever_arms() -> None:
 
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
-def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
+def test_minimum_tangential_forces_let_all_feet_creep_as_one_body(name: str) -> None:
     """On a slope f_t = c (v + omega x r): the feet's velocities are those of a rigid motion."""
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
     task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
@@ -324,7 +324,7 @@ def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
     np.testing.assert_allclose(rigid @ motion, velocity, atol=1e-7 * np.abs(velocity).max())
 
 
-def test_a_sunk_foots_force_acts_half_way() -> None:
+def test_force_acts_at_half_the_depth_of_a_sunk_foot() -> None:
     """On a slope the arm of the tangential forces is shorter by half the depth."""
     robot = load("v3")
     task = pa.StandTask(ground=pa.Ground(0.2), pitch=-0.2)
@@ -342,7 +342,7 @@ def test_a_sunk_foots_force_acts_half_way() -> None:
     np.testing.assert_allclose(torque, 0, atol=1e-9)
 
 
-def test_knee_torque_by_hand() -> None:
+def test_knee_torque_equals_the_lever_arm_formula() -> None:
     """Standing, the skeleton's knee holds the foot's force less calf and foot, at their arms."""
     config = at_stand("original")
     result = pa.gravity_compensation(
@@ -365,7 +365,7 @@ def test_knee_torque_by_hand() -> None:
 # ------------------------------------------------------------------------------------- hanging
 
 
-def test_hanging_is_the_joint_part_of_gravity(variant: str) -> None:
+def test_hanging_torques_equal_the_joint_part_of_gravity(variant: str) -> None:
     config = near_stand(variant, np.linspace(-1, 1, 15))
     result = pa.gravity_compensation(config, [])
     np.testing.assert_allclose(result.joint_torques, config.gravity()[6:], atol=1e-15)
@@ -389,7 +389,9 @@ def tilted(angle: float, heading: float = 0.0) -> np.ndarray:
 
 @settings(max_examples=10)
 @given(angle=st.floats(0.05, 0.6), heading=st.floats(-3.0, 3.0))
-def test_a_slope_needs_the_tangent_of_its_angle(angle: float, heading: float) -> None:
+def test_required_friction_on_a_slope_is_the_tangent_of_its_angle(
+    angle: float, heading: float
+) -> None:
     """However the feet share, the weight must be in the cone about the common normal."""
     config = at_stand("v3")
     normals = dict.fromkeys(config.robot.contact_points, tilted(angle, heading))
@@ -410,7 +412,7 @@ def test_a_slope_needs_the_tangent_of_its_angle(angle: float, heading: float) ->
         np.testing.assert_allclose(point, down, atol=1e-12)
 
 
-def test_friction_may_differ_from_foot_to_foot() -> None:
+def test_friction_can_differ_between_feet() -> None:
     config = at_stand("original")
     coefficients = {"FL": 0.0, "FR": 0.3, "RL": 1.0, "RR": 0.0}
     result = pa.gravity_compensation(config, friction=coefficients)
@@ -419,7 +421,7 @@ def test_friction_may_differ_from_foot_to_foot() -> None:
         assert np.hypot(*force[:2]) <= coefficients[foot] * force[2] + 1e-9
 
 
-def test_a_normals_length_does_not_matter() -> None:
+def test_length_of_a_normal_has_no_effect() -> None:
     config = at_stand("original")
     one, two = (
         pa.gravity_compensation(config, normals={"FL": scale * tilted(0.2)}) for scale in (1, 7)
@@ -430,7 +432,7 @@ def test_a_normals_length_does_not_matter() -> None:
 # ------------------------------------------------------------------------------------- infeasible
 
 
-def test_two_feet_do_not_carry_a_com_beside_their_line() -> None:
+def test_two_feet_fail_if_the_com_is_beside_their_line() -> None:
     """Both right feet: the com is to the left of the line through them."""
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR"])
@@ -445,7 +447,7 @@ def test_two_feet_do_not_carry_a_com_beside_their_line() -> None:
     assert f"{1e3 * distance:.1f} mm" in str(error)
 
 
-def test_a_foot_that_hardly_presses_does_not_pull() -> None:
+def test_foot_with_a_small_load_does_not_pull() -> None:
     """With a thirtieth of the weight all forces are below 1 N, and one of them alone is a pull."""
     description = load("v3").description
     light = description.mjcf.copy()
@@ -456,7 +458,7 @@ def test_a_foot_that_hardly_presses_does_not_pull() -> None:
     assert caught.value.feet == ("RR",)
 
 
-def test_contacts_that_are_shared_cannot_be_changed() -> None:
+def test_shared_contacts_are_read_only() -> None:
     """On level ground they are made once for a robot: whoever changed them would for all."""
     robot = load("v3")
     shared = make_contacts(robot, None, None, None, None)
@@ -466,7 +468,7 @@ def test_contacts_that_are_shared_cannot_be_changed() -> None:
             array[...] = 0.0
 
 
-def test_friction_needed_is_found_if_it_is_in_the_hundreds() -> None:
+def test_required_friction_is_found_if_it_is_several_hundred() -> None:
     """Three feet on slopes need 400 times their friction; a linear program has forces there.
 
     The cone program failed for coefficients of 1,000 and more, and the refusal named a foot that
@@ -527,7 +529,7 @@ def forces_exist(
         st.tuples(st.floats(0, 1.2), st.floats(-math.pi, math.pi)), min_size=4, max_size=4
     ),
 )
-def test_no_balance_is_missed(
+def test_feasible_balance_is_always_found(
     name: str,
     share: np.ndarray,
     feet: set[str],
@@ -575,14 +577,16 @@ def test_no_balance_is_missed(
         {"FR": (0.4, 2.2), "FL": (0.5, 2.1), "RL": (0.4, -2.7)},
     ],
 )
-def test_a_refusal_comes_without_numerical_warnings(tilts: dict[str, tuple[float, float]]) -> None:
+def test_infeasibility_error_has_no_numerical_warnings(
+    tilts: dict[str, tuple[float, float]],
+) -> None:
     """Warnings are errors here; of an infeasible programme the solver's answer may be huge."""
     normals = {foot: tilted(*tilt) for foot, tilt in tilts.items()}
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
         pa.gravity_compensation(at_stand("v3"), list(tilts), friction=0.3, normals=normals)
 
 
-def test_feet_on_a_ceiling_would_have_to_pull() -> None:
+def test_feet_on_a_ceiling_fail_because_they_would_pull() -> None:
     config = at_stand("v3")
     normals = dict.fromkeys(config.robot.contact_points, -UP)
     with pytest.raises(pa.StaticsInfeasibleError, match="pull") as caught:
@@ -606,7 +610,9 @@ def test_feet_on_a_ceiling_would_have_to_pull() -> None:
         ((5, 5, 0), -5.0),
     ],
 )
-def test_margin_of_a_rectangle(com: tuple[float, ...], margin: float) -> None:
+def test_com_margin_equals_the_distance_to_a_rectangles_edge(
+    com: tuple[float, ...], margin: float
+) -> None:
     points = {f"{x}{y}": np.array([x, y, 0.1 * x]) for x in (-2, 2) for y in (-1, 1)}
     assert com_margin(np.array(com, dtype=float), points) == pytest.approx(margin, abs=1e-12)
 
@@ -627,7 +633,9 @@ def test_margin_of_a_rectangle(com: tuple[float, ...], margin: float) -> None:
         ({"normals": {"FR": None}}, "normals"),
     ],
 )
-def test_statics_refuse_bad_requests(arguments: dict[str, object], message: str) -> None:
+def test_gravity_compensation_raises_for_invalid_arguments(
+    arguments: dict[str, object], message: str
+) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
 
@@ -640,12 +648,12 @@ def test_statics_refuse_bad_requests(arguments: dict[str, object], message: str)
         {"friction": {"tail": 1.0, "FR": 1, "FL": 1, "RR": 1, "RL": 1}},
     ],
 )
-def test_unknown_feet_are_refused(arguments: dict[str, object]) -> None:
+def test_unknown_feet_raise(arguments: dict[str, object]) -> None:
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
         pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
 
 
-def test_a_fixed_base_has_no_contacts() -> None:
+def test_contacts_raise_with_a_fixed_base() -> None:
     robot = load("v3", fixed_base=True)
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.gravity_compensation(pa.Configuration(robot, robot.neutral()), ["FR"])
@@ -653,7 +661,7 @@ def test_a_fixed_base_has_no_contacts() -> None:
 
 @pytest.mark.parametrize("torqueless", [0, 1, 2])
 @pytest.mark.parametrize("feet", [3, 4, 8])
-def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -> None:
+def test_minimum_torques_equal_the_null_space_solution(feet: int, torqueless: int) -> None:
     """Also where some forces cost no torque: then they are the shortest that are found there."""
     random = np.random.default_rng(feet)
     base, joints = random.normal(size=(6, 3 * feet)), random.normal(size=(12, 3 * feet))
@@ -668,7 +676,7 @@ def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -
     np.testing.assert_allclose(found, particular + free @ best, rtol=0, atol=1e-11)
 
 
-def test_three_feet_cannot_carry_a_com_beyond_their_diagonal() -> None:
+def test_three_feet_fail_if_the_com_is_beyond_their_diagonal() -> None:
     with pytest.raises(pa.StaticsInfeasibleError, match="com outside") as caught:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
     assert caught.value.margin < 0

@@ -8,7 +8,7 @@ import shapely
 from pupper_analysis.statics.support_polygon import com_margin, polygon_sides, support_polygon
 
 
-def test_sides_and_margins_are_those_of_shapelys_hull() -> None:
+def test_sides_and_margins_equal_the_convex_hull_of_shapely() -> None:
     random = np.random.default_rng(0)
     for count in (3, 4, 6, 12):
         contacts = random.uniform(-0.3, 0.3, (count, 3))
