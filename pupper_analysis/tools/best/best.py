@@ -13,6 +13,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
 from pupper_analysis.robot.touching import touching
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
@@ -28,7 +29,8 @@ class BestStance(Result):
     Attributes:
         objective: What it is the best in.
         stand: How the robot stands in it.
-        value: The objective's value there: peak torque / effort limit, margin (m), or payload (kg).
+        value: The objective's value there: peak torque / effort limit on the simulated ground,
+            margin (m), or payload (kg).
         nominal_value: That of the task as it was given (by default the nominal stand).
         nominal: The stand of the task as it was given.
         payload: Of ``stand``, with what binds it, if that is the objective.
@@ -149,7 +151,7 @@ def _describe(
             best, payload = search.nominal, nominal
         value, nominal_value = payload.mass, nominal.mass
     else:
-        value, nominal_value = (search.value(stand) for stand in (best.stand, space.nominal))
+        value, nominal_value = (_value(search, stand) for stand in (best.stand, space.nominal))
     return BestStance(
         objective=search.objective,
         stand=best.stand,
@@ -164,6 +166,13 @@ def _describe(
         },
         evaluations=search.evaluations,
     )
+
+
+def _value(search: StanceSearch, stand: Stand) -> float:
+    """Return the objective of a stand; the utilisation on the simulated ground, as by ``stand``."""
+    if search.objective is Objective.UTILISATION:
+        stand = solve_stand_as_simulated(search.robot, stand)
+    return search.value(stand)
 
 
 def _objective(value: str) -> Objective:

@@ -75,12 +75,12 @@ class Design:
 
     @cached_property
     def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:
-        """Steady state without feed-forward, or the error of the search.
+        """Steady state without feed-forward, as by the command ``stand``, or the error.
 
         A search that fails is not repeated.
         """
         try:
-            return steady_state(self.robot, self.stand)
+            return steady_state(self.robot, self.held)
         except PupperAnalysisError as error:
             return error
 
@@ -114,7 +114,7 @@ class Design:
         Raises:
             PupperAnalysisError: As `rest`.
         """
-        return rest_stability(self.robot, self.stand, self.rest)
+        return rest_stability(self.robot, self.held, self.rest)
 
     @cached_property
     def workspace(self) -> BaseWorkspace:

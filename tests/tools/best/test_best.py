@@ -12,6 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.best import best, search
 from pupper_analysis.tools.best.best import best_stance
@@ -90,17 +91,21 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
 def test_best_stance_has_the_least_utilisation(name: str) -> None:
     robot, found = load(name), best_stance(load(name))
     check_kept(robot, found)
-    assert found.value == pytest.approx(utilisation(robot, found.stand), rel=1e-9)
-    assert found.nominal_value == pytest.approx(utilisation(robot, pa.solve_stand(robot)))
+    held, nominal = (
+        solve_stand_as_simulated(robot, stand) for stand in (found.stand, pa.solve_stand(robot))
+    )
+    assert found.value == pytest.approx(utilisation(robot, held), rel=1e-9)
+    assert found.nominal_value == pytest.approx(utilisation(robot, nominal))
+    least = utilisation(robot, found.stand)
     assert found.value < 0.5 * found.nominal_value
     near = neighbours(robot, found, 60)
     assert len(near) > 5
     for stand in near:
-        assert utilisation(robot, stand) > 0.995 * found.value
+        assert utilisation(robot, stand) > 0.995 * least
     assert found.payload is None
     report = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, found.stand.task))
     peak = np.abs(report.joint_torques / robot.effort_limits).max()
-    assert peak == pytest.approx(found.value, rel=0.1)
+    assert peak == pytest.approx(found.value, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -240,7 +245,7 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
     tried: list[float] = []
 
     def fail_twice(robot: pa.Robot, stand: pa.Stand, **_: object) -> SimpleNamespace:
-        statics = stand_statics(robot, stand)
+        statics = stand_statics(robot, solve_stand_as_simulated(robot, stand))
         tried.append(float(statics.motor_utilisation.max()))
         return SimpleNamespace(passed=len(tried) == 3)
 
@@ -250,4 +255,4 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
     assert len(tried) == 3
     assert tried == sorted(tried)
     assert study.best.value == pytest.approx(tried[2])
-    assert tried[0] < study.best.value <= study.best.nominal_value
+    assert tried[0] < study.best.value

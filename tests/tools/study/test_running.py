@@ -21,6 +21,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.tools.study import running, store
 from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.running import Chunk, Progress
@@ -70,7 +71,8 @@ def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     assert table["failure"].isna().to_list() == [True, False, False, False, False, False]
     heavy = table.loc[(2.5, 0.19)]
     assert (heavy["failure"], heavy["failed_metric"]) == ("does not stay up", "stands")
-    pose = pa.steady_state(*standing(1.4, 2.5, 0.19))
+    robot, stand = standing(1.4, 2.5, 0.19)
+    pose = pa.steady_state(robot, solve_stand_as_simulated(robot, stand))
     assert heavy["reason"] == "; ".join(map(str, pose.failures))
     assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
     assert heavy["peak_utilisation"] > 0
