@@ -55,7 +55,7 @@ def all_results(kind: type = Result) -> set[type]:
 
 def with_unit(text: str, unit: str | None) -> str:
     """Add the unit of a field to its text, if the text does not contain the unit."""
-    if unit in (None, "1") or re.search(rf"(^|[(, ]){re.escape(str(unit))}([),;. ]|$)", text):
+    if unit in (None, "1") or re.search(rf"(^|[(\[, ]){re.escape(str(unit))}([)\],;. ]|$)", text):
         return text
     first, stop, rest = text.partition(".")
     return f"{first} ({unit}){stop}{rest}"
@@ -85,7 +85,7 @@ def test_english_meanings_equal_the_docstrings_of_listed_fields() -> None:
 
 
 def test_meanings_are_in_both_languages_with_the_same_units() -> None:
-    units = r"[(（](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）]"
+    units = r"[(（\[](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）\]]"
     for key, both in listed().items():
         assert set(both) == set(LANGUAGES), key
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key
