@@ -199,7 +199,7 @@ def check_repository(
     if since is not None:
         all_remarks += _list_changes(settings, since, all_remarks)
     known, stale = mark_known_remarks(_drop_repeated(all_remarks), before.entries)
-    # Of what cannot be read nobody knows what occurs in it: then nothing is stale, nor written.
+    # If a file cannot be read, no entry is stale and no baseline is written.
     is_complete = not _has_refusal(known)
     if update_baseline and is_complete:
         known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
@@ -272,13 +272,13 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
     for file in files:
         try:
             audit = audit_model(file, packages=pair.packages, disabled=tuple(pair.disabled))
-        except OutputError:  # it is to be written, too: nothing of a model
+        except OutputError:  # concerns an output file, not the model
             raise
         except PupperAnalysisError as error:
             remarks.append(make_error_remark(error, "audit", pair, file, folder))
         else:
             remarks += list_audit_remarks(audit, folder)
-    # What cannot be read by itself is not refused once more.
+    # A file that cannot be read is reported once.
     if pair.urdf is not None and pair.mjcf is not None and not _has_refusal(remarks):
         try:
             comparison = compare_files(

@@ -92,7 +92,7 @@ def command(
         if style == "github":
             found = [
                 annotation for annotation in found if not annotation.known
-            ]  # nobody is reminded of it
+            ]  # known findings are not shown again
         text = formats.write_annotations(style, found)
         click.echo(text, nl=bool(text))
         if style == "github":

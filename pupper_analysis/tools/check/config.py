@@ -97,12 +97,12 @@ def find_config(start: Path | None = None) -> Path:
 def is_include_part(path: Path) -> bool:
     """Return True if a file is a part that other MJCFs include (root element ``mujocoinclude``)."""
     try:
-        # Neither entities nor the network: what stands in a repository may be anybody's.
+        # No entities and no network access: the files are not trusted.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
         data = blank_late_declaration(read_input(path, MAX_TEXT_BYTES))
         return bool(etree.fromstring(data, parser).tag == "mujocoinclude")
     except (etree.XMLSyntaxError, InputError):
-        return False  # what is wrong with it is said when it is checked
+        return False  # the error is reported by the check
 
 
 def read_config(path: Path) -> GuardConfig:
@@ -216,7 +216,7 @@ class _ConfigReader:
 
     def __init__(self, path: Path, text: str, values: dict[str, Any]) -> None:
         self.path, self.folder, self.top = path, path.parent, values
-        self._text, self._entry = text, 0  # the index of the [[pair]] that is read
+        self._text, self._entry = text, 0  # index of the current [[pair]]
 
     def error(self, key: Key, message: Diagnostic) -> ModelError:
         """Return an error that names the line of a key."""
@@ -361,7 +361,7 @@ class _ConfigReader:
         return self.error(key, message)
 
 
-# The first `pupper-analysis.toml` of a repository: the models that its folders have.
+# First `pupper-analysis.toml` of a repository, with all models in the folders.
 
 _SKIPPED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
 """Folders of generated or installed files. Folders with a leading dot are skipped as well."""
@@ -400,7 +400,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _format_entry(entry: dict[str, str]) -> str:
-    # JSON's text is TOML's, but for this one.
+    # JSON strings are TOML strings, except for DEL.
     texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}
     keys = [f"{key} = {text}\n".replace("\x7f", "\\u007f") for key, text in texts.items()]
     return "".join(["[[pair]]\n", *keys])

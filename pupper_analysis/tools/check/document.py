@@ -134,7 +134,7 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
     return doc.Table(text("what-was-checked"), columns, tuple(rows))
 
 
-# The check of a repository's models, in a line and for machines.
+# Summary in a line, and annotations for machines.
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
@@ -173,7 +173,7 @@ def make_check_annotations(
     found = []
     for group in group_findings(check.remarks):
         for remark in group if group[0].cause is None else group[:1]:
-            # A tool that guards reports at each of its lines.
+            # Findings of other tools are annotated at all lines.
             both = in_a_change or remark.check not in ("crosscheck", "audit", "diff")
             places: list[str | None] = [
                 location for location in (remark.place, remark.other_place) if location

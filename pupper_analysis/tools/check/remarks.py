@@ -252,7 +252,7 @@ def to_plain(value: Any) -> Any:
         return to_plain(np.array(value.values))
     if isinstance(value, np.ndarray):
         largest = float(np.abs(value).max(initial=0.0))
-        # What is 1e-12 of the largest is nothing; its digits are those of some machine.
+        # Values below 1e-12 of the largest are rounding errors of a machine.
         return to_plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
     if isinstance(value, np.generic):
         return to_plain(value.item())
@@ -456,7 +456,7 @@ def mark_known_remarks(
         )
         if match is not None:
             candidates.remove(match)
-        # Nobody can know what is in a file that cannot be read.
+        # The content of an unreadable file is unknown.
         result.append(replace(remark, known=match is not None and remark.kind != REFUSED_KIND))
     return tuple(result), tuple(entry for candidates in waiting.values() for entry in candidates)
 
@@ -475,7 +475,7 @@ def values_agree(first: Any, second: Any) -> bool:
     first_leaves, second_leaves = _flatten_value(first), _flatten_value(second)
     sizes = [abs(leaf) for leaf in (*first_leaves, *second_leaves) if _is_finite(leaf)]
     if any(isinstance(leaf, str) for leaf in first_leaves):
-        sizes = []  # no list of numbers of one kind: each is held against its like
+        sizes = []  # mixed content: each number has its own scale
     return len(first_leaves) == len(second_leaves) and all(
         abs(a - b) <= _VALUE_RTOL * max([*sizes, abs(a), abs(b)])
         if _is_finite(a) and _is_finite(b)

@@ -174,10 +174,10 @@ class _Comparison:
     ) -> None:
         self.one, self.two, self.sources, self.tolerances = one, two, sources, tolerances
         self.differences: list[Difference] = []
-        # The new version by the old names.
+        # New version with the old name of the base.
         second = rename_joints(two.tree, {two.tree.base: one.tree.base})
         second = replace(second, base=one.tree.base)
-        # By name, and by structure; {old name: new name} of the joints that both have.
+        # Match joints by name and by structure: {old name: new name}.
         alike = {name: name for name in one.tree.joints if name in second.joints}
         self.pairs = alike | dict(match_by_structure(one.tree, second, alike).pairs)
         self.new_name = {**self.pairs, one.tree.base: two.tree.base}
@@ -224,7 +224,7 @@ class _Comparison:
     def result(self) -> ModelDiff:
         """Compare trees and other elements, and sort the changes."""
         first, second, tolerances = self.first, self.second, self.tolerances
-        # The comparison is fair in one convention; that it was another one is a change.
+        # Compare in the same convention; a different convention is a change of its own.
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
         first = meant.done(first)
         second = align_frames(second, first, tolerances).values
@@ -250,7 +250,7 @@ class _Comparison:
                 explained=bool(self.differences)
             )
             match self.differences:
-                case [ElementDifference() as only]:  # what one does alone is told of it
+                case [ElementDifference() as only]:  # effects of the only change
                     consequences = (*only.consequences, *combined)
                     self.differences = [replace(only, effects=effects, consequences=consequences)]
                     combined = ()
@@ -361,7 +361,7 @@ def _format_value(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-# What changes are judged by: quantities of a tree of joints at random states, in MuJoCo.
+# Evaluation of a tree at random states in MuJoCo.
 
 
 _NUM_STATES = 10

@@ -395,7 +395,7 @@ def _pair_numbers(first: Element, second: Element) -> dict[str, tuple[Value, Val
     pairs = {}
     for word in dict.fromkeys((*first.values, *second.values)):
         first_numbers, second_numbers = first.values.get(word, ()), second.values.get(word, ())
-        if word == "friction":  # those that another condim adds are no change of their own
+        if word == "friction":  # coefficients added by another condim are not compared
             first_numbers, second_numbers = (
                 values[: min(len(first_numbers), len(second_numbers))]
                 for values in (first_numbers, second_numbers)
@@ -415,7 +415,7 @@ def find_changed_elements(
         if not any(
             element is not None and element.touches for element in (old_element, new_element)
         ):
-            continue  # it is seen alone
+            continue  # visual only
         if old_element is None or new_element is None:
             if key[0] not in _TREE_ELEMENTS:
                 alike.setdefault((key[0], "", old_element is None, key), []).append(key)
@@ -528,7 +528,7 @@ def _make_difference(
     names = tuple(name for _, name in keys)
     old_element, new_element = old.get(keys[0]), new.get(keys[0])
     before, after = (_format_value(element, word) for element in (old_element, new_element))
-    whole = kind in ("option", "flag")  # of which there is one, with many numbers
+    whole = kind in ("option", "flag")  # a single element with many numbers
     message = diagnose(
         "mjcf-element-differs",
         subject=(kind, word if kind == "option" else names[0]),
@@ -672,7 +672,9 @@ class SimulatedPair:
         height = min(map(_find_ground_height, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
-        floors[1].conaffinity = floors[0].conaffinity  # one ground, that the old file's feet touch
+        floors[1].conaffinity = floors[
+            0
+        ].conaffinity  # same ground in both, which the feet of the old file touch
         before, after = (
             compile_spec(tree.spec, file.path) for tree, file in zip(trees, (old, new), strict=True)
         )
@@ -697,7 +699,7 @@ class SimulatedPair:
         if explained or not effects:
             return (effects, messages) if explained else ({}, ())
         nudged, _ = self._compare_pair(before, self._simulate_joints(old, ROUNDING_NUDGE))
-        # A tenth: where both have left their course, they are apart by any part of the way.
+        # 0.1: after divergence, deviations from rounding and from changes have any ratio.
         rounding = (
             nudged and nudged[MOTION_QUANTITY].deviation > 0.1 * effects[MOTION_QUANTITY].deviation
         )
@@ -784,7 +786,7 @@ def _simulate_model(
             except mujoco.FatalError:
                 data.qpos[:] = np.nan
             done = wanted
-            lost = not data.time > (wanted - 0.5) * step  # MuJoCo begins anew where it diverges
+            lost = not data.time > (wanted - 0.5) * step  # MuJoCo resets time after a divergence
             qpos.append(np.full(len(places), np.nan) if lost else data.qpos[places])
             height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
             com.append(np.nan if lost else height)

@@ -115,7 +115,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     _, _, held = list_hinges(spec, file.path)
     notes = [*file.notes, *named, *([joined] if joined else []), *dropped, *held]
     for key in list(spec.keys):
-        spec.delete(key)  # its size may no longer fit
+        spec.delete(key)  # the size of a keyframe may not fit after removals
     model = compile_spec(spec.copy(), file.path)
     moving = {int(body) for body in model.jnt_bodyid}
     frames = [model.body(body).name for body in range(1, model.nbody) if body not in moving]
@@ -132,7 +132,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     others: dict[tuple[str, str], Any] = {
         (extra.kind, extra.element): extra.mjcf
         for extra in mjcf_only_effects(reference)
-        if extra.kind != "flag"  # it is among the elements
+        if extra.kind != "flag"  # flags are listed as elements
     }
     return Version(
         file=published,
@@ -195,7 +195,7 @@ def _to_numbers(values: Any, *, trim: bool = True) -> list[float]:
     return list(map(float, np.trim_zeros(numbers, "b") if trim else numbers))
 
 
-# Files as git has them: `REVISION:PATH`.
+# Files in git: `REVISION:PATH`.
 
 _T = TypeVar("_T")
 
@@ -264,7 +264,7 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
     """
     text = str(given)
     revision, separator, inside = text.partition(":")
-    # A path that exists is meant; and "C:\\robot.urdf" is a path, too.
+    # An existing path takes precedence; "C:\\robot.urdf" is a path as well.
     if (
         Path(text).exists()
         or not separator
@@ -304,7 +304,7 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
         yield lambda path: root / os.path.relpath(path.resolve(), top.resolve())
 
 
-# Files of a revision, as git has them, without anything that a repository brings along.
+# Files of a revision as committed, without running filters or hooks of the repository.
 
 
 _SYMLINK_MODE = "120000"
@@ -442,5 +442,5 @@ def _read_git_objects(
                 continue
             content = process.stdout.read(int(size[0]))
             process.stdout.read(1)
-            if kind == b"blob":  # no other repository's commit
+            if kind == b"blob":  # skips commits of submodules
                 yield entry, content
