@@ -81,7 +81,7 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_wrong_arguments_raise_the_packages_errors(
+def test_wrong_arguments_raise_errors_of_the_package(
     name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -125,14 +125,14 @@ def _fits(junk: object, hint: str) -> bool:
 
 @pytest.mark.parametrize("field", [*pa.StandTask.__dataclass_fields__])
 @pytest.mark.parametrize("junk", [object(), b"x", 1e308, float("nan"), [None], {"x": None}, {5: 1}])
-def test_a_wrong_task_is_refused(field: str, junk: Any) -> None:
+def test_wrong_task_raises(field: str, junk: Any) -> None:
     with pytest.raises(pa.ConfigurationError, match=field.split("_")[0]):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: junk}))
 
 
 @pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
 @pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
-def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
+def test_wrong_values_raise(kind: type, junk: Any) -> None:
     for field in (one.name for one in fields(kind) if one.init):
         with pytest.raises(pa.PupperAnalysisError):
             kind(**{field: junk})
@@ -153,7 +153,7 @@ def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
         (lambda: pa.load_variant(pa.pupper.VariantSpec("v3", 1e300)), "it must be at most 1000"),
     ],
 )
-def test_what_is_wrong_is_named(call: Callable[[], object], message: str) -> None:
+def test_error_message_names_the_wrong_argument(call: Callable[[], object], message: str) -> None:
     with pytest.raises(pa.PupperAnalysisError) as caught:
         call()
     assert message in str(caught.value)
@@ -167,7 +167,7 @@ RIGHT = (
 WRONG = ((True, float), (1, bool), ("x", Sequence[str]), ({1: 1.0}, Mapping[str, float]))
 
 
-def test_types_are_told() -> None:
+def test_check_type_accepts_only_the_annotated_type() -> None:
     for value, hint in RIGHT:
         check_type("x", value, hint)
     for value, hint in WRONG:
@@ -176,7 +176,7 @@ def test_types_are_told() -> None:
 
 
 @pytest.mark.parametrize("junk", [object(), 1.0, b"x", [None]])
-def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> None:
+def test_studies_and_reports_raise_for_wrong_arguments(junk: Any, tmp_path: Path) -> None:
     calls: dict[str, Callable[[], object]] = {
         "table": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
         "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
@@ -201,7 +201,7 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
         ([[1.0], [1.0, 2.0]], "not an array of numbers"),
     ],
 )
-def test_what_is_no_array_of_real_numbers_is_refused(given: Any, said: str) -> None:
+def test_values_raise_unless_an_array_of_real_numbers(given: Any, said: str) -> None:
     """NumPy would take them, and drop what does not fit."""
     robot, stand = load("v3"), stand_of("v3")
     calls: list[Callable[[], object]] = [

@@ -45,7 +45,7 @@ main()
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gl", ["osmesa", "egl", "bogus"])
-def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
+def test_commands_run_without_opengl(gl: str, tmp_path: Path) -> None:
     result = run(
         "-c", BROKEN, "audit", str(ROOT / "mjcf" / "pupper_v3.xml"), folder=tmp_path, gl=gl
     )
@@ -54,7 +54,7 @@ def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_pictures_are_drawn_without(tmp_path: Path) -> None:
+def test_pictures_are_drawn_without_opengl(tmp_path: Path) -> None:
     command = ("analyze", "original", "--output", "out")
     result = run("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")
     assert result.returncode == 0
@@ -63,7 +63,7 @@ def test_pictures_are_drawn_without(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "variants.png").is_file()
 
 
-def test_a_process_of_a_study_needs_no_opengl(tmp_path: Path) -> None:
+def test_study_process_runs_without_opengl(tmp_path: Path) -> None:
     """What is imported past the package's door, as by who unpickles a robot."""
     broken = BROKEN.partition("sys.argv")[0]
     code = "import os, pupper_analysis.robot.robot, mujoco; print(os.environ['MUJOCO_GL'])"
@@ -72,7 +72,7 @@ def test_a_process_of_a_study_needs_no_opengl(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_command_loads_no_opengl_that_it_does_not_draw_with(tmp_path: Path) -> None:
+def test_command_imports_opengl_only_to_draw(tmp_path: Path) -> None:
     """GLFW starts a process of its own to be loaded: a tenth of the time of `stand v3`."""
     code = """
 import atexit, os, sys
@@ -127,7 +127,7 @@ diverge()
     [(DIVERGES + "diverge()", True), (COMMAND, False), (WORKER, False)],
     ids=["MuJoCo", "command", "worker of a study"],
 )
-def test_commands_leave_no_log_of_mujoco(code: str, log: bool, tmp_path: Path) -> None:
+def test_commands_write_no_mujoco_log(code: str, log: bool, tmp_path: Path) -> None:
     result = run("-c", code, folder=tmp_path, gl="")
     assert "warnings: 1\n" in result.stdout
     assert "restored: False" not in result.stdout
@@ -139,7 +139,7 @@ NAMED_NAN = """<mujoco><worldbody><body name="NaN"><joint axis="0 1 0" pos="NaN 
 
 
 @pytest.mark.parametrize("command", [False, True], ids=["function", "command"])
-def test_reading_a_model_with_warnings_leaves_no_log(
+def test_no_log_is_written_if_a_model_has_warnings(
     command: bool, mujoco_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A number that is NaN makes MuJoCo warn while it parses; MuJoCo's own log shows that."""

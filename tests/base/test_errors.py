@@ -14,7 +14,7 @@ ALL = [
 
 
 @pytest.mark.parametrize("error", ALL)
-def test_errors_are_of_one_family(error: type[Exception]) -> None:
+def test_errors_have_one_base_class(error: type[Exception]) -> None:
     assert issubclass(error, pa.PupperAnalysisError)
     assert error.__doc__
 

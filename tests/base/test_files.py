@@ -36,7 +36,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_old_content_is_kept_if_a_write_fails(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")
 
@@ -51,7 +51,7 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_links_are_followed(tmp_path: Path) -> None:
+def test_write_follows_symbolic_links(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     real, link = tmp_path / "there" / "real", tmp_path / "link"
     link.symlink_to(real)
@@ -63,7 +63,7 @@ def test_links_are_followed(tmp_path: Path) -> None:
     assert sorted(tmp_path.rglob("*")) == [link, real.parent, real]
 
 
-def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
+def test_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     read: list[str] = []
@@ -78,7 +78,7 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
-def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: Path) -> None:
+def test_target_file_of_a_stream_is_not_replaced(stream: str, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from pupper_analysis.base.files import write_atomically\n"
@@ -99,7 +99,7 @@ def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: P
     assert (tmp_path / "out").read_text() == "before\nresult\nafter\n"
 
 
-def test_the_mode_is_the_umasks_or_stays(tmp_path: Path) -> None:
+def test_file_mode_follows_the_umask_or_is_kept(tmp_path: Path) -> None:
     new, old = tmp_path / "new", tmp_path / "old"
     old.touch()
     old.chmod(0o640)
@@ -120,7 +120,7 @@ def test_the_mode_is_the_umasks_or_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["", ".png", "." + "y" * 150])
-def test_a_name_may_be_as_long_as_the_system_allows(suffix: str, tmp_path: Path) -> None:
+def test_file_name_of_the_maximum_length_is_written(suffix: str, tmp_path: Path) -> None:
     write(tmp_path / f"{'x' * (255 - len(suffix))}{suffix}")
 
 
@@ -128,9 +128,7 @@ def test_a_name_may_be_as_long_as_the_system_allows(suffix: str, tmp_path: Path)
     ("name", "problem"),
     [("x" * 300, "too long"), ("x\0y", "null"), ("folder", "a folder"), ("file/x", "not a folder")],
 )
-def test_what_cannot_be_written_is_found_before_the_work(
-    name: str, problem: str, tmp_path: Path
-) -> None:
+def test_check_writable_raises_for_an_invalid_path(name: str, problem: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=problem):
@@ -138,7 +136,7 @@ def test_what_cannot_be_written_is_found_before_the_work(
 
 
 @pytest.mark.parametrize("denied", [os.W_OK, os.X_OK])
-def test_folders_without_leave_are_found_before_the_work(
+def test_check_writable_raises_without_folder_permission(
     denied: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # By a stand-in: who runs the tests may be root, who may do everything.
@@ -153,7 +151,7 @@ def test_folders_without_leave_are_found_before_the_work(
             write(tmp_path / "file")
 
 
-def test_a_folder_that_cannot_be_searched_is_an_output_error(
+def test_output_error_is_raised_if_a_folder_cannot_be_searched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def deny(path: Path, **_: object) -> None:
@@ -167,7 +165,7 @@ def test_a_folder_that_cannot_be_searched_is_an_output_error(
 
 
 @pytest.mark.slow
-def test_dash_is_standard_output(
+def test_dash_writes_to_standard_output(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -181,7 +179,7 @@ def test_dash_is_standard_output(
 @pytest.mark.parametrize(
     "name", ["../../x", "/x", "a/b", "a\\b", ".", "..", ".x", "a\nb", "a\0b", "x" * 250, 5, "c:x"]
 )
-def test_a_variants_name_is_that_of_a_file(name: str) -> None:
+def test_variant_name_raises_unless_valid_as_a_file_name(name: str) -> None:
     with pytest.raises(VariantError, match="name"):
         pa.pupper.VariantSpec(name=name)
 
@@ -218,7 +216,7 @@ def held_in(folder: Path) -> subprocess.Popen[str]:
     return process
 
 
-def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
+def test_terminated_write_leaves_no_file(tmp_path: Path) -> None:
     """SIGTERM while the temporary file is there: the command line takes it away."""
     process = held_in(tmp_path)
     time.sleep(0.1)
@@ -231,7 +229,9 @@ def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("link", [None, os.symlink, os.link])
-def test_what_a_run_reads_is_not_written(link: Callable[..., None] | None, tmp_path: Path) -> None:
+def test_input_of_a_run_is_not_overwritten(
+    link: Callable[..., None] | None, tmp_path: Path
+) -> None:
     read, other = tmp_path / "robot.xml", tmp_path / "out.json"
     read.write_text("<mujoco/>")
     if link is None:
@@ -255,7 +255,7 @@ def test_what_a_run_reads_is_not_written(link: Callable[..., None] | None, tmp_p
     write(read)  # no run, no inputs
 
 
-def test_what_is_to_be_written_is_not_read(tmp_path: Path) -> None:
+def test_output_of_a_run_is_not_read(tmp_path: Path) -> None:
     """Before any work, though what a model includes is known only when it is read."""
     mesh, out = tmp_path / "foot.stl", tmp_path / "out.json"
     mesh.write_text("solid")
@@ -267,7 +267,7 @@ def test_what_is_to_be_written_is_not_read(tmp_path: Path) -> None:
             register_input(mesh)
 
 
-def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
+def test_result_replaces_only_files_of_its_kind(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     ours = to_marked_json({"a": 1})
     for before, replaced in ((ours, True), ("", True), ('{"a": 1}\n', False), ("<mujoco/>", False)):
@@ -287,7 +287,7 @@ def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
     assert path.read_text() == "<robot/>"
 
 
-def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+def test_files_of_killed_runs_are_removed_by_the_next_run(tmp_path: Path) -> None:
     """SIGKILL while the temporary file is there; that of a process that runs is left."""
     dead, alive = held_in(tmp_path), held_in(tmp_path)
     dead.kill()
@@ -302,7 +302,7 @@ def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
     alive.communicate(timeout=20)
 
 
-def test_a_run_that_writes_nothing_clears_hidden_files(tmp_path: Path) -> None:
+def test_hidden_files_are_removed_if_a_run_writes_nothing(tmp_path: Path) -> None:
     """Its output is refused, the folder is one of results, or all is as it should be."""
     (tmp_path / "out.json").write_text("mine")
     left = leave_hidden_file(tmp_path)
@@ -317,7 +317,7 @@ def test_a_run_that_writes_nothing_clears_hidden_files(tmp_path: Path) -> None:
     assert left.exists()
 
 
-def test_hidden_files_of_a_container_that_is_gone_are_cleared_after_a_day(
+def test_hidden_files_of_a_removed_container_are_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its process ids cannot be looked up. The second name of an old file is not old by itself."""
@@ -372,7 +372,7 @@ def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -
 @pytest.mark.parametrize(
     "error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()]
 )
-def test_if_the_second_fails_the_first_is_put_back(
+def test_first_file_is_restored_if_the_second_fails(
     error: BaseException, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = (folder / "a").stat()
@@ -386,7 +386,7 @@ def test_if_the_second_fails_the_first_is_put_back(
         assert str(raised.value) == f"cannot write {folder / 'b'}: No space left on device"
 
 
-def test_without_hard_links_the_first_is_put_back_as_a_copy(
+def test_first_file_is_restored_from_a_copy_without_hard_links(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_links(*_: object) -> None:
@@ -401,7 +401,7 @@ def test_without_hard_links_the_first_is_put_back_as_a_copy(
     assert (folder / "a").stat().st_mode & 0o777 == 0o640
 
 
-def test_what_cannot_be_put_back_is_named_and_kept(
+def test_backup_is_named_and_kept_if_it_cannot_be_restored(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real, calls = Path.replace, list[Path]()
@@ -420,7 +420,7 @@ def test_what_cannot_be_put_back_is_named_and_kept(
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
-def test_new_files_go_again_if_a_later_one_fails(
+def test_new_files_are_removed_if_a_later_one_fails(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
@@ -430,7 +430,7 @@ def test_new_files_go_again_if_a_later_one_fails(
 
 
 @pytest.mark.parametrize("problem", ["read-only", "changed", "a folder"])
-def test_what_is_known_before_leaves_all_as_it_was(
+def test_no_file_is_changed_if_a_problem_is_known_before(
     problem: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = dict(OLD)
@@ -456,9 +456,7 @@ def test_what_is_known_before_leaves_all_as_it_was(
     assert contents(folder) == expected
 
 
-def test_what_changes_while_it_is_written_is_not_lost(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_concurrent_change_of_a_file_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another program writes to the second file when the first has been replaced."""
     real = Path.replace
 
@@ -474,7 +472,7 @@ def test_what_changes_while_it_is_written_is_not_lost(
     assert contents(folder) == {"a": b"old a", "b": b"another's"}
 
 
-def test_contents_are_on_the_disk_before_any_file_is_replaced(
+def test_contents_are_synced_before_files_are_replaced(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []

@@ -19,14 +19,14 @@ def refused(path: Path, most: int = 100) -> str:
     return error.value.cause.code
 
 
-def test_a_file_comes_in_through_links(tmp_path: Path) -> None:
+def test_input_is_read_through_symbolic_links(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"content")
     (tmp_path / "link").symlink_to("file")
     assert read_input(tmp_path / "link", 7) == b"content"
     assert refused(tmp_path / "link", 6) == "file-too-large"
 
 
-def test_what_would_wait_is_not_opened(tmp_path: Path) -> None:
+def test_pipes_folders_and_devices_are_refused_as_input(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     (tmp_path / "loop").symlink_to("loop")
@@ -37,7 +37,7 @@ def test_what_would_wait_is_not_opened(tmp_path: Path) -> None:
     assert refused(tmp_path / "loop") == "file-not-read"
 
 
-def test_a_pipe_that_takes_a_files_place_does_not_hold_it(
+def test_read_does_not_block_if_a_pipe_replaces_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(tmp_path / "pipe")
@@ -46,7 +46,7 @@ def test_a_pipe_that_takes_a_files_place_does_not_hold_it(
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").is_file(), reason="Linux alone has it")
-def test_a_file_whose_size_is_not_said_is_read_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_size_limit_holds_for_a_file_without_a_stated_size(monkeypatch: pytest.MonkeyPatch) -> None:
     path = Path("/proc/self/maps")
     assert path.stat().st_size == 0
     with pytest.raises(InputError) as error:
@@ -62,7 +62,7 @@ def test_a_file_whose_size_is_not_said_is_read_no_further(monkeypatch: pytest.Mo
         ("a".encode("utf-16"), "encoded-in-utf-16", None),
     ],
 )
-def test_what_is_no_text_is_told_with_its_line(data: bytes, code: str, line: int | None) -> None:
+def test_invalid_text_raises_with_its_line(data: bytes, code: str, line: int | None) -> None:
     with pytest.raises(InputError) as error:
         decode_input(Path("a.csv"), data)
     assert (error.value.cause.code, error.value.line) == (code, line)
@@ -71,13 +71,13 @@ def test_what_is_no_text_is_told_with_its_line(data: bytes, code: str, line: int
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", damaged.kinds(), ids=lambda kind: kind.name)
-def test_damaged_files_of_every_kind_are_read_or_refused_in_one_line(
+def test_damaged_files_are_read_or_refused_in_one_line(
     kind: damaged.Kind, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert damaged.problems_of(kind, count=8, seed=3, folder=tmp_path) == []
 
 
-def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:
+def test_is_input_is_false_for_an_impossible_name(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     assert is_input(tmp_path / "file")
     assert not is_input(tmp_path / ("x" * 5000))
@@ -86,7 +86,7 @@ def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", [one for one in damaged.kinds() if one.name.endswith(".toml")])
 @pytest.mark.parametrize("place", ["first", "last", "value"])
-def test_the_line_about_a_huge_word_is_short(
+def test_error_line_is_short_for_a_huge_word(
     kind: damaged.Kind, place: str, tmp_path: Path
 ) -> None:
     huge = b"k" * 1_000_000

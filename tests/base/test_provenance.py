@@ -16,7 +16,7 @@ from tests.support.repository import ROOT
 
 
 @pytest.mark.slow
-def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path) -> None:
+def test_json_page_markdown_and_pictures_contain_their_provenance(tmp_path: Path) -> None:
     file = tmp_path / "own.urdf"
     file.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
     words = ("push", "own.urdf", "--directions", "3", "--payload", "200g", "--format", "markdown",

@@ -46,7 +46,7 @@ def test_values_of_other_types_become_json(value: object, expected: object) -> N
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(math.nan)])
-def test_what_is_not_finite_becomes_null(value: float) -> None:
+def test_values_that_are_not_finite_become_null(value: float) -> None:
     for whole in (
         {"x": value},
         {"x": [value]},
@@ -59,7 +59,7 @@ def test_what_is_not_finite_becomes_null(value: float) -> None:
     json.loads(pa.results.to_json(strided), **strict)
 
 
-def test_what_cannot_become_json_is_refused() -> None:
+def test_values_without_a_json_form_raise() -> None:
     class Plain(Enum):
         A = object()
 
@@ -68,7 +68,7 @@ def test_what_cannot_become_json_is_refused() -> None:
             pa.results.to_json(value)
 
 
-def test_nothing_of_a_result_or_a_task_can_be_written_to() -> None:
+def test_results_and_tasks_are_immutable() -> None:
     """Other functions take them for checked: a stand turned upside down would still be one."""
     stand = stand_of("v3")
     for one in (stand, pickle.loads(pickle.dumps(stand)), copy.deepcopy(stand)):
@@ -111,7 +111,7 @@ def results_of(name: str) -> list[object]:
     ]
 
 
-def test_a_repr_is_short_and_says_what_matters() -> None:
+def test_repr_is_short_and_contains_the_key_values() -> None:
     for name in ("original", "v3"):
         robot = load(name)
         assert repr(robot) == (
@@ -150,7 +150,9 @@ def test_tables_become_dataframes() -> None:
     assert list(findings.columns)[:2] == ["rule", "severity"]
 
 
-def test_without_pandas_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_dataframe_names_the_package_if_pandas_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     held = pa.gravity_compensation(pa.Configuration(load("v3"), stand_of("v3").qpos))
     with pytest.raises(pa.MissingPackageError, match=r"pip install 'pupper-analysis\[pandas\]'"):

@@ -39,7 +39,7 @@ def given(monkeypatch: pytest.MonkeyPatch):
     return give
 
 
-def test_meshes_are_looked_for_in_the_current_folder(capfd, given) -> None:
+def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, given) -> None:
     urdf = urdf_text(arm()).replace(
         "<inertial>",
         '<visual><geometry><mesh filename="one.stl"/></geometry></visual><inertial>',
@@ -65,14 +65,14 @@ def test_meshes_are_looked_for_in_the_current_folder(capfd, given) -> None:
         (b"<mujoco>\n<nonsense/></mujoco>", "standard input:2: not a valid MJCF"),
     ],
 )
-def test_errors_name_it(capfd, given, data: bytes, message: str) -> None:
+def test_errors_name_standard_input(capfd, given, data: bytes, message: str) -> None:
     given(data)
     status, _, err = run_command(capfd, "audit", "-")
     assert status == 2
     assert message in err
 
 
-def test_one_model_alone(capfd, given) -> None:
+def test_second_model_from_standard_input_is_refused(capfd, given) -> None:
     given(urdf_text(arm()))
     status, _, err = run_command(capfd, "crosscheck", "-", "-")
     assert status == 2

@@ -145,7 +145,7 @@ def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
 
 
 @pytest.mark.slow
-def test_every_code_is_said_in_both_languages() -> None:
+def test_each_code_has_a_message_in_both_languages() -> None:
     for code in CODES:
         message = entry(code)
         assert message.severity in list(Severity), code
@@ -176,7 +176,7 @@ def test_every_template_gets_its_values() -> None:
 SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
 
 
-def test_refusals_are_diagnostics_and_no_sentences() -> None:
+def test_errors_contain_diagnostics_instead_of_sentences() -> None:
     """No error of the package's is made of words that stand in the code."""
     made = {name for name, one in vars(errors).items() if name.endswith("Error")}
     found, kinds = set(), set()
@@ -260,7 +260,7 @@ def test_a_diagnostic_survives_pickling_and_can_be_compared() -> None:
         message().values["gap"] = 3  # type: ignore[index]
 
 
-def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:
+def test_json_of_a_diagnostic_has_code_values_units_sources_and_words() -> None:
     (shown,) = json.loads(to_json({"notes": [message()]}))["notes"]
     source = {"file": "a.urdf", "line": 7, "element": "joint/limit", "attribute": "effort"}
     assert shown == {
@@ -271,12 +271,12 @@ def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:
     }
 
 
-def test_an_unknown_code_is_refused() -> None:
+def test_unknown_code_raises() -> None:
     with pytest.raises(KeyError):
         diagnose("no-such-code")  # diagnose's own calls are looked at in the package alone
 
 
-def test_arrays_become_tuples_and_what_is_no_value_is_refused() -> None:
+def test_arrays_become_tuples_and_unsupported_values_raise() -> None:
     assert diagnose("problem", problem=np.array([1, 2])).values["problem"] == (1, 2)
     assert diagnose("problem", problem=Path("a/b")).values["problem"] == "a/b"
     with pytest.raises(TypeError):
