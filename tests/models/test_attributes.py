@@ -93,7 +93,7 @@ SPRUNG = MJCF.replace('damping="0.125"', "").replace(
 )
 
 
-def test_a_springdamper_is_read_told_and_multiplied_as_what_it_makes(tmp_path: Path) -> None:
+def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     one, two = tmp_path / "one.xml", tmp_path / "two.xml"
     one.write_text(SPRUNG)
     two.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))

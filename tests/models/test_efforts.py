@@ -66,7 +66,7 @@ def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
-def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: str) -> None:
+def test_weak_motors_are_reported_for_each_kind_of_limit(way: str) -> None:
     """v3's knees hold 0.46 N m. Bare MuJoCo collapses with 0.3, and keeps its height with 3."""
     stand, weak, strong = stand_of("v3"), limited(way, 0.3), limited(way, 3.0)
     assert bare_height(weak) < 0.6 * stand.qpos[2] < 0.9 * stand.qpos[2] < bare_height(strong)
@@ -85,7 +85,7 @@ def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: st
 
 
 @pytest.mark.slow
-def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
+def test_payload_is_equal_for_each_kind_of_limit() -> None:
     """The payload of the same motors, said in three ways, and once by the URDF alone."""
     stand, masses = stand_of("v3"), []
     for way in WAYS:
@@ -119,7 +119,7 @@ def arm(motor: str, joint: str = "") -> mujoco.MjModel:
         ('<motor joint="turn" ctrlrange="-4 4"/>', "", 4.0, (-4, 4), "effort"),
     ],
 )
-def test_the_least_of_all_that_is_stated(
+def test_effort_limit_is_the_smallest_stated_limit(
     motor: str,
     joint: str,
     effort: float | None,
@@ -131,7 +131,7 @@ def test_the_least_of_all_that_is_stated(
     assert (None if limit.origin is None else limit.origin.attribute) == attribute
 
 
-def test_motors_that_differ_by_direction() -> None:
+def test_smaller_limit_counts_if_directions_differ() -> None:
     """Statics count the lesser; servos give what MuJoCo gives."""
     spec = limited("forcerange", 0.9).description.mjcf.copy()
     for actuator in spec.actuators:
@@ -150,7 +150,7 @@ def test_motors_that_differ_by_direction() -> None:
 
 
 @pytest.mark.parametrize("feedforward", [False, True])
-def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> None:
+def test_steady_state_is_predicted_if_ctrlrange_clips_a_command(feedforward: bool) -> None:
     """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
     stand, plain = stand_of("v3"), load("v3")
     knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
@@ -188,7 +188,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
         ('lower="-1" effort="0"', False),
     ],
 )
-def test_a_hinge_whose_limit_states_no_range_has_none(
+def test_hinge_has_no_range_if_its_limit_states_none(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
     urdf = rewritten(quadruped(tmp_path).urdf, (KNEE, limit))
@@ -202,7 +202,7 @@ def test_a_hinge_whose_limit_states_no_range_has_none(
 
 
 @pytest.mark.slow
-def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
+def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     rewritten(pair.urdf, (KNEE, 'effort="80"'))
     robot = pa.load_robot(*pair)
@@ -219,7 +219,7 @@ def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
+def test_converted_hinge_has_no_limits_without_a_range(tmp_path: Path) -> None:
     urdf = rewritten(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
@@ -252,7 +252,7 @@ def test_code_of_a_limit_names_zero_negative_and_unknown(effort: float | None, c
         ('<motor joint="turn" forcerange="-2 2"/>', "", "stated"),
     ],
 )
-def test_a_range_from_0_to_0_is_a_motor_without_torque(
+def test_motor_has_no_torque_if_its_range_is_zero(
     actuator: str, joint: str, code: str, tmp_path: Path
 ) -> None:
     """MuJoCo ignores the range: its model has no limit, which ``mj_forward`` shows."""
@@ -271,7 +271,7 @@ def _without_effort(pair: Pair, effort: str = "") -> Pair:
     return pair
 
 
-def test_of_two_limits_the_lesser_counts_and_it_is_said_whose_it_is(tmp_path: Path) -> None:
+def test_smaller_of_two_limits_counts_with_its_file(tmp_path: Path) -> None:
     """80 N m in the URDF, motors of 30 N m in the MJCF."""
     notes = pa.load_robot(*quadruped(tmp_path)).notes
     (told,) = (note for note in notes if note.code == "effort-limits-differ")
@@ -284,7 +284,7 @@ def test_of_two_limits_the_lesser_counts_and_it_is_said_whose_it_is(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_effort_that_the_urdf_does_not_state_is_the_mjcfs_or_unknown(tmp_path: Path) -> None:
+def test_effort_is_read_from_the_mjcf_if_the_urdf_has_none(tmp_path: Path) -> None:
     pair = _without_effort(quadruped(tmp_path))
     robot = pa.load_robot(*pair)
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
@@ -336,7 +336,7 @@ def test_an_effort_of_zero_names_that_of_a_sibling_limb(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None:
+def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     """Its MJCF has no limit of force, and its servos are given the URDF's."""
     pair = biped(tmp_path)
     rewritten(pair.urdf, ('effort="80"', 'effort="1"'))
@@ -367,7 +367,7 @@ def position(kp: float, gear: float = 1.0) -> str:
 
 
 @pytest.mark.parametrize("gear", [1.0, 3.0, -3.0, 0.1])
-def test_a_gear_makes_no_other_drive(gear: float) -> None:
+def test_drive_type_is_independent_of_the_gear(gear: float) -> None:
     """Both the force and the length of an actuator are taken times the gear."""
     assert drive(position(10, gear)) is Drive.SERVO
     assert drive(position(-10, gear)) is Drive.WRONG_SIGN
@@ -375,13 +375,13 @@ def test_a_gear_makes_no_other_drive(gear: float) -> None:
     assert drive(f'<motor joint="hinge" gear="{gear}"/>') is Drive.MOTOR
 
 
-def test_of_two_servos_the_stiffer_one_at_the_joint_says_where_it_goes() -> None:
+def test_stiffer_of_two_servos_determines_the_drive_type() -> None:
     assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
     assert drive(position(10, 2) + position(-10)) is Drive.SERVO
 
 
 @pytest.mark.parametrize(("coefficient", "expected"), [(1.0, Drive.TENDON), (0.0, Drive.NONE)])
-def test_a_joint_of_a_driven_tendon_has_an_actuator(coefficient: float, expected: Drive) -> None:
+def test_joint_has_an_actuator_if_its_tendon_is_driven(coefficient: float, expected: Drive) -> None:
     """MuJoCo: the tendon's actuator turns the joint, by ``qfrc_actuator``."""
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/><body pos="1 0 0">'

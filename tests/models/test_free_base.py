@@ -35,7 +35,9 @@ def in_parts(pair: Pair, turning: str, place: str) -> Pair:
 @pytest.mark.parametrize(
     ("turning", "place"), [(HINGES, "0 0.35 0 0 0 0"), (BALL, "0 0.35 0 1 0 0 0")]
 )
-def test_crosscheck_and_convert_take_it_for_free(turning: str, place: str, tmp_path: Path) -> None:
+def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
+    turning: str, place: str, tmp_path: Path
+) -> None:
     pair = in_parts(quadruped(tmp_path), turning, place)
     compared = pa.compare_models(pair.urdf, pair.mjcf)
     assert compared.only_mjcf == ()
@@ -46,7 +48,7 @@ def test_crosscheck_and_convert_take_it_for_free(turning: str, place: str, tmp_p
 
 
 @pytest.mark.slow
-def test_a_robot_stands_on_it_as_on_a_free_joint(tmp_path: Path) -> None:
+def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     whole = quadruped(tmp_path / "whole")
     pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
@@ -64,7 +66,9 @@ def test_a_robot_stands_on_it_as_on_a_free_joint(tmp_path: Path) -> None:
         ("<actuator>", '<actuator><motor joint="pelvis_tx"/>'),  # a gantry
     ],
 )  # fmt: skip
-def test_what_holds_or_drives_it_is_no_freedom(change: tuple[str, str], tmp_path: Path) -> None:
+def test_base_joints_are_not_joined_if_held_or_driven(
+    change: tuple[str, str], tmp_path: Path
+) -> None:
     pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     spec = mujoco.MjSpec.from_file(str(rewritten(pair.mjcf, change)))
     count = len(spec.joints)
@@ -72,7 +76,7 @@ def test_what_holds_or_drives_it_is_no_freedom(change: tuple[str, str], tmp_path
     assert len(spec.joints) == count
 
 
-def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:
+def test_slide_is_not_locked_without_limits(tmp_path: Path) -> None:
     """TidyBot's cart: two slides and a hinge, whose URDF had limits of 0 to 0."""
     path = tmp_path / "cart.xml"
     inertial = '<inertial mass="2" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'

@@ -46,7 +46,7 @@ def refused(read: Callable[[], object]) -> str:
 
 
 @pytest.mark.parametrize("case", corpus.MALFORMED)
-def test_malformed_is_refused(case: str, tmp_path: Path) -> None:
+def test_malformed_model_is_refused_at_its_line(case: str, tmp_path: Path) -> None:
     content, line, says = corpus.MALFORMED[case]
     path = tmp_path / "model.xml"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -60,7 +60,7 @@ def test_malformed_is_refused(case: str, tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- URDF
 
 
-def test_elements_of_a_urdf_have_their_lines(tmp_path: Path) -> None:
+def test_urdf_elements_have_line_numbers(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(
         '<robot name="r">\n<!-- two\nlines -->\n<link name="a">\n<inertial>\n<mass value="1"/>\n'
@@ -103,7 +103,7 @@ def test_harmless_oddities_are_read(tmp_path: Path) -> None:
     assert pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer()).njoints == 2
 
 
-def test_shapes_that_pinocchio_does_not_know(
+def test_shapes_unknown_to_pinocchio_are_handled(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Capsules; and materials without a name, or one for each colour, as in the Go2's URDF."""
@@ -121,7 +121,9 @@ def test_shapes_that_pinocchio_does_not_know(
     assert "<geometry> more than once" in refused(lambda: read_urdf(path))
 
 
-def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_meshes_are_found_in_the_searched_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("ws/robot/meshes/a.stl", "ws/named/x/b.stl", "ros/other/c.stl", "else/d.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
@@ -149,14 +151,14 @@ def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
-def test_a_model_that_git_lfs_has_not_brought_is_said(name: str, tmp_path: Path) -> None:
+def test_git_lfs_pointer_as_a_model_is_reported(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
     with pytest.raises(ModelError, match="pointer of Git LFS, not the model: git lfs pull"):
         read_model(path)
 
 
-def test_nothing_waits_for_a_pipe_in_place_of_a_mesh(tmp_path: Path) -> None:
+def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "k.stl")
     shape = '<visual><geometry><mesh filename="k.stl"/></geometry></visual>'
     (tmp_path / "r.urdf").write_text(urdf(link("a", shape)))
@@ -169,7 +171,7 @@ def test_nothing_waits_for_a_pipe_in_place_of_a_mesh(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- MJCF
 
 
-def test_elements_of_an_mjcf_have_their_lines(tmp_path: Path) -> None:
+def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         m=mjcf(
@@ -203,7 +205,7 @@ def test_elements_of_an_mjcf_have_their_lines(tmp_path: Path) -> None:
     assert model.model.nv == 8
 
 
-def test_includes_that_never_end(tmp_path: Path) -> None:
+def test_cyclic_includes_are_refused(tmp_path: Path) -> None:
     part = '<mujocoinclude><include file="{}.xml"/></mujocoinclude>'
     twice = part.format("d{0}").replace("><include", '><include file="d{0}.xml"/><include')
     cases: dict[str, dict[str, str]] = {
@@ -267,7 +269,7 @@ def test_attached_models_are_loaded(tmp_path: Path) -> None:
         ('meshdir="d"', "{}/e/k.obj", "e/k.obj"),
     ],
 )
-def test_meshes_are_looked_for_as_mujoco_does(
+def test_mesh_folders_equal_those_of_mujoco(
     compiler: str, file: str, there: str, tmp_path: Path
 ) -> None:
     asset = f'<asset><mesh name="k" file="{file.format(tmp_path)}"/></asset>'
@@ -284,7 +286,7 @@ def test_meshes_are_looked_for_as_mujoco_does(
 PLATE = 'vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"'
 
 
-def test_flat_meshes_are_shells_where_they_weigh_nothing(tmp_path: Path) -> None:
+def test_flat_meshes_become_shells_if_massless(tmp_path: Path) -> None:
     """MuJoCo 4 refuses a file over one of them, though each body has an <inertial>."""
     seen = '<geom type="mesh" mesh="{}" contype="0" conaffinity="0"/>'
     assets = "".join(f'<mesh name="{name}" {PLATE}/>' for name in ("a plate", "other"))
@@ -318,7 +320,7 @@ def test_flat_meshes_are_shells_where_they_weigh_nothing(tmp_path: Path) -> None
         ("", "", 'class="visual"', False),
     ],
 )
-def test_a_mesh_that_gives_mass_is_needed(
+def test_missing_mesh_is_refused_if_it_defines_mass(
     compiler: str, inertial: str, geom: str, needed: bool, tmp_path: Path
 ) -> None:
     path = write(
@@ -338,7 +340,7 @@ def test_a_mesh_that_gives_mass_is_needed(
         assert read_mjcf(path).model.ngeom == 1
 
 
-def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
+def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     lines = [
         '<asset><mesh name="k" file="k.obj"/>',
         '<texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>',
@@ -384,7 +386,7 @@ BODY = '<worldbody><body name="b"><joint name="j"/><geom name="g" size="1"/><sit
 
 @pytest.mark.parametrize("missing_mesh", [False, True], ids=["", "with a missing mesh"])
 @pytest.mark.parametrize("kind", DANGLING)
-def test_what_refers_to_nothing_is_refused_at_its_line(
+def test_reference_to_a_missing_element_is_refused_at_its_line(
     kind: str, missing_mesh: bool, tmp_path: Path
 ) -> None:
     """A copy of the spec lacks the element, and compiles."""

@@ -63,7 +63,7 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
         *((WORLD, f'<option gravity="{one}"/>{WORLD}', "gravity") for one in TOO_MUCH),
     ],
 )
-def test_what_is_no_number_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
     text = mjcf_text(quadruped())
     assert old in text
     files = write(tmp_path, urdf_text(quadruped()), text.replace(old, new, 1))
@@ -99,7 +99,7 @@ def test_mujoco_dies_of_a_format(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("tag", ["geom", "body", "inertial"])
-def test_a_turn_without_direction_is_refused(tag: str, tmp_path: Path) -> None:
+def test_rotation_without_an_axis_is_refused(tag: str, tmp_path: Path) -> None:
     """MuJoCo compiles it, and dies at the first contact, which ended `audit` as a bug."""
     turn = {tag: 'quat="1e-9 1e-9 1e-9 1e-9"'}
     path = tmp_path / "robot.xml"

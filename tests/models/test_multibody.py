@@ -17,7 +17,7 @@ from tests.support.robots import matched, mjcf_text, quadruped, urdf_text, write
 from tests.support.variants import load
 
 
-def test_the_free_joints_own_damping_and_armature_are_kept(tmp_path: Path) -> None:
+def test_damping_and_armature_of_a_free_joint_are_kept(tmp_path: Path) -> None:
     free = '<joint type="free" damping="0.5" armature="0.3"/>'
     text = mjcf_text(quadruped()).replace("<freejoint/>", free)
     robot = matched(write(tmp_path, urdf_text(quadruped()), text)).robot
@@ -33,7 +33,7 @@ def test_the_free_joints_own_damping_and_armature_are_kept(tmp_path: Path) -> No
 # ------------------------------------------------------------------------------------- alignment
 
 
-def test_a_product_of_inertia_is_judged_by_the_greatest_moment() -> None:
+def test_product_of_inertia_is_compared_with_the_largest_moment() -> None:
     """Not by itself: where it is almost 0, rounding would be a difference."""
     (first, _), tolerances = kinematic_trees(load("v3")), Tolerances()
     name, body = next(iter(first.bodies.items()))

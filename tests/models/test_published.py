@@ -53,7 +53,7 @@ def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def test_a_description_is_found_in_its_cache_alone(descriptions: Path) -> None:
+def test_description_is_read_only_from_its_cache(descriptions: Path) -> None:
     with pytest.raises(ModelError, match="python -m robot_descriptions pull rex_description"):
         find_file("robot_descriptions:rex_description")
     file = descriptions / "zoo" / "rex" / "rex.urdf"
@@ -80,7 +80,7 @@ def test_other_names_are_refused(name: str, message: str) -> None:
         find_file(f"robot_descriptions:{name}")
 
 
-def test_without_the_package_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_names_the_package_if_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     monkeypatch.setitem(sys.modules, "robot_descriptions._cache", None)
     with pytest.raises(ModelError, match="pip install robot_descriptions"):

@@ -39,7 +39,7 @@ def directions_of(seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", SIZES)
-def test_a_shape_is_as_high_as_mujoco_has_it(kind: str) -> None:
+def test_shape_height_equals_mujoco(kind: str) -> None:
     """By its height, its lowest point, and its support function in its body's frame."""
     model = model_of(kind)
     data = mujoco.MjData(model)
@@ -77,7 +77,7 @@ def test_no_point_of_a_shape_is_beyond_its_support(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", SIZES)
-def test_coal_has_the_shape_where_its_sum_has_it(kind: str) -> None:
+def test_coal_shape_distance_equals_the_support_function(kind: str) -> None:
     """Its distance to a half space, along any direction."""
     shape = read_shape(model_of(kind), 1)
     own = coal.Transform3s(shape.pose.rotation, shape.pose.position)
@@ -90,7 +90,7 @@ def test_coal_has_the_shape_where_its_sum_has_it(kind: str) -> None:
         assert 2.0 - found.min_distance == pytest.approx(far, abs=1e-6)
 
 
-def test_of_a_mesh_the_hull_counts() -> None:
+def test_mesh_support_is_that_of_its_convex_hull() -> None:
     """MuJoCo's own where it touches, computed here where it does not: the same four corners."""
     touching = model_of("mesh")
     drawn = model_of("mesh")
@@ -116,7 +116,7 @@ def test_a_placed_shape_is_moved_with_its_body() -> None:
     assert there == pytest.approx(directions @ pose.position + here, abs=1e-12)
 
 
-def test_what_has_no_extent_is_known_as_such() -> None:
+def test_shape_without_extent_has_no_support() -> None:
     for kind, size in (("plane", ()), ("mesh", ()), ("none", ())):
         shape = Shape("", kind, Pose(), size, collides=True)
         assert (shape.support(np.eye(3)), shape.points) == (None, None)

@@ -22,7 +22,7 @@ def tree() -> SpecTree:
     return SpecTree(mujoco.MjSpec.from_string(MJCF))
 
 
-def test_an_inertia_of_geoms_is_not_scaled() -> None:
+def test_scaling_an_inertia_from_geoms_raises() -> None:
     with pytest.raises(ValueError, match="arm"):
         tree().scale_inertia("arm", 2.0)
 
@@ -36,7 +36,7 @@ def test_an_inertia_of_geoms_is_not_scaled() -> None:
     ],
 )
 @pytest.mark.parametrize("products", [0.0, 0.001])
-def test_an_inertia_is_stated_in_the_place_of_another(stated: str, products: float) -> None:
+def test_new_inertia_replaces_each_form_of_the_old_one(stated: str, products: float) -> None:
     """What was stated, along whichever axes, is left nowhere: MuJoCo turned a new tensor by it."""
     tensor = np.array([[0.02, products, 0.0], [products, 0.03, 0.0], [0.0, 0.0, 0.04]])
     inertial = f'<inertial pos="1 1 1" mass="1" {stated}/>'

@@ -10,7 +10,7 @@ from tests.support.commands import answer
 from tests.support.legged import quadruped
 
 
-def test_a_file_whose_name_has_an_escape_is_converted(tmp_path: Path) -> None:
+def test_file_is_converted_if_its_name_has_an_escape(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, floor=True, actuators="position")
     pair.mjcf.rename(tmp_path / "a\x1b[31m--b.xml")
     given = answer("convert", "a\x1b[31m--b.xml", "-o", "new.urdf", folder=tmp_path)
