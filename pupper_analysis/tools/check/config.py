@@ -212,7 +212,7 @@ def _contains_path(values: Any, key: Key) -> bool:
 
 
 class _ConfigReader:
-    """Reader of one configuration file, which refuses unknown keys and invalid values."""
+    """Reader of a configuration file. Unknown keys and invalid values are refused."""
 
     def __init__(self, path: Path, text: str, values: dict[str, Any]) -> None:
         self.path, self.folder, self.top = path, path.parent, values
@@ -335,7 +335,7 @@ class _ConfigReader:
         return self.folder / folder
 
     def check(self, table: dict[str, Any], within: Key, valid: Mapping[str, _ValueKind]) -> None:
-        """Refuse invalid keys and values of a table, and of the tables in it."""
+        """Refuse invalid keys and values of a table and of nested tables."""
         for key, value in table.items():
             if key not in valid:
                 raise self.unknown((*within, key), valid)
@@ -350,7 +350,7 @@ class _ConfigReader:
                     raise self.invalid((*within, key, name), item, _TABLE_VALUES[key].valid)
 
     def unknown(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
-        """Return the error of a key that is not valid at its place."""
+        """Return the error of a key that is not valid in this table."""
         within = ".".join(part for part in key[:-1] if isinstance(part, str))
         code = "rule-unknown" if rule else "key-unknown"
         return self.error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))

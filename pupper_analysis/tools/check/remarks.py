@@ -303,7 +303,7 @@ class Baseline:
     """The content of a baseline file.
 
     Attributes:
-        entries: The known remarks, in the order of their lines.
+        entries: Known remarks, in the order of the file.
         content: The file's bytes; None if there is no file.
         top: Lines of the user between the package's header and the first entry, as far as a blank
             line separates them from that entry.
@@ -427,11 +427,11 @@ def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry
 
     Args:
         path: The file.
-        before: Its content as it was read.
+        before: Content as read.
         entries: The new entries.
 
     Raises:
-        OutputError: If it cannot be written, is not a baseline, or has changed since it was read.
+        OutputError: If the file cannot be written, is not a baseline, or has changed since reading.
     """
     content = before.text_with(entries).encode(errors="replace")
     write_all([Writing(path, content, BASELINE_FILE, before=before.content)])
