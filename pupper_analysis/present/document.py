@@ -72,8 +72,8 @@ def get_english(words: Words) -> str:
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
     """Fill the template of a catalogue key in one language."""
     template = phrase(key, language)
-    said = {name: _select_language(value, language) for name, value in values.items()}
-    return fill_template(template, said, language) if said else template
+    translated = {name: _select_language(value, language) for name, value in values.items()}
+    return fill_template(template, translated, language) if translated else template
 
 
 def _select_language(value: object, language: str) -> object:

@@ -80,16 +80,16 @@ def relative_to_checkout(file: str | Path) -> str:
     """
     root = Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd())
     path = Path(os.path.abspath(file))  # noqa: PTH100  (a link is the file that is in the checkout)
-    for one, folder in ((path, root), (path.resolve(), root.resolve())):
-        if one.is_relative_to(folder):
-            return one.relative_to(folder).as_posix()
+    for candidate, folder in ((path, root), (path.resolve(), root.resolve())):
+        if candidate.is_relative_to(folder):
+            return candidate.relative_to(folder).as_posix()
     return path.as_posix()
 
 
 def write_sarif(annotations: Iterable[Annotation]) -> str:
     """Return a SARIF log of one run as indented JSON."""
     listed = list(annotations)
-    rules = {one.kind: one.about or one.kind for one in listed}
+    rules = {annotation.kind: annotation.about or annotation.kind for annotation in listed}
     numbers = {name: number for number, name in enumerate(rules)}
     driver = {
         "name": "pupper-analysis",
@@ -118,25 +118,25 @@ def _make_results(
         numbers: {kind: index of the rule}.
     """
     before: Counter[tuple[str, str, str]] = Counter()
-    for one in annotations:
+    for annotation in annotations:
         entry: dict[str, Any] = {
-            "ruleId": one.kind,
-            "ruleIndex": numbers[one.kind],
-            "level": _SARIF_LEVELS[one.level],
-            "message": {"text": _escape_brackets(one.message)},
+            "ruleId": annotation.kind,
+            "ruleIndex": numbers[annotation.kind],
+            "level": _SARIF_LEVELS[annotation.level],
+            "message": {"text": _escape_brackets(annotation.message)},
         }
-        file, line = one.file_and_line
+        file, line = annotation.file_and_line
         file = relative_to_checkout(file) if file else ""
         if file:
             entry["locations"] = [{"physicalLocation": _make_location(file, line)}]
-        same = (one.kind, file, one.title)
+        same = (annotation.kind, file, annotation.title)
         fingerprint = hashlib.sha256("\0".join((*same, str(before[same]))).encode(errors="replace"))
         before[same] += 1
         entry["partialFingerprints"] = {"subject/v1": fingerprint.hexdigest()[:32]}
-        if one.known is not None:
-            entry["baselineState"] = "unchanged" if one.known else "new"
-        if one.diagnostic is not None:
-            entry["properties"] = get_code_and_values(one.diagnostic)
+        if annotation.known is not None:
+            entry["baselineState"] = "unchanged" if annotation.known else "new"
+        if annotation.diagnostic is not None:
+            entry["properties"] = get_code_and_values(annotation.diagnostic)
         yield entry
 
 
@@ -224,21 +224,24 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
     Notices pass, as do annotations that a baseline contains.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
-    failing = [one.level != "notice" and not one.known for one in listed]
+    failing = [annotation.level != "notice" and not annotation.known for annotation in listed]
     counts = {"tests": str(len(listed)), "failures": str(sum(failing)), "errors": "0"}
     root = ElementTree.Element("testsuites", counts)
     suite = ElementTree.SubElement(root, "testsuite", {"name": "pupper-analysis"} | counts)
-    for one, fails in zip(listed, failing, strict=True):
-        file, line = one.file_and_line
-        names = {"name": escape_control(one.title), "classname": escape_control(one.kind)}
+    for annotation, fails in zip(listed, failing, strict=True):
+        file, line = annotation.file_and_line
+        names = {
+            "name": escape_control(annotation.title),
+            "classname": escape_control(annotation.kind),
+        }
         names |= {"file": escape_control(relative_to_checkout(file))} if file else {}
         names |= {"line": str(line)} if line is not None else {}
         case = ElementTree.SubElement(suite, "testcase", names)
         if fails:
-            code = one.kind if one.diagnostic is None else one.diagnostic.code
-            said = escape_control(one.message)
-            failure = ElementTree.SubElement(case, "failure", message=said, type=code)
-            failure.text = f"{escape_control(str(one.place or ''))}: {said}"
+            code = annotation.kind if annotation.diagnostic is None else annotation.diagnostic.code
+            message = escape_control(annotation.message)
+            failure = ElementTree.SubElement(case, "failure", message=message, type=code)
+            failure.text = f"{escape_control(str(annotation.place or ''))}: {message}"
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 

@@ -69,8 +69,8 @@ def write_markdown(report: Report) -> str:
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
     """Return preformatted lines in a folded section with a title."""
-    said = "\n".join(html.escape(line) for line in lines)
-    return f"<details><summary>{html.escape(title)}</summary><pre>{said}</pre></details>\n"
+    content = "\n".join(html.escape(line) for line in lines)
+    return f"<details><summary>{html.escape(title)}</summary><pre>{content}</pre></details>\n"
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
@@ -78,8 +78,10 @@ def _write_document(document: Document, *, whole: bool) -> list[str]:
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"
-    messages = [f"- **{_escape_words(one)}**" for one in document.failures]
-    messages += [f"- {_escape_words(one)}" for one in (*document.findings, *document.details)]
+    messages = [f"- **{_escape_words(failure)}**" for failure in document.failures]
+    messages += [
+        f"- {_escape_words(finding)}" for finding in (*document.findings, *document.details)
+    ]
     parts = [title, "\n".join(messages)] if messages else [title]
     if whole:
         for block in document.blocks:
@@ -153,7 +155,7 @@ def _make_finding_parts(block: FileFinding) -> list[str]:
     """Return a finding with its places and notes as a nested list."""
     tag = "" if block.tag is None else f"{_escape_words(block.tag)} "
     lines = [f"- {tag}**{_escape_words(block.title)}**"]
-    lines += [f"  - {_format_place(one)}" for one in block.columns]
+    lines += [f"  - {_format_place(place)}" for place in block.columns]
     lines += [f"  - {_escape_words(note)}" for note in block.notes]
     return ["\n".join(lines)]
 
@@ -196,6 +198,6 @@ def _escape_text(text: str) -> str:
     )
 
 
-def _escape_match(found: re.Match[str]) -> str:
+def _escape_match(match: re.Match[str]) -> str:
     """Insert the backslash for a match of `_MARKUP_PATTERN`."""
-    return f"\\{found[1]}" if found[1] else f"{found[2][:-1]}\\{found[2][-1]}"
+    return f"\\{match[1]}" if match[1] else f"{match[2][:-1]}\\{match[2][-1]}"

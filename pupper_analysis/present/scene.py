@@ -236,12 +236,12 @@ def describe_joint_axes(
     """
     robot = config.robot
     model = robot.mj_model
-    found = []
+    axes = []
     for index, name in enumerate(robot.joint_names):
         joint = model.joint(name).id
         limit = float(robot.effort_limits[index])
         limited = bool(np.isfinite(limit)) and limit > 0
-        found.append(
+        axes.append(
             JointAxis(
                 name=name,
                 body=int(model.jnt_bodyid[joint]),
@@ -257,7 +257,7 @@ def describe_joint_axes(
                 else None,
             )
         )
-    return found
+    return axes
 
 
 def collect_visible_shapes(
@@ -302,12 +302,12 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
     """Reduce a mesh to about ``share`` of its faces, by clustering on increasingly coarse grids."""
-    found = read_mesh(model, mesh)
-    wanted, cells = max(int(share * len(found.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
-    while len(found.faces) > wanted and cells > 4:
-        found = coarsen_mesh(found, cells)
+    simplified = read_mesh(model, mesh)
+    max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
+    while len(simplified.faces) > max_faces and cells > 4:
+        simplified = coarsen_mesh(simplified, cells)
         cells = int(0.75 * cells)
-    return found
+    return simplified
 
 
 def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:

@@ -62,7 +62,7 @@ Source: actions/runner, ActionCommand.TryParseV2 and TryParse."""
 
 def _escape_line(text: str) -> str:
     """Escape terminal control characters and the first character of CI commands."""
-    return _COMMAND_PATTERN.sub(lambda found: f"\\x{ord(found[0]):02x}", escape_control(text))
+    return _COMMAND_PATTERN.sub(lambda match: f"\\x{ord(match[0]):02x}", escape_control(text))
 
 
 class SafeConsole(Console):
@@ -131,8 +131,8 @@ def print_summary(out: Console, document: Document) -> None:
 def _print_note_count(out: Console, document: Document) -> None:
     """Print the number of notes, if there are any."""
     if count := len(document.notes):
-        said = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
-        _print_line(out, Text(said, "dim"))
+        count_text = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
+        _print_line(out, Text(count_text, "dim"))
 
 
 def _is_left_out(document: Document, block: Block) -> bool:
@@ -157,8 +157,8 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
         line.append(": ")
         line.append_text(_style_words(messages[0]))
     _print_line(out, line)
-    for one in messages[1:]:
-        _print_line(out, Text("  ").append_text(_style_words(one)), indent=2)
+    for message in messages[1:]:
+        _print_line(out, Text("  ").append_text(_style_words(message)), indent=2)
 
 
 def print_table(out: Console, table: Table) -> None:
@@ -221,10 +221,13 @@ def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_Printed
     head = Text(f"{view.place}. ")
     if block.tag is not None:
         head.append(f"{_to_plain_text(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
-    files = "   ".join(_escape_line(one.path) or _to_plain_text(one.place) for one in block.columns)
+    files = "   ".join(
+        _escape_line(place.path) or _to_plain_text(place.place) for place in block.columns
+    )
     rows = [f"   {files}"]
     if view.everything:
-        quoted = (row for one in block.columns for row in get_english(one.line).split("\n") if row)
+        lines = (get_english(place.line) for place in block.columns)
+        quoted = (row for line in lines for row in line.split("\n") if row)
         rows += [f"   | {_escape_line(row)}" for row in quoted]
     return [
         _PrintedLine(Text("")),
@@ -349,18 +352,18 @@ def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
     """Format a column, and compute its width and its smallest width."""
     column, cells = table.columns[index], [row[index] for row in table.rows]
     texts = [
-        _escape_line(one.text if isinstance(one, Number) else get_english(one)) for one in cells
+        _escape_line(cell.text if isinstance(cell, Number) else get_english(cell)) for cell in cells
     ]
     name = _escape_line(get_english(column.name))
     unit = f"({_escape_line(column.unit)})" if column.unit not in ("", "1") else ""
     heads = map(cell_len, (*name.split(), unit))
     width = least = max(*heads, min(cell_len(name), _MIN_HEADER_WIDTH), *map(cell_len, texts), 0)
     written = zip(texts, cells, strict=True)
-    if wraps and any(" " in one for one, cell in written if not isinstance(cell, Name | Number)):
-        words = (cell_len(word) for one in texts for word in one.split())
+    if wraps and any(" " in text for text, cell in written if not isinstance(cell, Name | Number)):
+        words = (cell_len(word) for text in texts for word in text.split())
         least = min(width, max(_MIN_SENTENCE_WIDTH, *words))
     shown = [
-        Text(one, MARK_STYLES.get(cell.mark, "")) for one, cell in zip(texts, cells, strict=True)
+        Text(text, MARK_STYLES.get(cell.mark, "")) for text, cell in zip(texts, cells, strict=True)
     ]
     return _PrintedColumn(f"{name}\n{unit}".strip(), shown, column.left, width, least)
 
@@ -389,7 +392,7 @@ def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int)
         grid.add_row(*row)
     options = out.options.update(width=max(width, _sum_min_widths(columns)))
     rows = out.render_lines(grid, options, pad=False)
-    lines = [Text.assemble(*((one.text, one.style or "") for one in row)) for row in rows]
+    lines = [Text.assemble(*((part.text, part.style or "") for part in row)) for row in rows]
     for line in lines:
         line.rstrip()
     return lines

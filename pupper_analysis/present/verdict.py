@@ -67,7 +67,9 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         tuple(make_keyframe_run_clauses(verdict.own)),
         verdict.code is VerdictCode.OWN_DRIVES_FAIL,
     )
-    deciding = [one for one in verdict.remarks if one.code == _DECIDING_REMARKS.get(verdict.code)]
+    deciding = [
+        remark for remark in verdict.remarks if remark.code == _DECIDING_REMARKS.get(verdict.code)
+    ]
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(own if fails else ()),
@@ -149,11 +151,11 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
-        one.good
-        and one.message.severity is not Severity.WARNING
-        and one.message.group is not Group.ASSUMED
-        and one.message.code not in _LEADING_CODES
-        for one in clauses
+        clause.good
+        and clause.message.severity is not Severity.WARNING
+        and clause.message.group is not Group.ASSUMED
+        and clause.message.code not in _LEADING_CODES
+        for clause in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)

@@ -148,7 +148,9 @@ def torque_table(
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     """List the origins of torque limits, the most frequent first, with the number of joints."""
-    counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
+    counts = Counter(
+        None if origin is None else (origin.attribute, origin.file) for origin in origins
+    )
     listed = []
     for origin, count in counts.most_common():
         place = text("no-limit-stated" if origin is None else "as-asked")

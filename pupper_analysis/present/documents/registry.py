@@ -139,9 +139,9 @@ def _make_title(documents: Sequence[Document]) -> Words:
     """Return the title of a report: the common kind of its documents, and their titles."""
     if not documents:
         return text("report")
-    kinds = {get_english(one.kind) for one in documents}
+    kinds = {get_english(document.kind) for document in documents}
     kind = documents[0].kind if len(kinds) == 1 else text("report")
-    return text("kind-names", kind=kind, names=join_words(one.title for one in documents))
+    return text("kind-names", kind=kind, names=join_words(document.title for document in documents))
 
 
 def _load_builder(kind: type) -> None:
@@ -149,14 +149,14 @@ def _load_builder(kind: type) -> None:
 
     The package of the type and its parents are searched first, then the tools.
     """
-    for one in kind.__mro__:
-        package = getattr(sys.modules.get(one.__module__), "__package__", None) or ""
+    for base in kind.__mro__:
+        package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""
         while package and package != _PACKAGE_NAME:
             if find_spec(f"{package}.document") is not None:
                 import_module(f"{package}.document")
                 return
             package = package.rpartition(".")[0]
-        registered = f"@build_document.register({one.__name__})"
+        registered = f"@build_document.register({base.__name__})"
         for tool in own_tools().values():
             shown = tool.folder / "document.py"
             if shown.is_file() and registered in shown.read_text(encoding="utf-8"):

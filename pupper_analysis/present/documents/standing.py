@@ -85,7 +85,7 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
         ("distance-between-links", links.distance if links else None, "mm", 1e3, ".1f"),
         (
             "friction-used",
-            max((one.friction_utilisation for one in loads), default=None),
+            max((load.friction_utilisation for load in loads), default=None),
             "%",
             100.0,
             ".1f",

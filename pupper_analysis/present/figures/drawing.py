@@ -95,9 +95,9 @@ def write_plots(
     drawings = [draw_svg(plot) for plot in plots]
     columns = min(len(plots), _NUM_COLUMNS)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
-    heights = [max(one.height / one.width for one in row) for row in rows]
+    heights = [max(drawing.height / drawing.width for drawing in row) for row in rows]
     legends = [
-        [_make_handle(*one) for one in _collect_legend(drawing).items()] for drawing in drawings
+        [_make_handle(*entry) for entry in _collect_legend(drawing).items()] for drawing in drawings
     ]
     across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
@@ -106,8 +106,8 @@ def write_plots(
         get_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
     )
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
-    said = names or [get_english(one.title) if several else "" for one in drawings]
-    for index, (drawing, legend, name) in enumerate(zip(drawings, legends, said, strict=True)):
+    titles = names or [get_english(drawing.title) if several else "" for drawing in drawings]
+    for index, (drawing, legend, name) in enumerate(zip(drawings, legends, titles, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
         size = _LETTER_HEIGHT * 72 * across / drawing.width
         _draw_marks(drawing, axes, size)
@@ -165,16 +165,16 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
 
 def _write_words(mark: Mark, axes: Axes, size: float) -> None:
     """Write the words of a mark, with their unit."""
-    said = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
+    words = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
-    axes.text(mark["x"], mark["y"], said, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
+    axes.text(mark["x"], mark["y"], words, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
               size=size, parse_math=False)  # fmt: skip
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
     """Return {text: class of the style sheet} of a legend; the class of the note is empty."""
-    found = {get_english(words): kind for words, kind in drawing.legend}
-    return found if drawing.note is None else {**found, get_english(drawing.note): ""}
+    entries = {get_english(words): kind for words, kind in drawing.legend}
+    return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 
 def _make_handle(name: str, kind: str) -> Artist:

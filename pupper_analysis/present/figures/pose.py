@@ -230,11 +230,11 @@ def _draw_stand(
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     """Draw contact forces as arrows that end at the feet, in a projection of shape (2, 3)."""
-    largest = max(float(np.linalg.norm(one.force)) for one in seen.contacts)
+    largest = max(float(np.linalg.norm(contact.force)) for contact in seen.contacts)
     scale = _MAX_ARROW_RATIO * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
     arrow = {"arrowstyle": "-|>", "color": drawing.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
-    for one in seen.contacts:
-        tail = one.point - scale * one.force
-        tip, end = (tuple(projection @ place) for place in (one.point, tail))
+    for contact in seen.contacts:
+        tail = contact.point - scale * contact.force
+        tip, end = (tuple(projection @ place) for place in (contact.point, tail))
         axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
         axes.plot(*end, alpha=0.0)  # so that there is room for it

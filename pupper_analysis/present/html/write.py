@@ -101,22 +101,22 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
         **_serialise_robot(robot, stand.qpos, (still, *scene.motions), seen.joints),
         "contacts": [
             {
-                "name": escape_control(one.foot),
-                "point": round_values(one.point),
-                "force": round_values(one.force),
+                "name": escape_control(contact.foot),
+                "point": round_values(contact.point),
+                "force": round_values(contact.force),
             }
-            for one in seen.contacts
+            for contact in seen.contacts
         ],
         "polygon": round_values(seen.polygon),
         "steps": [
             {
-                "centre": round_values(one.centre),
-                "half": round_values(one.half),
-                "quat": round_values(one.turn),
-                "pit": one.height < 0,
-                "round": one.round,
+                "centre": round_values(step.centre),
+                "half": round_values(step.half),
+                "quat": round_values(step.turn),
+                "pit": step.height < 0,
+                "round": step.round,
             }
-            for one in seen.steps.values()
+            for step in seen.steps.values()
         ],
         "ground": round_values(seen.ground_centre),
         "normal": round_values(seen.ground_normal),
@@ -156,7 +156,7 @@ def _serialise_robot(
         "geoms": geoms,
         "meshes": meshes,
         "motions": [_pack_motion(robot, data, motion) for motion in motions],
-        "joints": [_serialise_joint(one, kinds[one.name]) for one in axes],
+        "joints": [_serialise_joint(axis, kinds[axis.name]) for axis in axes],
         "middle": round_values((low + high) / 2),
         "radius": float(np.linalg.norm(high - low) / 2),
     }
@@ -305,10 +305,10 @@ class ViewerLibrary:
 
 def load_viewer_library() -> ViewerLibrary | None:
     """Load three.js; None if the package is not installed, unreadable or of another form."""
-    found = find_spec(_VIEWER_PACKAGE)  # which does not import it
-    if found is None or found.origin is None:
+    package = find_spec(_VIEWER_PACKAGE)  # which does not import it
+    if package is None or package.origin is None:
         return None
-    folder = Path(found.origin).parent / "viewer" / "dist"
+    folder = Path(package.origin).parent / "viewer" / "dist"
     try:
         script = (folder / "main.min.js").read_text(encoding="utf-8")
         licences = _collect_licences(folder)
@@ -456,7 +456,7 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
 
 def _collect_script_words() -> dict[str, dict[str, str]]:
     """Return the words of the page's scripts, {language: {key: word}}."""
-    said = {
+    word_keys = {
         "no_library": "view-without-three-js",
         "no_webgl": "view-without-webgl",
         "position": "position",
@@ -466,7 +466,7 @@ def _collect_script_words() -> dict[str, dict[str, str]]:
         "force": "force",
     }
     motions = ("roll", "pitch", "yaw", "oblique", "along x", "along y", "along z", "oblique slide")
-    texts = {name: text(english) for name, english in said.items()}
+    texts = {name: text(english) for name, english in word_keys.items()}
     texts |= {motion: text(motion) for motion in motions}
     return {
         language: {name: getattr(words, language) for name, words in texts.items()}

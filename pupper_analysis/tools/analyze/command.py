@@ -115,7 +115,7 @@ def command(
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
     rows = _compare_variants(meant, analyses)
-    table, named = comparison_table(rows), [(one.name, one) for one in analyses]
+    table, named = comparison_table(rows), [(analysis.name, analysis) for analysis in analyses]
     if shown and (everything or len(rows) > 1):
         print_table(make_console(), table)
     if style == "markdown":
@@ -169,10 +169,10 @@ def _compare_variants(
     from pupper_analysis.tools.analyze.document import compare_with_base
 
     references: dict[str, tuple[float | None, float | None]] = {}
-    for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
+    for name in {variant.base for variant in meant if isinstance(variant, VariantSpec)}:
         robot = load_variant(VariantSpec(base=name))
         references[name] = robot.total_mass, measure_leg_lengths(robot)[0]
-    bases = [str(one) if isinstance(one, RobotFiles) else one.base for one in meant]
+    bases = [str(robot) if isinstance(robot, RobotFiles) else robot.base for robot in meant]
     return [
         compare_with_base(analysis, base, *references.get(base, (None, None)))
         for base, analysis in zip(bases, analyses, strict=True)

@@ -114,7 +114,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         let_go=_format_height(analysis.sagging),
     )
     check = analysis.check
-    worst = next(one for one in check.quantities if one.name == check.worst)
+    worst = next(quantity for quantity in check.quantities if quantity.name == check.worst)
     yield text(
         "urdf-and-mjcf-worst-deviation",
         relative=f"{worst.relative:.1e}",
@@ -298,7 +298,8 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     run = analysis.verification
     both = (run, analysis.sagging)
     verdicts = tuple(
-        text("stands") if one.passed else text("FAILED").with_mark("bad") for one in both
+        text("stands") if simulation.passed else text("FAILED").with_mark("bad")
+        for simulation in both
     )
     table = doc.Table(
         text(

@@ -141,8 +141,8 @@ def sweep_gains(
         raise ConfigurationError("kp, kd", diagnose("gain-values-missing"))
     trial = _SweepTrial(robot, stand, integrator, duration)
     cells = list(dict.fromkeys(itertools.product(axes[0], axes[1])))
-    found = trial.run(cells, amplitude, frequency, progress=progress)
-    pairs = [[found[kp, kd] for kd in axes[1]] for kp in axes[0]]
+    outcomes = trial.run(cells, amplitude, frequency, progress=progress)
+    pairs = [[outcomes[kp, kd] for kd in axes[1]] for kp in axes[0]]
     deviations = np.array([[deviation for deviation, _ in row] for row in pairs])
     return GainSweep(
         kp=np.array(axes[0]),
@@ -224,14 +224,14 @@ class _SweepTrial:
 
         with ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool:
             list(pool.map(place, dict.fromkeys(kp for kp, _ in cells)))
-            found = track(
+            outcomes = track(
                 pool.map(simulate, cells),
                 "gain sweep",
                 len(cells),
                 disable=not progress,
                 transient=True,
             )
-            return dict(zip(cells, found, strict=True))
+            return dict(zip(cells, outcomes, strict=True))
 
     def _lasts_at_the_end(
         self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
@@ -241,8 +241,8 @@ class _SweepTrial:
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._stands(watcher, states):
             return False
-        found = evaluate_stability(drive, states[-1], ctrl, 0.0)
-        return found.speed <= MAX_RESTING_SPEED and found.lasts()
+        stability = evaluate_stability(drive, states[-1], ctrl, 0.0)
+        return stability.speed <= MAX_RESTING_SPEED and stability.lasts()
 
     def _deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Compute the height deviation in the last second [m]; infinite if the robot fell."""
