@@ -1,4 +1,8 @@
-"""What a stance can carry: the greatest mass with which it still holds, and what fails beyond."""
+"""Largest payload of a stance, and the failure that limits the payload.
+
+`payload_limit` evaluates the loaded stance for increasing masses, bisects four bounds (stance,
+motors, servos, simulation), and returns the smallest with its cause.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +49,10 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 @dataclass(frozen=True, eq=False)
 class PayloadTrial(NudgeTrial):
-    """Simulations of a loaded stand that is nudged from all sides.
+    """Simulations of a loaded stand that is nudged in twelve directions.
 
     Attributes:
-        mass: Of the payload (kg).
+        mass: Mass of the payload (kg).
     """
 
     mass: float = field(metadata={"unit": "kg"})
@@ -65,71 +69,81 @@ def simulate_payload(
     kd: ArrayLike | None = None,
     duration: float = HOLD_DURATION,
 ) -> PayloadTrial:
-    """Simulates a stance with a mass on the robot, as ``simulate_nudges`` does.
+    """Simulate a stance with a payload, nudged as in ``simulate_nudges``.
 
-    It begins in the stand that ``stand --payload`` judges (``solve_loaded_stand``), with
-    feed-forward for the load.
+    The simulation starts in the stand that ``stand --payload`` judges (``solve_loaded_stand``),
+    with feed-forward torques for the load.
 
     Args:
         robot: The robot.
         stance: The stance; of a stand, its task.
-        mass: Of the payload (kg).
-        point: Where it is, as in ``with_payload``.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
-        duration: Simulated time (s), at least 2.
+        mass: Mass of the payload [kg].
+        point: Place of the payload, as in ``with_payload``.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
+        duration: Simulated time [s], at least 2.
 
     Returns:
-        What happened.
+        The outcome of the simulations.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
         ModelError: If the model has no position servos, and kp and kd are not both given.
-        StanceUnreachableError: If the stance is out of reach with that load.
-        StaticsInfeasibleError: If no contact forces balance it.
+        StanceUnreachableError: If the loaded stance is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the loaded stance.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
-    seen = simulate_nudges(loaded, stand, kp=kp, kd=kd, duration=duration)
-    return PayloadTrial(**vars(seen), mass=float(mass))
+    trial = simulate_nudges(loaded, stand, kp=kp, kd=kd, duration=duration)
+    return PayloadTrial(**vars(trial), mass=float(mass))
 
 
 Array = NDArray[np.float64]
 
 UNLIMITED_MASS_RATIO = 1e4
-"""A payload above this many times the robot's mass is as good as unlimited."""
+"""Payload relative to the robot's mass at which the search ends: no bound up to there means no
+limit. Chosen, not tuned."""
 
 MAX_BOUND_RATIO = 10.0
-"""Bounds of more than so many times the least are not looked for."""
+"""Largest searched mass, relative to the first mass that fails or the robot's mass, if larger:
+larger bounds are reported as infinite. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
-"""The part of the limit with which the loaded stance is judged, and simulated nudged: just below
-it, as no servo, floor or hand is exact to a percent."""
+"""Fraction of the limit with which the loaded stance is judged, and simulated with nudges: below
+the limit, since no servo, floor or hand is exact to a percent. Chosen, not tuned."""
 
 SIMULATION_RTOL = 0.02
-"""To what part of itself a mass is found that holds in simulation, where that of the equilibrium
-does not; to its square of the equilibrium's, below which it is as good as none."""
+"""Relative tolerance of a mass bisected by simulations, if the limit of the equilibrium does not
+hold. The squared value, relative to the limit of the equilibrium, is the absolute tolerance.
+Chosen, not tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
-"""To what part of itself a bound of motors or of the stance is found that binds, rounded down, and
-others."""
+"""Relative tolerances of the binding bound (rounded down) and of the other bounds of motors and
+stance. Chosen, not tuned."""
 
-_FIRST = 0.25  # the first mass tried, in parts of the robot's
-_GROWTH = 1.5
-"""Factor from one mass tried to the next: a window of failure narrower than this may be missed."""
+_FIRST_MASS_RATIO = 0.25
+"""First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
 
-_FASTER = 3.0  # factor beyond the mass at which the first bound gives way
-_GRIPLESS = 10.0
-"""A friction coefficient that no foot has: where more is needed, it is not friction that lacks."""
+_MASS_GROWTH = 1.5
+"""Factor between successive masses before the first bound: a narrower window of failure may be
+missed. Chosen, not tuned."""
+
+_FAST_MASS_GROWTH = 3.0
+"""Factor between successive masses beyond the first bound. Chosen, not tuned."""
+
+_MAX_FRICTION_NEEDED = 10.0
+"""Largest friction coefficient of a stance that slides; if more is needed, the stance tips. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bound(Result):
-    """One of the limits of a payload.
+    """One bound of a payload.
 
     Attributes:
-        mass: kg; infinite if there is none, or only one far above the least (``MAX_BOUND_RATIO``).
-        failure: What gives way just above.
-        where: The motors, joints, feet or bodies concerned.
+        mass: Largest mass below the bound (kg); infinite without a bound, or if the bound is larger
+            than all searched masses (``MAX_BOUND_RATIO``).
+        failure: Failure above the bound.
+        where: Motors, joints, feet or bodies of the failure.
     """
 
     mass: float = field(metadata={"unit": "kg"})
@@ -232,28 +246,28 @@ def payload_limit(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> PayloadLimit:
-    """Finds the greatest point mass that a robot can carry in a stance.
+    """Find the largest point mass that a robot can carry in a stance.
 
-    It is the greatest with which ``stand --payload`` holds. Each mass that is tried is put on the
-    robot, and the stance solved anew, so that the base moves from under the load if the com shall
-    be over the feet; on the ground that is simulated. Servos are commanded the pose with the
-    feed-forward torques of the loaded robot. What holds by that is then judged as ``stand`` does,
-    and simulated nudged from all sides; where either fails, less is looked for.
+    The result is the largest mass with which ``stand --payload`` holds. For each mass the loaded
+    stance is solved on the simulated ground; if the task requires the CoM above the feet, the base
+    shifts. Servos are commanded the pose with the feed-forward torques of the loaded robot. The
+    limit of the equilibria is then judged as by ``stand``, and simulated with nudges in twelve
+    directions; if either fails, a smaller mass is bisected by simulation.
 
     Args:
         robot: The robot.
         stance: The stance; of a stand, its task. The nominal stand by default.
-        point: Where the mass is, as in ``with_payload``.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        point: Place of the mass, as in ``with_payload``.
+        kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
 
     Returns:
-        The limit, and what it rests on.
+        The limit with its bounds and assumptions.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach without payload.
-        StaticsInfeasibleError: If it slides or tips without payload.
-        ConfigurationError: If an argument is out of its range, or makes no sense for the robot.
+        StaticsInfeasibleError: If the stance slides or tips without payload.
+        ConfigurationError: If an argument is out of its range, or invalid for the robot.
         ModelError: If the model has no position servos, and kp and kd are not both given.
     """
     place = find_place(robot, point)
@@ -265,7 +279,7 @@ def payload_limit(
         robot = touching(robot, task.contacts)
     # Without payload a refusal explains itself.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
-    search = _Search(robot, task, place, kp, kd)
+    search = _PayloadSearch(robot, task, place, kp, kd)
     bounds = search.bounds()
     binding = min(bounds, key=lambda name: bounds[name].mass)
     most = bounds[binding].mass
@@ -283,13 +297,13 @@ def payload_limit(
 
     simulation = Bound(math.inf, Failure.NOTHING, ())
     if 0 < most < math.inf:
-        simulation = _simulated(most, judged, tried)
+        simulation = _bisect_simulation_bound(most, judged, tried)
     bounds["simulation"] = simulation
     if simulation.mass < most:
         binding, most = "simulation", simulation.mass
     carries = 0 < most < math.inf
-    held = search.at(most if math.isfinite(most) else 0.0)
-    unknown = _unknown_limits(robot, place)
+    held = search.stand_with(most if math.isfinite(most) else 0.0)
+    unknown = _find_unknown_limits(robot, place)
     null = any(limit.without_torque for limit in list_driven_limits(robot))
     known = EffortCode.ZERO if null else EffortCode.STATED
     assert held.stand is not None
@@ -317,92 +331,98 @@ def payload_limit(
     )
 
 
-def _unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
+def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
     """Return the joints that carry a foot or the payload and whose torque limit no file states."""
-    aside = set(free_joints(robot)) - set(place.chain)
+    unloaded_joints = set(free_joints(robot)) - set(place.chain)
     unknown = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )
-    return tuple(name for name in unknown if name not in aside)
+    return tuple(name for name in unknown if name not in unloaded_joints)
 
 
 FailureCause = tuple[Failure, tuple[str, ...]] | None
-"""What fails, and where: the motors, joints, feet or bodies concerned; None if nothing does."""
+"""Failure with its motors, joints, feet or bodies; None without a failure."""
 
 
-def _simulated(
-    most: float, judged: Callable[[float], Verdict], tried: Callable[[float], PayloadTrial]
+def _bisect_simulation_bound(
+    static_limit: float, judged: Callable[[float], Verdict], tried: Callable[[float], PayloadTrial]
 ) -> Bound:
     """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
 
-    What equilibria say is exact for a stand that is let alone; how far a nudge takes feet that
-    lift, soles that pivot and motors that saturate, and what else is wrong with a file, simulation
-    alone tells.
+    The bound is infinite if ``static_limit`` holds, and 0 if the stance fails without payload.
+    Equilibria are exact for an undisturbed stand. Lifting feet, pivoting soles and saturating
+    motors after a nudge, and errors of the files, appear only in a simulation.
     """
 
-    def trouble(mass: float) -> FailureCause:
+    def find_cause(mass: float) -> FailureCause:
         trial = tried(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
             return trial.failure, trial.where
-        return None if _holds(judged(VERIFIED_FRACTION * mass)) else (Failure.SIMULATED, ())
+        return (
+            None
+            if _holds_in_simulation(judged(VERIFIED_FRACTION * mass))
+            else (Failure.SIMULATED, ())
+        )
 
-    found = trouble(most)
-    if found is None:
+    cause = find_cause(static_limit)
+    if cause is None:
         return Bound(math.inf, Failure.NOTHING, ())
-    if not _holds(judged(0.0)):
+    if not _holds_in_simulation(judged(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
-    return _bisect(trouble, 0.0, most, found, SIMULATION_RTOL**2 * most, SIMULATION_RTOL)
+    return _bisect_mass(
+        find_cause, 0.0, static_limit, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
+    )
 
 
-def _holds(verdict: Verdict) -> bool:
+def _holds_in_simulation(verdict: Verdict) -> bool:
     """Return True if a stance holds in simulation, even if torque limits or masses are unknown."""
     return verdict.passed or verdict.code in UNKNOWN_CODES
 
 
-def _bisect(
-    trouble: Callable[[float], FailureCause],
+def _bisect_mass(
+    find_cause: Callable[[float], FailureCause],
     low: float,
     high: float,
-    found: FailureCause,
-    least: float,
-    part: float = 0.0,
+    cause: FailureCause,
+    tolerance: float,
+    relative_tolerance: float = 0.0,
 ) -> Bound:
-    """Returns the greatest mass without trouble, to ``least`` (kg) or a part, and what is above.
+    """Return the largest mass without a failure, by bisection, with the failure above.
 
     Args:
-        trouble: Of a mass (kg).
-        low: A mass without.
-        high: A mass with trouble.
-        found: That trouble.
-        least: How near is near enough (kg).
-        part: Or in parts of what is found, if that is more.
+        find_cause: Function that returns the failure with a mass [kg].
+        low: Mass without a failure [kg].
+        high: Mass with a failure [kg].
+        cause: Failure with ``high``.
+        tolerance: Absolute tolerance [kg].
+        relative_tolerance: Tolerance relative to the lower end, if larger.
     """
-    assert found is not None
-    while high - low > max(least, part * low):
+    assert cause is not None
+    while high - low > max(tolerance, relative_tolerance * low):
         middle = (low + high) / 2
-        if (other := trouble(middle)) is None:
+        if (other := find_cause(middle)) is None:
             low = middle
         else:
-            high, found = middle, other
-    return Bound(low, *found)
+            high, cause = middle, other
+    return Bound(low, *cause)
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
-    """A loaded stand, or why there is none."""
+class _LoadedStand:
+    """Loaded stand, or the cause if there is none."""
 
     robot: Robot
     stand: Stand | None
-    trouble: FailureCause
+    cause: FailureCause
 
     @cached_property
     def statics(self) -> GravityCompensation | None:
-        """What its motors hold."""
+        """Statics of the loaded stand; None without a stand."""
         return None if self.stand is None else stand_statics(self.robot, self.stand)
 
 
-class _Search:
-    """The search for the mass at which each bound gives way."""
+class _PayloadSearch:
+    """Search for the mass at which each bound fails."""
 
     def __init__(
         self,
@@ -415,137 +435,143 @@ class _Search:
         self._robot, self._task, self._point = robot, task, point
         self._kp, self._kd = kp, kd
         model_with_servos(robot, kp, kd)  # refuses what cannot be driven
-        self._last = 0.0, self._at(0.0)
+        self._last = 0.0, self._solve_stand(0.0)
 
     def bounds(self) -> dict[str, Bound]:
-        """Returns the bounds {name: bound} by the stand, the motors and the servos."""
-        asked = {"stance": self.stance, "motors": self.motors, "servos": self.spectrum}
-        low = dict.fromkeys(asked, 0.0)
+        """Return the bounds {name: bound} of stance, motors and servos."""
+        find_causes = {"stance": self.stance, "motors": self.motors, "servos": self.spectrum}
+        low = dict.fromkeys(find_causes, 0.0)
         high: dict[str, tuple[float, FailureCause]] = {}
         mass, ceiling = 0.0, UNLIMITED_MASS_RATIO * self._robot.total_mass
-        while len(high) < len(asked) and "stance" not in high and mass < ceiling:
-            for name in [name for name in asked if name not in high]:
-                found = asked[name](mass)
-                if found is None:
+        while len(high) < len(find_causes) and "stance" not in high and mass < ceiling:
+            for name in [name for name in find_causes if name not in high]:
+                cause = find_causes[name](mass)
+                if cause is None:
                     low[name] = mass
                 else:
-                    high[name] = mass, found
+                    high[name] = mass, cause
                     if name == "stance":
                         break
             if high:
                 ceiling = min(ceiling, MAX_BOUND_RATIO * max(mass, self._robot.total_mass))
-            step = _GROWTH if not high else _FASTER
-            mass = max(step * mass, _FIRST * self._robot.total_mass)
-        none = Bound(math.inf, Failure.NOTHING, ())
+            step = _MASS_GROWTH if not high else _FAST_MASS_GROWTH
+            mass = max(step * mass, _FIRST_MASS_RATIO * self._robot.total_mass)
+        unlimited = Bound(math.inf, Failure.NOTHING, ())
         bounds = {
-            name: _bisect(asked[name], low[name], *high[name], BOUND_RTOL * high[name][0])
+            name: _bisect_mass(
+                find_causes[name], low[name], *high[name], BOUND_RTOL * high[name][0]
+            )
             if name in high
-            else none
-            for name in asked
+            else unlimited
+            for name in find_causes
         }
-        bounds["servos"] = self._confirmed(bounds)
+        bounds["servos"] = self._confirm_servo_bound(bounds)
         first = min(bounds, key=lambda name: bounds[name].mass)
-        near = bounds[first].mass
-        if 0 < near < math.inf and first != "servos":  # whose edge is a doubling time
-            above = min(high[first][0], near * (1 + 2 * BOUND_RTOL))
-            found = asked[first](above) or (bounds[first].failure, bounds[first].where)
-            bounds[first] = _bisect(asked[first], near, above, found, BINDING_BOUND_RTOL * near)
+        mass_limit = bounds[first].mass
+        if 0 < mass_limit < math.inf and first != "servos":  # whose edge is a doubling time
+            above = min(high[first][0], mass_limit * (1 + 2 * BOUND_RTOL))
+            cause = find_causes[first](above) or (bounds[first].failure, bounds[first].where)
+            bounds[first] = _bisect_mass(
+                find_causes[first], mass_limit, above, cause, BINDING_BOUND_RTOL * mass_limit
+            )
         return bounds
 
-    def at(self, mass: float) -> _Held:
-        """Returns how it stands with a mass (kg); one is kept: fifty robots are half a gigabyte."""
+    def stand_with(self, mass: float) -> _LoadedStand:
+        """Return the loaded stand with a mass [kg]; only the last one is cached, to save memory."""
         if self._last[0] != mass:
-            self._last = mass, self._at(mass)
+            self._last = mass, self._solve_stand(mass)
         return self._last[1]
 
-    def _at(self, mass: float) -> _Held:
-        """Puts a mass on the robot (kg)."""
+    def _solve_stand(self, mass: float) -> _LoadedStand:
+        """Solve the loaded stand with a mass [kg]."""
         try:
-            return _Held(*solve_loaded_stand(self._robot, self._task, mass, self._point), None)
+            return _LoadedStand(
+                *solve_loaded_stand(self._robot, self._task, mass, self._point), None
+            )
         except StanceUnreachableError as error:
             where = [*error.shortfall, *(one.subject.name for one in error.blocked if one.subject)]
-            return _Held(self._robot, None, (Failure.REACH, tuple(where)))
+            return _LoadedStand(self._robot, None, (Failure.REACH, tuple(where)))
         except StaticsInfeasibleError as error:
             needed = error.friction_needed
-            slides = needed is not None and needed <= _GRIPLESS
+            slides = needed is not None and needed <= _MAX_FRICTION_NEEDED
             failure = Failure.SLIDING if slides else Failure.TIPPING
-            return _Held(self._robot, None, (failure, error.feet))
+            return _LoadedStand(self._robot, None, (failure, error.feet))
         except NotSettlingError:  # it almost tips
-            return _Held(self._robot, None, (Failure.TIPPING, ()))
+            return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def stance(self, mass: float) -> FailureCause:
-        """Tells why there is no loaded stand with a mass (kg)."""
-        held = self.at(mass)
-        if held.stand is None or held.statics is None:
-            return held.trouble
-        stand = held.stand
-        with lend(held.robot, SearchContext) as context:
+        """Return why there is no loaded stand with a mass [kg]; None if there is one."""
+        loaded = self.stand_with(mass)
+        if loaded.stand is None or loaded.statics is None:
+            return loaded.cause
+        stand = loaded.stand
+        with lend(loaded.robot, SearchContext) as context:
             shapes = context.shapes
-            # As the parts are, which in reach may sink as their own feet do.
-            there = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets
-            lowest = shapes.lowest_part(*there, {})
+            # Parts at their actual positions, without the penetration that feet have.
+            geometry = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets
+            lowest = shapes.lowest_part(*geometry, {})
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def motors(self, mass: float) -> FailureCause:
-        """Tells which motors are beyond their limits with a mass (kg)."""
-        statics = self.at(mass).statics
-        over = () if statics is None else find_overloaded_motors(statics)
-        return (Failure.MOTOR, over) if over else None
+        """Return the motors above their limits with a mass [kg]; None if there are none."""
+        statics = self.stand_with(mass).statics
+        overloaded = () if statics is None else find_overloaded_motors(statics)
+        return (Failure.MOTOR, overloaded) if overloaded else None
 
-    def _confirmed(self, bounds: dict[str, Bound]) -> Bound:
+    def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
         """Return the bound of the servos, after simulations just below and just above.
 
         The spectrum gives the bound in milliseconds per mass; it is searched again by simulations
         (``servos``) only if they disagree.
         """
-        found, others = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
-        if found.failure is Failure.COMMAND or found.mass == 0:
-            return found
-        most = min(found.mass, *others)
+        bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
+        if bound.failure is Failure.COMMAND or bound.mass == 0:
+            return bound
+        most = min(bound.mass, *other_masses)
         if not 0 < most < math.inf:
-            return found
+            return bound
         below = (1 - BOUND_RTOL) * most
-        if (trouble := self.servos(below)) is not None:
+        if (cause := self.servos(below)) is not None:
             if self.servos(0.0) is not None:
-                return Bound(0.0, *trouble)
-            return _bisect(self.servos, 0.0, below, trouble, BOUND_RTOL * below, SIMULATION_RTOL)
-        if found.mass > most:
-            return found
-        low, high = found.mass, (1 + SIMULATION_RTOL) * found.mass
-        while (trouble := self.servos(high)) is None:
-            low, high = high, _GROWTH * high
-            if high > min(others):
+                return Bound(0.0, *cause)
+            return _bisect_mass(self.servos, 0.0, below, cause, BOUND_RTOL * below, SIMULATION_RTOL)
+        if bound.mass > most:
+            return bound
+        low, high = bound.mass, (1 + SIMULATION_RTOL) * bound.mass
+        while (cause := self.servos(high)) is None:
+            low, high = high, _MASS_GROWTH * high
+            if high > min(other_masses):
                 return Bound(math.inf, Failure.NOTHING, ())
-        return _bisect(self.servos, low, high, trouble, SIMULATION_RTOL * low)
+        return _bisect_mass(self.servos, low, high, cause, SIMULATION_RTOL * low)
 
     def spectrum(self, mass: float) -> FailureCause:
-        """Return why servos do not hold a mass (kg) by the spectrum alone; see ``servos``.
+        """Return why servos do not hold a mass [kg], by the spectrum only; see ``servos``.
 
-        Modes that dry friction hides are left out, and modes that depend on the finite-difference
+        Modes that dry friction hides are omitted, and modes that depend on the finite-difference
         step: only a simulation decides on both.
         """
         return self.servos(mass, simulated=False)
 
     def servos(self, mass: float, *, simulated: bool = True) -> FailureCause:
-        """Return why servos do not hold a mass (kg): a command out of range, or a mode that grows.
+        """Return why servos do not hold a mass [kg]: a command out of range, or a mode that grows.
 
-        Motors are taken to be as strong as needed: a motor that saturates has no stiffness, and is
-        a bound of its own.
+        Motor torques are unlimited here: a saturated motor has no stiffness, and is a bound of its
+        own.
         """
-        held = self.at(mass)
-        if held.stand is None or held.statics is None:
+        loaded = self.stand_with(mass)
+        if loaded.stand is None or loaded.statics is None:
             return None
-        begun = make_stand_start(held.robot, held.stand, kp=self._kp, kd=self._kd)
-        drive, names = begun.drive, held.robot.joint_names
-        lead = compute_command_lead(held.statics.joint_torques, drive.kp)
-        target = held.stand.joint_positions(held.robot) + lead
-        low, high = command_ranges(held.robot).T
+        start = make_stand_start(loaded.robot, loaded.stand, kp=self._kp, kd=self._kd)
+        drive, names = start.drive, loaded.robot.joint_names
+        lead = compute_command_lead(loaded.statics.joint_torques, drive.kp)
+        target = loaded.stand.joint_positions(loaded.robot) + lead
+        low, high = command_ranges(loaded.robot).T
         if (beyond := (target < low) | (target > high)).any():
             return Failure.COMMAND, tuple(names[index] for index in np.flatnonzero(beyond))
         drive.model.actuator_forcelimited[:] = 0
         drive.model.jnt_actfrclimited[:] = 0
         evaluate = evaluate_stability if simulated else evaluate_spectrum
-        leaving = evaluate(drive, begun.start, begun.ctrl).modes_growing_within()
+        leaving = evaluate(drive, start.start, start.ctrl).modes_growing_within()
         if not simulated:
             leaving = tuple(mode for mode in leaving if mode.repeated and not mode.freed)
         if not leaving:

@@ -1,4 +1,8 @@
-"""Where robots are pushed: simulations with a force on the base, and what comes of them."""
+"""Simulate stands with a force on the base, and judge whether the robot recovers.
+
+`PushBench` runs pushes in MuJoCo, fully or until the outcome is decided; `simulate_push` applies
+one push.
+"""
 
 from __future__ import annotations
 
@@ -35,36 +39,45 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 PULSE_DURATION = 0.02
-"""How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
+"""Duration of a push [s], rounded to whole time steps; short compared with a fall of about 0.3
+s."""
 
 MAX_RESTING_SPEED = 0.01
-"""A base that is faster than this in the last half second has not come to rest (m/s), where it
-creeps by no more without a push."""
+"""Largest speed of the base in the last half second of a robot at rest [m/s]; the creep speed
+without a push is added. Chosen, not tuned."""
 
-_REST = 0.5  # s
+_REST_DURATION = 0.5
+"""Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
-_PART = 0.5
-"""After each such part of its time a simulation may end early (s). In half as long, v3-long-leg's
-lulls on the way down pass for rest, and the proof of its limits has to begin anew."""
 
-_LULL = 0.1
-"""Time for which all must be slow before its spectrum is looked at (s)."""
+_MIN_CHECK_INTERVAL = 0.5
+"""Simulated time between two tests whether a simulation can end early [s]. Measured on v3-long-leg:
+with half of the value, slow phases of a fall pass for rest, and its limits must be searched
+again."""
+
+_SLOW_DURATION = 0.1
+"""Time in which all velocities must be small before the spectrum is evaluated [s]. Chosen, not
+tuned."""
 
 _REST_SPEED = 0.02
-"""What is faster in it, of all coordinates, is not at rest yet (m/s, rad/s). A robot that almost
-tips is as slow for a while: its spectrum distinguishes it from one that stands."""
+"""Largest speed of a coordinate in that time [m/s, rad/s]. A robot that almost tips is as slow for
+a
+while: its spectrum distinguishes the robot from one that stands. Chosen, not tuned."""
 
-_SAMPLE_TIME = 0.004  # s between the states whose contacts are looked at
-_BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
+_SAMPLE_TIME = 0.004
+"""Time between the states whose contacts are evaluated [s]. Chosen, not tuned."""
+
+_MAX_BATCH_VALUES = 2**25
+"""Largest number of 8-byte values of one rollout. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushSettings(SimulationSettings):
-    """What a stand was pushed with, and simulated with.
+    """Settings of the pushes and of their simulation.
 
     Attributes:
-        point: (3,) where the push acts: the com of the base's body, in the stand (m).
-        pulse: How long the push lasts (s).
+        point: (3,) point of application in the world: CoM of the base body in the stand (m).
+        pulse: Duration of the push (s).
     """
 
     point: Array = field(metadata={"unit": "m"})
@@ -73,15 +86,16 @@ class PushSettings(SimulationSettings):
 
 @dataclass(eq=False)
 class PushBench:
-    """Where a robot is pushed; counts how often.
+    """Simulations of a stand with pushes on its base.
 
     Attributes:
-        held: What stands there, just before the push.
-        axes: (n, 2) the directions, unit vectors in the world.
-        duration: Of a simulation (s).
-        feedforward: Whether the command feeds the stand's torques forward.
-        unpushed: Why it does not even stand without a push, as ``verify_stand`` finds; empty if it
-            does, as predicted or not.
+        held: Start of the simulation, at rest.
+        axes: Push directions, horizontal unit vectors in the world, shape (n, 2).
+        duration: Simulated time of a push [s].
+        feedforward: Whether the command contains the stand's torques.
+        unpushed: Failures without a push, from ``verify_stand``; empty if the robot stays on its
+            feet.
+        rollouts: Number of simulated pushes.
     """
 
     held: StandStart
@@ -107,71 +121,77 @@ class PushBench:
 
     @cached_property
     def creep(self) -> float:
-        """How fast the base moves at the end without a push (m/s): on a slope friction creeps."""
+        """Largest speed of the base at the end without a push [m/s]: friction creeps on a slope."""
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._last_speed(states)
 
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulates pushes to the end, and says of each how the robot fails, or None."""
+        """Simulate pushes to the end; return for each its failure, None after a recovery."""
         return [self.find_failure(run) for run in self.simulate_pushes(directions, impulses)]
 
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Says the same, but ends each simulation once its result is known.
+        """Simulate pushes until each outcome is decided; return as ``simulate_fully``.
 
-        That is where something else than feet touches the ground, and where it is at rest with no
-        mode that grows.
+        A simulation ends early if it diverges, a body other than a foot touches the ground, or the
+        robot is at rest without a growing mode.
         """
         count = len(directions)
-        found: list[Diagnostic | None] = [None] * count
+        failures: list[Diagnostic | None] = [None] * count
         tails = [np.empty((0, len(self.start)))] * count
-        going, starts = list(range(count)), np.tile(self.start, (count, 1))
-        forces = self._forces(directions, impulses)
-        part = max(self.pulse_steps, round(_PART / self.timestep))
+        running, starts = list(range(count)), np.tile(self.start, (count, 1))
+        forces = self._push_forces(directions, impulses)
+        part = max(self.pulse_steps, round(_MIN_CHECK_INTERVAL / self.timestep))
         self.rollouts += count
         for begin in range(0, self.steps, part):
             steps = min(part, self.steps - begin)
             ended, last = [], begin + steps == self.steps
-            runs = self._run(starts[going], forces[going], steps, pushed=begin == 0)
-            for index, states in zip(list(going), runs, strict=True):
+            runs = self._roll_out_batches(
+                starts[running], forces[running], steps, pushed=begin == 0
+            )
+            for index, states in zip(list(running), runs, strict=True):
                 starts[index] = states[-1]
-                tails[index] = np.concatenate([tails[index], states])[-self._resting :]
-                sure = self._broken(states)
-                if sure is None and last:
-                    sure = _combine(self._unsettled(tails[index]))
+                tails[index] = np.concatenate([tails[index], states])[-self._num_rest_states :]
+                failure = self._find_early_failure(states)
+                if failure is None and last:
+                    failure = _combine_failures(self._find_end_failures(tails[index]))
                     ended.append(index)
-                elif sure is not None or self._rests(states):
+                elif failure is not None or self._is_at_rest(states):
                     ended.append(index)
-                found[index] = sure
-            going = [index for index in going if index not in ended]
-            if not going:
+                failures[index] = failure
+            running = [index for index in running if index not in ended]
+            if not running:
                 break
-        return found
+        return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
-        """Simulates pushes and yields, of each, the states after each step (n, size).
+        """Simulate pushes; yield the states after each step of each push, shape (n, size).
 
         Args:
-            directions: (n,) which of the axes.
-            impulses: (n,) how hard (N s).
+            directions: Indices of the axes, shape (n,).
+            impulses: Impulses, shape (n,) [N s].
         """
         self.rollouts += len(directions)
         starts = np.tile(self.start, (len(directions), 1))
-        yield from self._run(starts, self._forces(directions, impulses), self.steps, pushed=True)
+        yield from self._roll_out_batches(
+            starts, self._push_forces(directions, impulses), self.steps, pushed=True
+        )
 
-    def _forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
-        """Returns the forces (n, 2) of pushes (N)."""
+    def _push_forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
+        """Compute the forces of pushes, shape (n, 2) [N]."""
         forces: Array = impulses[:, None] * self.axes[directions]
         return forces / (self.pulse_steps * self.timestep)
 
-    def _run(self, starts: Array, forces: Array, steps: int, *, pushed: bool) -> Iterator[Array]:
-        """Simulates some steps from states on (n, size), with forces in the first ones or not."""
+    def _roll_out_batches(
+        self, starts: Array, forces: Array, steps: int, *, pushed: bool
+    ) -> Iterator[Array]:
+        """Simulate steps from states (n, size), with forces in the first steps if ``pushed``."""
         model = self.drive.model
         width = model.nu + 6 * model.nbody
-        size = max(1, _BATCH // (steps * (width + len(self.start))))
+        size = max(1, _MAX_BATCH_VALUES // (steps * (width + len(self.start))))
         for begin in range(0, len(forces), size):
             batch = forces[begin : begin + size]
             control, force = make_forced_controls(self.robot, model, self.ctrl, len(batch), steps)
@@ -182,15 +202,15 @@ class PushBench:
             yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
     def find_failure(self, states: Array) -> Diagnostic | None:
-        """Returns why a run is no recovery, or None if it is one."""
-        broken = self._broken(states)
+        """Return the failure of a complete simulation; None if the robot recovers."""
+        broken = self._find_early_failure(states)
         if broken is not None and monitor.has_diverged(states, self.timestep):
             return broken
         failures = [] if broken is None else [broken]
-        return _combine(failures + self._unsettled(states))
+        return _combine_failures(failures + self._find_end_failures(states))
 
-    def _broken(self, states: Array) -> Diagnostic | None:
-        """Says so if some states cannot be part of a recovery, whatever comes next."""
+    def _find_early_failure(self, states: Array) -> Diagnostic | None:
+        """Return divergence, or a body other than a foot on the ground; None without either."""
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
         for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
@@ -199,8 +219,8 @@ class PushBench:
                 return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
         return None
 
-    def _unsettled(self, states: Array) -> list[Diagnostic]:
-        """Says how it does not stand at the end of some states, of half a second or more."""
+    def _find_end_failures(self, states: Array) -> list[Diagnostic]:
+        """Return the failures at the end of states that cover at least half a second."""
         failures = []
         if self.upright.has_fallen(states[-1]):
             height = float(monitor.base_heights(self.robot, states[-1]))
@@ -211,21 +231,21 @@ class PushBench:
         return failures
 
     @property
-    def _resting(self) -> int:
-        """In how many states at the end it must rest."""
-        return round(_REST / self.timestep)
+    def _num_rest_states(self) -> int:
+        """Number of final states in which the robot must be at rest."""
+        return round(_REST_DURATION / self.timestep)
 
     def _last_speed(self, states: Array) -> float:
-        """Returns the greatest speed of the base at the end: linear, plus angular x size (m/s)."""
-        last = states[-self._resting :, 1 + self.drive.model.nq :]
+        """Return the largest final speed of the base [m/s]: linear + angular x CoM height."""
+        last = states[-self._num_rest_states :, 1 + self.drive.model.nq :]
         rates = last[:, self.robot.mj_convention.qvel_index[:6]]
         linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
         return float((linear + self.upright.com_height * angular).max())
 
-    def _rests(self, states: Array) -> bool:
-        """Tells whether it has come to rest where it stands, and stays."""
+    def _is_at_rest(self, states: Array) -> bool:
+        """Return True if the robot is slow, upright, and no mode of its spectrum grows."""
         model = self.drive.model
-        rates = states[-round(_LULL / self.timestep) :, 1 + model.nq :][:, : model.nv]
+        rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
         if np.abs(rates).max(initial=0.0) > _REST_SPEED:
             return False
         end = states[-1]
@@ -234,11 +254,11 @@ class PushBench:
         return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
 
     def peak_torques(self, direction: int, impulse: float) -> Array:
-        """Return the largest |torque| of each motor during a push, shape (nu,) [N m].
+        """Compute the largest torque magnitude of each motor during a push, shape (nu,) [N m].
 
         Args:
             direction: Index of the axis.
-            impulse: N s.
+            impulse: Impulse [N s].
         """
         (states,) = self.simulate_pushes(np.array([direction]), np.array([impulse]))
         dofs = self.robot.mj_convention.qvel_index[-self.robot.nu :]
@@ -249,12 +269,12 @@ class PushBench:
         return peaks
 
     def point(self) -> Array:
-        """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""
+        """Return MuJoCo's point of application, the CoM of the base body, shape (3,) [m]."""
         data = self.robot.placed(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
     def settings(self) -> dict[str, Any]:
-        """Returns the fields of ``PushSettings``."""
+        """Return the fields of ``PushSettings``."""
         return {
             "feedforward": self.feedforward,
             "integrator": self.drive.integrator,
@@ -267,8 +287,8 @@ class PushBench:
         }
 
 
-def _combine(failures: list[Diagnostic]) -> Diagnostic | None:
-    """Returns failures of one push as one; None if there are none."""
+def _combine_failures(failures: list[Diagnostic]) -> Diagnostic | None:
+    """Combine the failures of one push; None without a failure."""
     if len(failures) < 2:
         return failures[0] if failures else None
     return diagnose("failures-together", failures=failures)
@@ -286,18 +306,18 @@ def make_push_bench(
     integrator: str | None,
     verification: StandVerification | None = None,
 ) -> PushBench:
-    """Puts a robot where it can be pushed; see ``push_recovery``.
+    """Prepare a robot for pushes; see ``push_recovery``.
 
     Args:
         robot: The robot.
-        stand: How it stands.
-        angles: (n,) directions, about the vertical from the base's forward (rad).
-        duration: Simulated time (s).
-        kp: Servo stiffness (N m/rad); the model's own if None.
-        kd: Servo damping (N m s/rad); the model's own if None.
+        stand: The stand.
+        angles: Directions about the vertical, from the base's forward axis, shape (n,) [rad].
+        duration: Simulated time [s].
+        kp: Servo stiffness [N m/rad]; the model's own if None.
+        kd: Servo damping [N m s/rad]; the model's own if None.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own if None.
-        verification: What ``verify_stand`` finds so; None: it is asked.
+        verification: Result of ``verify_stand`` with the same arguments; computed if None.
 
     Raises:
         ConfigurationError: If an argument is out of its range.
@@ -321,24 +341,26 @@ def make_push_bench(
     )
 
 
-_FRAME = 1 / 30
-"""s between the configurations that are kept: a fall of 0.3 s has ten of them."""
+_FRAME_TIME = 1 / 30
+"""Time between the configurations of the result [s]: a fall of 0.3 s has ten. Chosen, not
+tuned."""
 
-MAX_IMPULSE = 1e6  # N s: of much more, numbers overflow
+MAX_IMPULSE = 1e6
+"""Largest impulse [N s]; larger values overflow. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushTrial(PushSettings):
-    """What one push makes of a stand, and how it was ``PushSettings``.
+    """Response of a stand to one push, with the ``PushSettings``.
 
     Attributes:
-        recovered: Whether it recovers, as ``push_recovery`` judges it.
-        failure: If not, why; else None.
-        impulse: N s.
-        direction: Where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
+        recovered: Whether the robot recovers, as in ``push_recovery``.
+        failure: Failure of the robot; None after a recovery.
+        impulse: Impulse (N s).
+        direction: Direction about the vertical (rad): 0 is the base's forward, pi/2 its left.
         velocity_step: impulse / mass (m/s).
-        motion_time: (m,) samples from the push on (s).
-        motion: (m, nq) the configurations at these, to six digits: to be looked at.
+        motion_time: (m,) times of the configurations, from the push on (s).
+        motion: (m, nq) configurations at these times, rounded to six digits, for animations.
     """
 
     recovered: bool
@@ -411,7 +433,7 @@ def simulate_push(
     if bench.unpushed:
         failure = diagnose("without-a-push", failures=bench.unpushed)
     # What a run was before it broke down can still be looked at.
-    shown = states[:: max(1, round(_FRAME / bench.timestep))]
+    shown = states[:: max(1, round(_FRAME_TIME / bench.timestep))]
     shown = shown[np.isfinite(shown).all(axis=1)]
     return PushTrial(
         recovered=failure is None,

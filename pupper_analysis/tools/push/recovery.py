@@ -1,4 +1,4 @@
-"""How hard can it be pushed: the largest horizontal impulse from which a stand recovers."""
+"""Find the largest horizontal impulse, in each direction, from which a stand recovers."""
 
 from __future__ import annotations
 
@@ -151,30 +151,32 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""So many smaller pushes per direction are tried once a limit is found."""
+"""Number of smaller pushes per direction that are simulated after a limit is found. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushRecovery(PushSettings, Tabular):
-    """How hard a stand can be pushed, in each of n directions, and how it was ``PushSettings``.
+    """Largest push in each of n directions from which a stand recovers, with the ``PushSettings``.
 
     Attributes:
-        directions: (n,) where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
-        impulses: (n,) the largest push found from which it recovers, as it does from every smaller
-            one that was tried (N s); a push that is larger by at most ``resolution`` fails.
+        directions: (n,) directions about the vertical (rad): 0 is the base's forward, pi/2 its
+            left.
+        impulses: (n,) largest push from which the robot recovers, as from each smaller simulated
+            push (N s); a push that is larger by at most ``resolution`` fails.
         velocity_steps: (n,) impulse / mass (m/s).
-        failures: (n,) how it fails then.
-        bisected: (n,) what the bisection found first (N s). Greater than ``impulses`` where the
-            check found a smaller push that the robot does not survive.
-        tipping_estimate: (n,) push that tips the robot over if it were rigid (N s).
-        weakest_direction: Where the least impulse is enough (rad).
-        weakest_impulse: This impulse (N s).
-        weakest_failure: How it fails there.
-        mass: kg.
-        resolution: N s.
-        rollouts: How many pushes were simulated.
-        unpushed: Why it does not even stand without a push, as ``verify_stand`` finds; empty if it
-            stands, as predicted or not.
+        failures: (n,) failure of the larger push.
+        bisected: (n,) result of the bisection (N s), before the check of smaller pushes; larger
+            than ``impulses`` if a smaller push failed.
+        tipping_estimate: (n,) impulse that tips the robot over if it were rigid (N s).
+        weakest_direction: Direction with the smallest impulse (rad).
+        weakest_impulse: Smallest impulse (N s).
+        weakest_failure: Failure in the weakest direction.
+        mass: Mass of the robot (kg).
+        resolution: Resolution of the impulses (N s).
+        rollouts: Number of simulated pushes.
+        unpushed: Failures without a push, from ``verify_stand``; empty if the robot stands, as
+            predicted or not.
     """
 
     directions: Array = field(metadata={"unit": "rad"})
@@ -204,7 +206,7 @@ class PushRecovery(PushSettings, Tabular):
 
 
 MIN_RESOLUTION = 1e-6
-"""N s: no simulation is true to so little."""
+"""Smallest resolution of an impulse [N s]: simulations are not more accurate."""
 
 
 @check_arguments
@@ -221,43 +223,43 @@ def push_recovery(
     resolution: float = 0.02,
     verification: StandVerification | None = None,
 ) -> PushRecovery:
-    """Finds the largest horizontal push, in each direction, from which a stand recovers.
+    """Find the largest horizontal push, in each direction, from which a stand recovers.
 
-    The push is a constant force for 20 ms from t = 0 on, at the com of the base's body, on a robot
-    that rests in balance. A force is what a push is, and defined whatever touches: an initial
-    velocity would have to be given to the feet, against the ground's friction, or denied to them,
-    against the joints. The servos do nothing but hold the stand. (Without feed-forward the robot
-    starts to sag as it is pushed.)
+    The push is a constant force for 20 ms from t = 0 on, at the CoM of the base body, on a robot at
+    rest in balance. A force is defined for all contacts; an initial velocity would have to include
+    the feet, against friction, or exclude them, against the joints. The servos hold the stand.
+    (Without feed-forward the robot starts to sag during the push.)
 
-    It must stand first: what ``verify_stand`` finds not to stay on its feet withstands no push.
+    A stand that ``verify_stand`` finds not to stay on its feet withstands no push.
 
-    The robot recovers if, at the end, it is upright (its vertical tilted by less than 0.5 rad), not
-    lower than half of its height, and at rest, and nothing but its feet ever touched the ground. It
-    may have slid, or turned about the vertical. A simulation ends early once something else touches
-    the ground, or all is at rest and no mode grows (``step_stability``); the limits that are
-    returned were simulated to the end.
+    The robot recovers if, at the end, its base tilts by less than 0.5 rad, is not lower than half
+    of its height, and is at rest, and only its feet touched the ground. The robot may slide or turn
+    about the vertical. A simulation ends early once another body touches the ground, or the robot
+    is at rest and no mode grows (``step_stability``); the returned limits were simulated to the
+    end.
 
-    All directions are simulated at once; impulses are doubled until the robot falls, then bisected.
-    What it survives need not be monotonic: it may fall from a push and stand a larger one, as one
-    that slides. Bisection finds one boundary of perhaps several, so 8 smaller pushes are tried
-    afterwards; if one fails, the boundary below the least of these is reported. Between these
-    levels there may still be one that was not tried.
+    All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
+    Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
+    example by sliding. Bisection finds one of possibly several boundaries, so 8 smaller pushes are simulated
+    afterwards; if one fails, the boundary below the smallest of these is returned. A failure
+    between these levels may remain undetected.
 
     Args:
         robot: The robot.
-        stand: How it stands.
-        directions: How many, evenly spaced, the first one forward; 3 to 360.
-        duration: Simulated time from the push on (s), at least 2.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        stand: The stand.
+        directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
+        duration: Simulated time from the push on [s], at least 2.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own by default.
-        resolution: Of the impulses (N s).
-        verification: What ``verify_stand`` finds of it with the same gains, feed-forward and
-            integrator; simulated if it is not given.
+        resolution: Resolution of the impulses [N s].
+        verification: Result of ``verify_stand`` with the same gains, feed-forward and integrator;
+            computed by default.
 
     Returns:
-        The limits. All are 0 if it does not stand without a push; ``unpushed`` says why.
+        The limits. All are 0 if the robot does not stand without a push; ``unpushed`` has the
+        reasons.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
@@ -287,7 +289,7 @@ def push_recovery(
     )
     config = Configuration(robot, stand.qpos)
     estimate = tipping_impulses(config, bench.point(), bench.axes, stand.stance_feet)
-    impulses, bisected, failures = _limits(bench, estimate, resolution)
+    impulses, bisected, failures = _find_push_limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(
         directions=angles,
@@ -310,31 +312,31 @@ def push_recovery(
 def tipping_impulses(
     config: Configuration, point: Array, axes: Array, feet: Iterable[str] | None = None
 ) -> Array:
-    """Returns the impulses that would tip the robot over, were it one rigid body (N s).
+    """Compute the impulses that would tip over the robot if it were one rigid body [N s].
 
-    It rolls over an edge of its support polygon, on the two feet there: spheres of radius r. With
-    I the inertia about the edge on the ground, and s the lever of the push to it, an impulse p
-    leaves the energy (p s)^2 / (2 I). The feet's centres stay at their height, so the com has to
-    rise from its height over them, h, to its distance from the line between them, hypot(h, d):
+    The robot rolls over an edge of its support polygon on two feet, spheres of radius r. With the
+    inertia I about the edge on the ground and the lever s of the push, an impulse p gives the
+    energy (p s)^2 / (2 I). The feet's centres keep their height, so the CoM rises from its height
+    h over the centres to its distance from the line between them, hypot(h, d):
 
-        p = sqrt(2 I m g (hypot(h, d) - h)) / s, the least of all edges' that it points out over.
+        p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 
-    For a point mass on pointed feet (r = 0), pushed straight over the edge, and d << h, this is
-    m sqrt(2 g (hypot(h, d) - h)).
+    For a point mass on pointed feet (r = 0), pushed perpendicular to the edge, and d << h, the
+    result is m sqrt(2 g (hypot(h, d) - h)).
 
-    What it neglects: legs that give way (folding knees take energy, but lower the com, and may
-    touch the ground); feet that slide (on ice it takes more to tip a robot); rolling friction, and
-    what else contacts damp; the duration of the push; and, towards a corner, that the robot rolls
-    on one foot, keeps energy that an edge would have taken, and can go over a side.
+    Not included: legs that fold (folding knees absorb energy, but lower the CoM, and may touch the
+    ground); sliding feet (more is needed to tip a robot on ice); rolling friction and other contact
+    damping; the duration of the push; and, towards a corner, rolling on one foot, after which the
+    robot can fall over a side.
 
     Args:
-        config: Where the robot stands. The ground is taken to be level.
-        point: (3,) where the push acts (m).
-        axes: (n, 2) horizontal directions, unit vectors.
-        feet: Those that carry; all by default.
+        config: Configuration of the robot on level ground.
+        point: Point of application in the world, shape (3,) [m].
+        axes: Horizontal unit vectors, shape (n, 2).
+        feet: Stance feet; all feet by default.
 
     Returns:
-        (n,) impulses; infinite if the feet span no polygon.
+        Impulses, shape (n,); infinite if the feet span no polygon.
     """
     robot, com, mass_matrix = config.robot, config.center_of_mass(), config.mass_matrix()
     ground = np.array(list(config.contact_points(feet).values()))
@@ -363,27 +365,29 @@ def tipping_impulses(
     return impulses
 
 
-def _limits(
+def _find_push_limits(
     bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
-    """Returns the limits, those before the check of smaller pushes, and how it fails."""
+    """Return the limits, the bisected limits before the check, and the failures."""
     count = len(bench.axes)
     if bench.unpushed:
         idle = diagnose("without-a-push", failures=bench.unpushed)
         return np.zeros(count), np.zeros(count), (idle,) * count
-    search = _Search(bench, np.zeros(count), np.full(count, np.inf), {})
+    search = _LimitSearch(bench, np.zeros(count), np.full(count, np.inf), {})
     first = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
     search.bisect(first, resolution)
     bisected = search.survived.copy()
-    steady = np.ones(count, dtype=np.bool_)
+    monotonic = np.ones(count, dtype=np.bool_)
     for level in range(1, CHECKED_LEVELS + 1):
         step = bisected / (CHECKED_LEVELS + 1)
-        tried = np.flatnonzero(steady & (step > resolution))
+        candidates = np.flatnonzero(monotonic & (step > resolution))
         for index, failure in zip(
-            tried, bench.simulate_until_decided(tried, level * step[tried]), strict=True
+            candidates,
+            bench.simulate_until_decided(candidates, level * step[candidates]),
+            strict=True,
         ):
             if failure is not None:
-                steady[index] = False
+                monotonic[index] = False
                 search.survived[index] = (level - 1) * step[index]
                 search.failed[index] = level * step[index]
                 search.failures[index] = failure
@@ -393,8 +397,8 @@ def _limits(
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
-    """For each direction a push that is survived, and a larger one that is not, and how."""
+class _LimitSearch:
+    """Largest survived push and smallest failed push of each direction, with the failure."""
 
     bench: PushBench
     survived: Array
@@ -402,7 +406,7 @@ class _Search:
     failures: dict[int, Diagnostic]
 
     def prove(self, first: Array, resolution: float) -> None:
-        """Simulates what is survived to the end; where it is not, the limit is below."""
+        """Simulate the survived pushes to the end; search again below a push that fails."""
         doubtful = np.flatnonzero(self.survived > 0)
         while doubtful.size:
             ends = self.bench.simulate_fully(doubtful, self.survived[doubtful])
@@ -414,7 +418,7 @@ class _Search:
             doubtful = doubtful[self.survived[doubtful] > 0]
 
     def bisect(self, first: Array, resolution: float) -> None:
-        """Doubles from ``first`` (n,) until the robot falls, and halves down to the resolution."""
+        """Double impulses from ``first`` (n,) until the robot falls, then bisect."""
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
             low, high = self.survived[wide], self.failed[wide]
             tried = np.where(np.isinf(high), np.maximum(2 * low, first[wide]), (low + high) / 2)

@@ -217,7 +217,7 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
         falls = mass > nudged
         return SimpleNamespace(failure=Failure.TIPPING if falls else None, where=("FL",))
 
-    return payload._simulated(
+    return payload._bisect_simulation_bound(
         most, lambda mass: SimpleNamespace(passed=mass <= verdict, code=""), tried
     )  # type: ignore[arg-type,return-value]
 

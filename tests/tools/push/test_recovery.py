@@ -134,7 +134,7 @@ def test_smaller_push_that_fails_is_found() -> None:
         )
 
     bench: Any = Bench(survives)
-    limits, bisected, failures = push._limits(bench, np.array([np.inf, 5.0]), 0.01)
+    limits, bisected, failures = push._find_push_limits(bench, np.array([np.inf, 5.0]), 0.01)
     np.testing.assert_allclose(bisected, [5.0, 9.0], atol=0.01)
     np.testing.assert_allclose(limits, [5.0, 2.0], atol=0.01)
     assert (limits <= [5.0, 2.0]).all()
@@ -235,9 +235,9 @@ def test_push_outcome_depends_on_the_final_state() -> None:
         (place[2], 0.02),
     ):
         ends = np.tile(bench.start, (200, 1))
-        assert bench._unsettled(ends) == []
+        assert bench._find_end_failures(ends) == []
         ends[-1, where] = value
-        assert bench._unsettled(ends)
+        assert bench._find_end_failures(ends)
 
 
 @pytest.mark.slow
