@@ -240,9 +240,9 @@ def push_recovery(
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
-    example by sliding. Bisection finds one of possibly several boundaries, so 8 smaller pushes are simulated
-    afterwards; if one fails, the boundary below the smallest of these is returned. A failure
-    between these levels may remain undetected.
+    example by sliding. Bisection finds one of possibly several boundaries, so 8 smaller pushes are
+    simulated afterwards; if one fails, the boundary below the smallest of these is returned. A
+    failure between these levels may remain undetected.
 
     Args:
         robot: The robot.
