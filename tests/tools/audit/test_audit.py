@@ -131,7 +131,7 @@ SLIPS: list[tuple[Any, ...]] = [
     ("effort-placeholder", "urdf joint FL_HFE", '<limit', 'effort="18"', 'effort="1000"'),
     ("value-impossible", "urdf link FL_calf", '<cylinder', '0.011', '-0.011'),
     ("value-impossible", "urdf link base_link", '<box', '0.2 0.11 0.05', '0.2 -0.11 0.05'),
-    ("value-impossible", "urdf joint FL_HFE", '<limit', 'effort="18"', 'effort="-18"'),
+    ("value-impossible", "urdf joint FL_HFE", '<dynamics', '"0.04"', '"-5"'),
     ("value-impossible", "mjcf joint FL_HAA", '', '/>', ' damping="-5"/>'),
     ("value-impossible", "mjcf joint FL_HAA", '', '/>', ' frictionloss="-1"/>'),
     ("value-impossible", "mjcf geom FL_foot", '', '/>', ' friction="-1"/>'),
