@@ -222,7 +222,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     Returns:
         {joint: statement}, of joints that have a name.
     """
-    unknown = file.unknown.get("effort", ())  # of a USD without drives: no range of MuJoCo's
+    unknown = file.unknown.get("effort", ())  # of a file of another format
     found: dict[str, EffortStatement] = {}
     by_joint: dict[str, list[EffortStatement | None]] = {}
     for actuator in file.spec.actuators:
