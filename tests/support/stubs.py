@@ -378,7 +378,7 @@ def files() -> Any:
             "gravity": Stub(share=0.45, relative=1.2e-2, deviation=9.0),
             "mass matrix": Stub(share=0.97, relative=3.4e-1, deviation=8.0),
         },
-        made_of=(problem("in the URDF it is made of trunk 3 kg"),),
+        made_of=(problem("in the URDF 3 kg: trunk 3 kg"),),
     )
     limit = Stub(
         kind="effort",

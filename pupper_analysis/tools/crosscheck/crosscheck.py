@@ -165,19 +165,36 @@ def compare_models(
 def list_mass_shares(
     difference: Difference, urdf: Sources, mjcf: Sources
 ) -> tuple[Diagnostic, ...]:
-    """List the links or bodies that contribute to a different inertial, the heaviest first."""
+    """List the mass [kg] of a different inertial in each file, and its members, heaviest first.
+
+    The members are the links or bodies that are fixed to each other. The list is empty unless one
+    of the files has several members with mass.
+    """
     if difference.kind not in INERTIAL_KINDS:
         return ()
-    made_of = []
-    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
-        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
-        if len(heavy) > 1:
-            members = [
+    heavy = {
+        file: sorted(
+            ((name, mass) for name, mass in sources.members(difference.element) if mass),
+            key=lambda member: -member[1],
+        )
+        for file, sources in (("URDF", urdf), ("MJCF", mjcf))
+    }
+    if all(len(members) <= 1 for members in heavy.values()):
+        return ()
+    return tuple(
+        diagnose(
+            "body-is-made-of",
+            file=file,
+            mass=Quantity(sum(mass for _, mass in members), "kg"),
+            members=[
                 diagnose("mass-of-a-member", subject=("body", name), mass=Quantity(mass, "kg"))
-                for name, mass in sorted(heavy, key=lambda member: -member[1])
+                for name, mass in members
             ]
-            made_of.append(diagnose("body-is-made-of", file=file, members=members))
-    return tuple(made_of)
+            if len(members) > 1
+            else None,
+        )
+        for file, members in heavy.items()
+    )
 
 
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:

@@ -162,4 +162,7 @@ def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> Non
     urdf = urdf_text(parts, ()).replace("</robot>", pack)
     differences = compared(write(tmp_path, urdf, mjcf_text(parts, (), free=False))).differences
     (mass,) = [one for one in differences if one.kind == "mass"]
-    assert [str(one) for one in mass.made_of] == ["in the URDF it is made of pack 3 kg, rod 1 kg"]
+    assert [str(one) for one in mass.made_of] == [
+        "in the URDF 4 kg: pack 3 kg, rod 1 kg",
+        "in the MJCF 1 kg",
+    ]
