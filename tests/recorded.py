@@ -167,9 +167,9 @@ def verification(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
 
 def payload(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
     """What each bound lets a stance carry, and where: of a simulation there are other tests."""
-    from pupper_analysis.tools.payload.limit import _Search
+    from pupper_analysis.tools.payload.limit import _PayloadSearch
 
-    search = _Search(robot, stand.task, find_place(robot, (0.01, 0.0, 0.05)), None, None)
+    search = _PayloadSearch(robot, stand.task, find_place(robot, (0.01, 0.0, 0.05)), None, None)
     return {name: bound.mass for name, bound in search.bounds().items()}
 
 
