@@ -1,4 +1,8 @@
-"""The best stance: how high, how wide and how far forward a robot stands best; and if it holds."""
+"""Find the best stance of a robot for an objective, and simulate it.
+
+`best_stance` optimises the base pose and the foot positions. `study_best` also simulates the result
+as ``stand`` does, and takes the next best stance if the best one fails.
+"""
 
 from __future__ import annotations
 
@@ -24,21 +28,21 @@ from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 @dataclass(frozen=True, eq=False)
 class BestStance(Result):
-    """The best stance found.
+    """Best stance of a search.
 
     Attributes:
-        objective: What it is the best in.
-        stand: How the robot stands in it.
-        value: The objective's value there: peak torque / effort limit on the simulated ground,
-            margin (m), or payload (kg).
-        nominal_value: That of the task as it was given (by default the nominal stand).
-        nominal: The stand of the task as it was given.
-        payload: Of ``stand``, with what binds it, if that is the objective.
-        coordinates: {``height`` of the base (m); ``x``, ``y`` of the base from the centre of the
-            feet (m); ``roll``, ``pitch``, ``yaw`` (rad); ``FR x``, ``FR y`` ...: each foot's way
-            from where the task has it (m)} of the best stance, in world axes.
-        bounds: Between which values of each coordinate it was sought.
-        evaluations: Stances tried.
+        objective: Objective of the search.
+        stand: Stand of the best stance, on rigid ground.
+        value: Objective of ``stand``: peak torque / effort limit on the simulated ground, CoM
+            margin, or payload [1, m or kg].
+        nominal_value: Objective of ``nominal``, with the same meaning as ``value`` [1, m or kg].
+        nominal: Stand of the initial task (by default the nominal stand).
+        payload: Payload limit of ``stand``; None for the other objectives.
+        coordinates: Coordinates of the best stance [m or rad] in world axes: base height; x and y
+            of the base from the centre of the feet; roll, pitch, yaw; displacement (``FR x``,
+            ``FR y`` ...) of each free foot from its position in the initial task.
+        bounds: Lower and upper bound of each coordinate in the search [m or rad].
+        evaluations: Number of evaluated stances.
     """
 
     objective: Objective
@@ -62,96 +66,108 @@ def best_stance(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> BestStance:
-    """Searches for the best stance: the base's height, place and turn, and where each foot is.
+    """Optimise the base pose and the foot positions of a stance.
 
-    All else is the task's: its ground, swing feet, margins and ik_seed; ``feet`` that it places
-    stay there. The com is where the base takes it, inside the support polygon with at least
-    ``com_margin``.
+    The task specifies all other requirements: ground, swing feet, margins and ``ik_seed``. Feet
+    with a position in ``feet`` remain there. The base pose determines the CoM, which must keep the
+    task's ``com_margin`` inside the support polygon.
 
-    The bounds are: of the height, the reachable ones less ``HEIGHT_RESERVE`` at either end; of the
-    base's other coordinates, how far it can go from the task with the feet planted and the legs
-    bent as they are, turns by at most ``MAX_BASE_ROTATION``; of each foot, ``MAX_OUTWARD_STEP`` of
-    the greatest height outwards and no more than ``MAX_INWARD_STEP`` of the least distance from
-    the middle inwards. Legs keep ``MIN_SINGULAR_VALUE_RATIO``: stretched ones would win, needing
-    no torque. A stance is also refused if it has parts touching each other or the ground (not: its
-    steps) that do not in the task's.
+    Bounds of the coordinates, widened to contain the initial task:
 
-    The best of a stance is the least of the greatest of many smooth functions: a kink, at which
-    descents that see one number get stuck. So the common bound of all these functions is itself
-    a variable, and they, and what may not be used up, are constraints of a smooth programme
-    (SLSQP). It starts at the nominal stand and at the best of Latin samples, with the feet moving
-    together (and, if nothing in the task tells left from right, without y, roll and yaw); from each
-    of the best of these ends it goes on with all coordinates free. It is the same every time, and
-    never worse than the nominal stand.
+    - Base height: reachable heights without a fraction ``HEIGHT_RESERVE`` at either end.
+    - Base x and y: base workspace of the initial stand, from the usual initial guesses.
+    - Roll, pitch, yaw: the same, at most ``MAX_BASE_ROTATION`` from the initial task.
+    - Feet, outwards: ``MAX_OUTWARD_STEP`` times the largest reachable height.
+    - Feet, inwards: the same, at most ``MAX_INWARD_STEP`` times the smallest foot distance from the
+      centre along that axis.
 
-    Payload: the search goes by first order (``SmallPayload``): the least of the masses at which a
-    motor saturates, a foot lets go, the servos buckle, and feet have sunk so deep that another part
-    touches the ground, all in closed form. The stance found and the task's own then have their true
-    limit found (``payload_limit``), and the better one is returned. Legs that are almost stretched
-    need little torque, and buckle: for v3 the stance that the motors like best bears 3.7 kg, the
-    nominal one 6.1.
+    The smallest singular value of each leg's Jacobian must be at least ``MIN_SINGULAR_VALUE_RATIO``
+    times its initial value, because stretched legs, which need no torque, would be optimal. Parts
+    that are apart in the initial stand must not touch each other or the ground; contact with its
+    steps is not detected.
+
+    Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
+    the objective alone stalls. Therefore a common upper bound of these functions (the level) is a
+    variable of a smooth nonlinear program, solved by SLSQP. The functions and the slacks are its
+    constraints. Descents start at the initial task and at the best of Latin hypercube samples, with
+    coupled feet (and without y, roll and yaw if the task is symmetric). From the best results,
+    descents with independent feet follow. The random seed is fixed. On rigid ground, the result is
+    never worse than the initial task.
+
+    For a payload, the search uses the first-order limit of `SmallPayload`: the smallest mass at
+    which a motor saturates, a foot lifts off, the servos buckle, or feet sink until another part
+    touches the ground. Then `payload_limit` computes the limits of the resulting and the initial
+    stance, and the stance with the larger limit is returned. Buckling matters, because almost
+    stretched legs need little torque but buckle: the stance of v3 with the lowest utilisation
+    carries 3.7 kg, the nominal stand 6.1 kg.
 
     Args:
-        robot: A robot with a floating base.
-        objective: What shall be best; or its name, such as ``"margin"``.
-        task: Where the search begins, and all that is not searched over; the nominal stand by
-            default.
-        point: Where the payload is, as in ``with_payload``.
-        kp: Servo stiffness for the payload (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping for the payload (N m s/rad), likewise.
+        robot: Robot with a floating base, without loops or welds.
+        objective: Objective, or its name, such as ``"margin"``.
+        task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
+        point: Position of the payload, as in ``with_payload``.
+        kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping for the payload [N m s/rad], scalar or shape (nu,). Default: the model's.
 
     Returns:
-        The best stance found.
+        Best stance.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand, or no
-            motor has an effort limit that it could use, or one has a limit of zero.
-        ModelError: If the payload is sought, the model has no position servos, and kp and kd are
-            not both given.
-        StanceUnreachableError: If the task itself is out of reach.
-        StaticsInfeasibleError: If the task itself cannot be held.
-        NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
+        ConfigurationError: If an argument is invalid, the robot cannot stand, no motor has an
+            effort limit, or an effort limit is zero (except for the CoM margin).
+        UnknownNameError: If the robot has no frame with the name in ``point``.
+        ModelError: If the objective is the payload, the model has no position servos, and kp and kd
+            are not both given.
+        StanceUnreachableError: If the initial task is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the initial task.
+        NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
+            task.
     """
-    search = _search(robot, objective, task, point, kp)
-    return _describe(search, search.best, point, kp, kd)
+    search = _run_search(robot, objective, task, point, kp)
+    return _make_result(search, search.best, point, kp, kd)
 
 
-def _search(
+def _run_search(
     robot: Robot,
     objective: Objective | str,
     task: StandTask | None,
     point: Place,
     kp: ArrayLike | None,
 ) -> StanceSearch:
-    """Run the search of ``best_stance``."""
+    """Run the search of `best_stance`, and return the finished search."""
     robot = touching(robot, task.contacts) if task is not None else robot
     robot.check_tree("the best stance")
-    search = StanceSearch(robot, _objective(objective), task, point, kp)
+    search = StanceSearch(robot, _parse_objective(objective), task, point, kp)
     search.run()
     return search
 
 
-def _describe(
+def _make_result(
     search: StanceSearch,
     best: EvaluatedStance,
     point: Place,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> BestStance:
-    """Return the result for one of the stances of a search."""
+    """Make the result for a stance of a search.
+
+    For a payload, the result is the initial task if its payload limit is larger.
+    """
     robot, space, payload = search.robot, search.space, None
-    # As whoever types it has it: where joints are to spare, a search has them from what was near.
+    # Solve the task again without the search's initial guesses, which determine redundant joints.
     best = replace(best, stand=solve_stand(robot, best.stand.task))
     if search.objective is Objective.PAYLOAD:
         nominal, payload = (
             payload_limit(robot, stand, point, kp=kp, kd=kd)
             for stand in (space.nominal, best.stand)
         )
-        if payload.mass < nominal.mass:  # first order was wrong about it
+        if payload.mass < nominal.mass:  # the first-order limit was inaccurate
             best, payload = search.nominal, nominal
         value, nominal_value = payload.mass, nominal.mass
     else:
-        value, nominal_value = (_value(search, stand) for stand in (best.stand, space.nominal))
+        value, nominal_value = (
+            _compute_objective(search, stand) for stand in (best.stand, space.nominal)
+        )
     return BestStance(
         objective=search.objective,
         stand=best.stand,
@@ -168,14 +184,15 @@ def _describe(
     )
 
 
-def _value(search: StanceSearch, stand: Stand) -> float:
-    """Return the objective of a stand; the utilisation on the simulated ground, as by ``stand``."""
+def _compute_objective(search: StanceSearch, stand: Stand) -> float:
+    """Compute the utilisation on the simulated ground, as ``stand`` does, or the margin [m]."""
     if search.objective is Objective.UTILISATION:
         stand = solve_stand_as_simulated(search.robot, stand)
     return search.value(stand)
 
 
-def _objective(value: str) -> Objective:
+def _parse_objective(value: str) -> Objective:
+    """Convert a name to an objective, or raise a ConfigurationError."""
     try:
         return Objective(value)
     except ValueError as error:
@@ -185,11 +202,11 @@ def _objective(value: str) -> Objective:
 
 @dataclass(frozen=True, eq=False)
 class BestStudy(Result):
-    """The best stance that a search finds, and what is found out about it.
+    """Best stance of a search, with its simulation.
 
     Attributes:
-        best: How it was found.
-        stance: What it costs, and whether it holds.
+        best: Result of the search.
+        stance: Torques, and verdict of the simulation.
     """
 
     best: BestStance
@@ -197,7 +214,7 @@ class BestStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it holds, with its payload too if that is the objective."""
+        """True if the stance holds, and also holds with its payload if that is the objective."""
         return self.stance.passed and (self.best.payload is None or self.best.payload.passed)
 
 
@@ -212,32 +229,38 @@ def study_best(
 ) -> BestStudy:
     """Search for the best stance that holds in simulation.
 
-    If the best stance does not hold, next best stances are simulated, the given task last. If none
-    holds, the best one is returned. A payload is limited by its own simulation.
+    If the best stance fails, the next best stances are simulated, and finally the initial task. If
+    all fail, the best stance is returned. With the objective payload no further stance is tried,
+    because `payload_limit` already includes a simulation.
 
     Args:
-        robot: The robot.
-        objective: What shall be best; or its name, such as ``"margin"``.
-        task: Where the search begins, and all that is not searched over.
-        point: Where the payload is, as in ``with_payload``.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        robot: Robot with a floating base, without loops or welds.
+        objective: Objective.
+        task: Initial task, with all requirements that the search keeps.
+        point: Position of the payload, as in ``with_payload``.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+
+    Returns:
+        Best stance that holds; otherwise the best stance.
 
     Raises:
-        StanceUnreachableError: If the task itself is out of reach.
-        StaticsInfeasibleError: If the task itself slides or tips.
-        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        StanceUnreachableError: If the initial task is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the initial task.
+        ConfigurationError: If the task or another argument is invalid for the robot.
+        UnknownNameError: If the robot has no frame with the name in ``point``.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
-        NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
+        NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
+            task.
     """
-    search = _search(robot, objective, task, point, kp)
-    best = _describe(search, search.best, point, kp, kd)
+    search = _run_search(robot, objective, task, point, kp)
+    best = _make_result(search, search.best, point, kp, kd)
     study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
-    if study.passed or search.objective is Objective.PAYLOAD:  # a payload is simulated itself
+    if study.passed or search.objective is Objective.PAYLOAD:
         return study
     for stance in search.next_best():
-        best = _describe(search, stance, point, kp, kd)
-        following = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
-        if following.passed:
-            return following
+        best = _make_result(search, stance, point, kp, kd)
+        next_study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
+        if next_study.passed:
+            return next_study
     return study

@@ -1,4 +1,4 @@
-"""``pupper-analysis best``: a better stance."""
+"""``pupper-analysis best``: search for the best stance, print and simulate it."""
 
 from __future__ import annotations
 

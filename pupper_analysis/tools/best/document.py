@@ -1,4 +1,4 @@
-"""The document of the best stance: how it was found, what it costs, and whether it holds."""
+"""Document of a best stance: its coordinates, the result of the search, torques and verdict."""
 
 from __future__ import annotations
 
@@ -15,31 +15,35 @@ from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.stand.document import stance_document
 
-_WHAT = {
+_OBJECTIVE_TEXTS = {
     Objective.UTILISATION: "peak-motor-utilisation",
     Objective.MARGIN: "distance-of-the-com",
     Objective.PAYLOAD: "payload",
 }
+"""Text of each objective in the catalogues."""
 
 
 @build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
-    """Returns the best stance, how it was found, and what is found out about it; see ``build``."""
-    found = stance_document(study.stance, robot)
-    blocks: tuple[doc.Block, ...] = (_coordinates(study.best), *found.blocks)
-    messages: tuple[doc.Words, ...] = (_search(study.best), *found.findings)
-    details = found.details
-    failures, verdict = found.failures, found.verdict
+    """Make the document of a best stance from the document of the stand; see `build_document`.
+
+    For a payload, the document of the payload limit is merged.
+    """
+    stand_document = stance_document(study.stance, robot)
+    blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
+    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *stand_document.findings)
+    details = stand_document.details
+    failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
         loaded = make_document(study.best.payload)
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
-        # The stance of both is the same, and told once.
-        messages += tuple(line for line in loaded.findings if line not in found.findings)
-        details += tuple(line for line in loaded.details if line not in found.details)
+        # Both documents describe the same stance: omit repeated lines.
+        messages += tuple(line for line in loaded.findings if line not in stand_document.findings)
+        details += tuple(line for line in loaded.details if line not in stand_document.details)
         failures += loaded.failures
         verdict = verdict if loaded.passed else loaded.verdict
     return replace(
-        found,
+        stand_document,
         kind=text("best-stance"),
         blocks=blocks,
         passed=study.passed,
@@ -50,7 +54,8 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     )
 
 
-def _search(best: BestStance) -> doc.Text:
+def _make_search_line(best: BestStance) -> doc.Text:
+    """Make the line with the objective before and after the search."""
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
         unit, scale = (" mm", 1e3) if best.objective is Objective.MARGIN else (" %", 100.0)
@@ -58,13 +63,14 @@ def _search(best: BestStance) -> doc.Text:
     return text(
         "best-of-count-stances",
         count=best.evaluations,
-        what=text(_WHAT[best.objective]),
+        what=text(_OBJECTIVE_TEXTS[best.objective]),
         value=values[0],
         nominal=values[1],
     )
 
 
-def _coordinates(best: BestStance) -> doc.Table:
+def _make_coordinate_table(best: BestStance) -> doc.Table:
+    """Make the table of coordinates [mm or deg]."""
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
         angle = name in ("roll", "pitch", "yaw")

@@ -1,7 +1,10 @@
-"""A payload to first order: what motors, contacts, servos and ground bear, in closed form.
+"""First-order payload limit of a stance: motors, contacts, servo stiffness and ground contact.
 
-It guides the search for the best stance alone, smoothly and in a millisecond; what a stance carries
-says ``payload_limit``.
+`SmallPayload.rows` returns linear constraints on the payload mass, `largest_feasible_mass` the
+largest mass that satisfies them. Torques and contact forces are extrapolated from two equilibria;
+the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes about a
+millisecond. It is used only as the objective of the search for the best stance; `payload_limit`
+computes the true limit.
 """
 
 from __future__ import annotations
@@ -26,19 +29,20 @@ from pupper_analysis.statics.equilibrium import hold_loads
 Array = NDArray[np.float64]
 
 SMALL_PAYLOAD_RATIO = 0.1
-"""A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
+"""Mass of the payload of the second equilibrium, relative to the robot's mass. A payload that tips
+the robot has no equilibrium. Chosen."""
 
 
 class SmallPayload:
-    """A payload of ``SMALL_PAYLOAD_RATIO`` that tells what bears larger ones.
+    """Payload of `SMALL_PAYLOAD_RATIO`, from which the effect of larger payloads is extrapolated.
 
     Args:
-        robot: The robot.
-        point: Where it is.
-        kp: (nu,) servo stiffness at the joints (N m/rad).
+        robot: Robot without closed loops.
+        point: Position of the payload.
+        kp: Servo stiffness at the joints, shape (nu,) [N m/rad].
 
     Attributes:
-        mass: kg.
+        mass: Mass of the payload [kg].
     """
 
     def __init__(self, robot: Robot, point: Tool, kp: Array) -> None:
@@ -48,114 +52,143 @@ class SmallPayload:
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
 
     def rows(self, stand: Stand) -> Array | None:
-        """Returns rows (k, 2): a + b m >= 0 is what a mass m must leave; first where it buckles.
+        """Compute the constraints a + b m >= 0 on the payload mass m [kg].
 
-        Torques and contact forces that last are linear in m: exact on level ground, steps or not,
-        for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
-        under three equations of balance, in which m stands on the right, is linear in m. So they
-        are on the line through two equilibria, without and with a mass. A foot that carries must
-        not sink so deep that the lowest other part of the robot touches the ground.
+        Torques and minimum-tangential contact forces are linear in m, so two equilibria, without
+        and with ``mass``, determine them. On level ground, with or without steps, this is exact
+        while every normal force is positive: the forces are vertical and minimise the sum of
+        squares under three balance equations, whose right-hand side is linear in m. On a slope it
+        is an approximation.
 
         Args:
-            stand: The stand.
+            stand: Stand.
 
         Returns:
-            The rows, in parts of the motors' limits and of the weight; None if the stand is not
-            stable without payload.
+            Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.
+            The rows are: buckling modes; distances of the torques from both effort limits, relative
+            to the limits; normal forces, relative to the robot's weight; and, if the stand has a
+            ``ground_clearance``, distances of the normal forces from those at which the foot sinks
+            by this clearance, relative to the robot's weight.
 
         Raises:
-            StaticsInfeasibleError: If no contact forces balance the stand, with or without.
+            StaticsInfeasibleError: If no contact forces balance the stand without payload or with
+                ``mass``.
         """
         robot, mass = self._robot, self.mass
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-        own = config.load()
-        both = np.array([own, own + mass * self._point.load_per_mass(config)])
-        (forces, laden), (torques, held) = hold_loads(config, both, carrying)
-        more, limits = (laden - forces) / mass, robot.effort_limits
-        bears = np.isfinite(limits)
-        use = np.column_stack([torques, (held - torques) / mass])[bears] / limits[bears, None]
-        normals, growth = (np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, more))
+        load = config.load()
+        loads = np.array([load, load + mass * self._point.load_per_mass(config)])
+        (forces, loaded_forces), (torques, loaded_torques) = hold_loads(config, loads, carrying)
+        force_rates, limits = (loaded_forces - forces) / mass, robot.effort_limits
+        limited = np.isfinite(limits)
+        torque_lines = np.column_stack([torques, (loaded_torques - torques) / mass])
+        utilisation_lines = torque_lines[limited] / limits[limited, None]
+        normals, normal_rates = (
+            np.einsum("ni,ni->n", vectors, carrying.normals) for vectors in (forces, force_rates)
+        )
         laws = [self._laws[foot] for foot in stand.stance_feet]
-        pressed = np.maximum(normals + mass * growth, 0.0)
-        deep = np.array([law.depth(load) for law, load in zip(laws, pressed, strict=True)])
-        modes = _buckling_modes(config, stand, self._kp, (forces, more), self._point, laws, deep)
+        loaded_normals = np.maximum(normals + mass * normal_rates, 0.0)
+        penetrations = np.array(
+            [law.depth(load) for law, load in zip(laws, loaded_normals, strict=True)]
+        )
+        lines = forces, force_rates
+        modes = _compute_buckling_modes(
+            config, stand, self._kp, lines, self._point, laws, penetrations
+        )
         if modes is None:
             return None
-        pressing = np.column_stack([normals, growth]) / robot.weight
-        whole = np.array([1.0, 0.0])
-        rows = [np.column_stack([np.ones(len(modes)), -modes]), whole - use, whole + use, pressing]
+        normal_lines = np.column_stack([normals, normal_rates]) / robot.weight
+        full_limit = np.array([1.0, 0.0])
+        buckling = np.column_stack([np.ones(len(modes)), -modes])
+        rows = [
+            buckling,
+            full_limit - utilisation_lines,
+            full_limit + utilisation_lines,
+            normal_lines,
+        ]
         if (lowest := stand.ground_clearance) is not None:
             depths = [max(0.0, lowest.distance) + stand.depths[foot] for foot in stand.stance_feet]
-            strongest = [law.force(depth) for law, depth in zip(laws, depths, strict=True)]
-            rows.append(np.column_stack([strongest, np.zeros(len(laws))]) / robot.weight - pressing)
-        found: Array = np.concatenate(rows)
-        return found
+            max_forces = [law.force(depth) for law, depth in zip(laws, depths, strict=True)]
+            limit = np.column_stack([max_forces, np.zeros(len(laws))]) / robot.weight
+            rows.append(limit - normal_lines)
+        result: Array = np.concatenate(rows)
+        return result
 
 
 def largest_feasible_mass(rows: Array) -> float:
-    """Returns the greatest mass (kg) that satisfies rows of a payload; infinite if none binds."""
+    """Compute the largest mass [kg] that satisfies rows of `SmallPayload.rows`.
+
+    Infinite if no row has a negative slope. Negative if a row with a negative slope is violated
+    without payload.
+    """
     binding = rows[rows[:, 1] < 0]
     return float(np.min(-binding[:, 0] / binding[:, 1], initial=math.inf))
 
 
-def _buckling_modes(
+def _compute_buckling_modes(
     config: Configuration,
     stand: Stand,
     kp: Array,
     lines: tuple[Array, Array],
     point: Tool,
     laws: Sequence[GroundLaw],
-    deep: Array,
+    penetrations: Array,
 ) -> Array | None:
-    """Finds at which payloads a stand held with feed-forward for the load loses its stability.
+    """Compute the payloads at which a stand with feed-forward torques loses static stability.
 
-    In the stand, gravity and the contact forces that last are linear in the payload's mass m, and
-    so is the stiffness: K(m) = K_0 + m G, with K_0 that of servos, ground, and the robot's own
-    weight, on all motions for which the material contact points do not slip. The stand buckles in
-    a mode v where K(m) v = 0, that is, -G v = mu K_0 v with mu = 1 / m. The
-    payload's weight is a force at its point that keeps its direction.
+    Gravity and the contact forces are linear in the payload mass m, and so is the stiffness:
+    K(m) = K_0 + m G. K_0 is the stiffness of servos and ground, plus the geometric stiffness of the
+    robot's weight and its contact forces. G is the geometric stiffness, per mass, of the payload's
+    weight and its contact forces. K acts on motions without slip of the material contact points.
+    The stand buckles in a mode v if K(m) v = 0, which is the generalised eigenvalue problem
+    -G v = mu K_0 v with mu = 1 / m. The weight is a force of constant direction at its point.
 
-    On level ground this is exact for the configuration, but that the ground is as stiff as it is
-    ``deep``; on a slope K is made symmetric.
+    On level ground the result is exact for this configuration, except that the ground stiffness is
+    taken at constant ``penetrations``. On a slope K is not symmetric, and is replaced by its
+    symmetric part.
 
     Args:
-        config: Where the robot is: in the stand.
-        stand: How it stands.
-        kp: (nu,) servo stiffness at the joints (N m/rad).
-        lines: (n, 3) contact forces without payload (N), and how they grow with it (N/kg).
-        point: Where it is.
-        laws: The ground's, of each foot that carries.
-        deep: (n,) how deep these are in the ground (m).
+        config: Configuration of the stand.
+        stand: Stand.
+        kp: Servo stiffness at the joints, shape (nu,) [N m/rad].
+        lines: Contact forces without payload, shape (n, 3) [N], and their derivative by the payload
+            mass, shape (n, 3) [N/kg], in world axes.
+        point: Position of the payload.
+        laws: Ground law of each stance foot.
+        penetrations: Penetration of each stance foot, shape (n,) [m].
 
     Returns:
-        The mu of all modes, the greatest first (1/kg): none buckles below a mass of 1 / mu[0] if
-        that is positive, and none at all if not. None if the stand is not stable without payload.
+        Values mu of all modes [1/kg], in descending order. If mu[0] > 0, the smallest buckling mass
+        is 1 / mu[0]; otherwise no mass buckles. None if K_0 is not positive definite, so that the
+        stand is not stable without payload.
     """
     robot, feet = config.robot, stand.stance_feet
-    turns = [pin.Quaternion.FromTwoVectors(stand.normals[foot], UP) for foot in feet]
-    frames = np.array([turn.matrix() for turn in turns])
+    rotations = [pin.Quaternion.FromTwoVectors(stand.normals[foot], UP) for foot in feet]
+    frames = np.array([rotation.matrix() for rotation in rotations])
     centres = config.foot_places(feet)
-    held = zip(feet, centres, config.foot_rotations(feet), strict=True)
-    anchors = {foot: Anchor(place, turned) for foot, place, turned in held}
-    depths = dict(zip(feet, deep.tolist(), strict=True))
+    poses = zip(feet, centres, config.foot_rotations(feet), strict=True)
+    anchors = {foot: Anchor(position, rotation) for foot, position, rotation in poses}
+    depths = dict(zip(feet, penetrations.tolist(), strict=True))
     crosses = cross_matrices(frames[:, 2])
-    touch = ContactKinematics(config, anchors, centres, frames, crosses, depths)
-    across = touch.jacobians[:, :2].reshape(-1, robot.nv)
-    along = touch.jacobians[:, 2]
-    rates = np.array([law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)])
-    forces, more = ((frames @ line[:, :, None])[:, :, 0] for line in lines)
-    bare = touch.balance_rates(forces)
-    softer = bare - touch.balance_rates(forces + more)  # by a payload of 1 kg
+    kinematics = ContactKinematics(config, anchors, centres, frames, crosses, depths)
+    tangential = kinematics.jacobians[:, :2].reshape(-1, robot.nv)
+    normal = kinematics.jacobians[:, 2]
+    stiffnesses = np.array(
+        [law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)]
+    )
+    forces, force_rates = ((frames @ line[:, :, None])[:, :, 0] for line in lines)
+    geometric = kinematics.balance_rates(forces)  # without servos and ground
+    softening = geometric - kinematics.balance_rates(forces + force_rates)  # -G, for 1 kg
     twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))
-    softer += config.pushed_rates(twists, weight)
+    softening += config.pushed_rates(twists, weight)
     weight[0, :3] = robot.gravity
-    softer -= config.pushed_rates(twists, weight)
-    stiff = bare + along.T @ (rates[:, None] * along)
-    stiff[6:, 6:] += np.diag(kp)
-    free = linalg.null_space(across)
-    one, other = (free.T @ matrix @ free for matrix in (stiff, softer))
+    softening -= config.pushed_rates(twists, weight)
+    stiffness = geometric + normal.T @ (stiffnesses[:, None] * normal)
+    stiffness[6:, 6:] += np.diag(kp)
+    basis = linalg.null_space(tangential)
+    left, right = (basis.T @ matrix @ basis for matrix in (softening, stiffness))
     try:
-        modes: Array = linalg.eigh((other + other.T) / 2, (one + one.T) / 2, eigvals_only=True)
+        modes: Array = linalg.eigh((left + left.T) / 2, (right + right.T) / 2, eigvals_only=True)
     except np.linalg.LinAlgError:
         return None
     return modes[::-1]

@@ -1,4 +1,10 @@
-"""The search for the best stance: a smooth programme, from many starts."""
+"""Search for the best stance: a smooth nonlinear program, solved from many initial guesses.
+
+The level is the objective relative to that of the initial task; smaller is better. Each stance
+yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose maximum is
+the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the coordinates
+and the level itself, first in the subspace of coupled feet, then in all coordinates.
+"""
 
 from __future__ import annotations
 
@@ -26,36 +32,62 @@ from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasibl
 from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack, StanceSpace
 
 Array = NDArray[np.float64]
-_SAMPLES = 128
-_STARTS = 16
-"""Of the samples, besides the nominal stand. With 3 v3-long-leg's payload may be 10.6 kg and not
-14.1, by the last digits of a number; from 8 on it is 14.1. The nominal stand, by symmetry, is a
-saddle, which a descent leaves to where rounding sends it."""
+_SAMPLE_COUNT = 128
+"""Number of Latin hypercube samples, which are evaluated to choose initial guesses. Chosen."""
 
-_FIRST = 8  # iterations of a first descent, which tells from where it is worth going on
-_FINALISTS = 6
-"""The best of those, from which descents are begun anew as long as they gain: with one from each
-start, which stopped in a kink, v3's least utilisation was 5.569 or 5.588 %, by how many processors
-the linear algebra used; now it is 5.569 % with one and with two. v3-heavy's payload wants three;
-with four, v3-long-leg's utilisation on three feet is greater by 3e-4 of it. From the end of each
-the feet then go apart: of 24 random robots, where only the very best did so, four were 1.4 to 7.6 %
-worse than the best that thirty random descents more found."""
+_START_COUNT = 16
+"""Number of samples, the best ones, at which descents start; another descent starts at the initial
+task. With 3 samples, rounding errors decide whether the payload of v3-long-leg is 10.6 or 14.1 kg;
+with 8 or more it is 14.1 kg (measured). By symmetry the nominal stand is a saddle point: rounding
+errors determine the direction in which a descent leaves it."""
 
-_DESCENT = 25  # iterations of one descent
-_APART = 10  # iterations with all coordinates free, each of which takes a dozen stances
-_WORTHWHILE = 3e-4  # of the value: a gain for which it goes on
-_CONVERGED = 1e-5  # of the nominal value: a gain in one iteration that ends a descent
-_DIFFERENCE_STEP = 1e-6  # of the bounds' distance: of the differences that gradients are taken from
-_INSIDE = 1e-6  # of what may not be used up: where descents stop short, so that they end inside
-_UNREACHED = 10.0  # what is missing where there is no stance, in parts of the nominal value
+_RANKING_ITERATIONS = 8
+"""SLSQP iterations of the first descent from each initial guess, which ranks them. Chosen."""
+
+_FINALIST_COUNT = 6
+"""Number of first descents, the best ones, that are continued. Measured: v3-heavy's payload
+requires 3; with 4, the utilisation of v3-long-leg on three feet is 3e-4 (relative) larger.
+
+Each is restarted while it gains, because a single descent can stall at a kink: with one descent per
+initial guess, v3's smallest utilisation was 5.569 or 5.588 %, depending on the number of processors
+that the linear algebra used; with restarts it is 5.569 % on one and on two processors. A descent
+with independent feet follows each. If only the very best one was followed, 4 of 24 random robots
+were 1.4 to 7.6 % worse than the best of thirty additional random descents."""
+
+_DESCENT_ITERATIONS = 25
+"""SLSQP iterations of a continued descent. Chosen."""
+
+_INDEPENDENT_FEET_ITERATIONS = 10
+"""SLSQP iterations of a descent with independent feet from a continued descent. An iteration
+evaluates more than one stance per coordinate (14 coordinates with four feet). Chosen."""
+
+_MIN_RELATIVE_GAIN = 3e-4
+"""Smallest decrease of the level, relative to the level, after which a descent is restarted.
+Chosen."""
+
+_SLSQP_FTOL = 1e-5
+"""Tolerance ``ftol`` of SLSQP: decrease of the level in one iteration that ends a descent.
+Chosen."""
+
+_DIFFERENCE_STEP = 1e-6
+"""Finite-difference step of the constraint Jacobian, relative to the interval between the bounds.
+Chosen."""
+
+_SLACK_REDUCTION = 1e-6
+"""Reduction of the slacks in the nonlinear program, so that descents end at allowed stances despite
+SLSQP's tolerance. Chosen."""
+
+_CONSTRAINT_PENALTY = 10.0
+"""Violation of the constraints that is assumed at coordinates without a stand, in addition to the
+constraints of the initial guess; and weight of violated slacks in `StanceSearch.merit`. Chosen."""
 
 
 class Objective(StrEnum):
-    """What the best stance has the best of.
+    """Objective of a search.
 
-    UTILISATION: the least peak motor utilisation.
-    MARGIN: the largest distance of the com's projection from the support polygon's edge.
-    PAYLOAD: the largest payload at a point (``payload_limit``).
+    UTILISATION: minimise the peak motor utilisation.
+    MARGIN: maximise the distance of the projected CoM from the edge of the support polygon.
+    PAYLOAD: maximise the payload limit at a point (`payload_limit`).
     """
 
     UTILISATION = "utilisation"
@@ -65,15 +97,16 @@ class Objective(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedStance:
-    """A stance that was evaluated.
+    """Evaluated stance of a search.
 
     Attributes:
-        coordinates: In the space of stances.
-        stand: Its stand.
-        level: The objective's level, in parts of the nominal one: less is better.
-        rows: (k, 2): a + b level >= 0 are the constraints that make the level what it is, and the
-            room.
-        allowed: Whether nothing is used up.
+        coordinates: Coordinates in the `StanceSpace`, shape (n,) [m or rad].
+        stand: Stand at these coordinates.
+        level: Objective relative to its initial magnitude; smaller is better. Negative for a
+            positive margin or payload.
+        rows: Constraints a + b level >= 0, shape (k, 2): those that define the level, then the
+            slacks (b = 0).
+        allowed: True if the slacks are >= 0, up to `JOINT_LIMIT_OVERSHOOT` at the joint limits.
     """
 
     coordinates: Array
@@ -83,13 +116,36 @@ class EvaluatedStance:
     allowed: bool
 
 
-_NEXT_LEVEL = 0.2
-"""Smallest difference between two stances that are simulated one after the other until one holds,
-in parts of the improvement that the search found: at most five are simulated. Chosen."""
+_MIN_LEVEL_STEP = 0.2
+"""Smallest difference between the levels of two successively simulated stances, relative to the
+improvement of the search. After the best stance, at most five are simulated. Chosen."""
 
 
 class StanceSearch:
-    """The search; ``best`` is the best stance so far."""
+    """Search for the best stance.
+
+    Args:
+        robot: Robot with a floating base.
+        objective: Objective.
+        task: Initial task. Default: the nominal stand.
+        point: Position of the payload, as in ``with_payload``.
+        kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
+
+    Attributes:
+        robot: Robot.
+        objective: Objective.
+        point: Position of the payload.
+        limits: Effort limits, shape (nu,) [N m].
+        bears: Mask of the motors with a finite effort limit, shape (nu,).
+        evaluations: Number of evaluated stances so far.
+        space: Search space.
+        payload: First-order payload; only with the objective payload.
+        scale: Magnitude of the initial objective [1, m or kg], the unit of levels; the nominal
+            stand height if the initial objective is zero.
+        nominal: Stance of the initial task.
+        best: Best allowed stance so far, or ``nominal``.
+        known: {coordinates: evaluated stance, or None if there is no stance}.
+    """
 
     def __init__(
         self,
@@ -105,7 +161,7 @@ class StanceSearch:
         self.bears = np.isfinite(self.limits)
         self.evaluations = 0
         if objective is not Objective.MARGIN and robot.floating:
-            self._check_limits()  # before the space is measured, which takes seconds
+            self._check_effort_limits()  # first: the bounds of the space take seconds
         self.space = StanceSpace(robot, task or StandTask())
         if objective is Objective.PAYLOAD:
             stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
@@ -116,18 +172,19 @@ class StanceSearch:
         self.nominal = self.best = self.stance(self.space.start, self.space.nominal)
         self.known: dict[tuple[float, ...], EvaluatedStance | None] = {}
 
-    def _check_limits(self) -> None:
+    def _check_effort_limits(self) -> None:
+        """Raise a ConfigurationError if no motor has an effort limit, or if one is zero."""
         robot = self.robot
         if not self.bears.any():
             message = diagnose("no-effort-limits", robot=robot.name)
             raise ConfigurationError("objective", message)
-        none = np.flatnonzero(self.limits <= 0)
-        if len(none):
-            message = diagnose("effort-limit-is-zero", joint=robot.joint_names[none[0]])
+        without_torque = np.flatnonzero(self.limits <= 0)
+        if len(without_torque):
+            message = diagnose("effort-limit-is-zero", joint=robot.joint_names[without_torque[0]])
             raise ConfigurationError("objective", message)
 
     def value(self, stand: Stand) -> float:
-        """Returns the utilisation, or the margin (m), of a stand."""
+        """Compute the CoM margin [m] of a stand, or the peak motor utilisation."""
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
@@ -135,11 +192,15 @@ class StanceSearch:
         return peak_utilisation(statics.motor_utilisation)
 
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
-        """Returns a stance, or None if there is none; remembers the best that is allowed.
+        """Evaluate the stance at some coordinates, and update ``best``.
 
         Args:
-            coordinates: In the space of stances.
-            near: See ``StanceSpace.stand``.
+            coordinates: Coordinates in the space, shape (n,) [m or rad].
+            near: Stand with almost the same coordinates; see `StanceSpace.stand`.
+
+        Returns:
+            Evaluated stance, also if it is not allowed. None if no stand is found, its task is
+            rejected, no contact forces balance it, or the servos do not hold it without payload.
         """
         key = tuple(coordinates.tolist())
         if key not in self.known:
@@ -149,19 +210,20 @@ class StanceSearch:
                 stand = self.space.stand(coordinates, near)
                 if stand is not None:
                     self.known[key] = self.stance(coordinates, stand)
-        found = self.known[key]
-        if found is not None and found.allowed and found.level < self.best.level:
-            self.best = found
-        return found
+        stance = self.known[key]
+        if stance is not None and stance.allowed and stance.level < self.best.level:
+            self.best = stance
+        return stance
 
     def next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield allowed stances that are worse than the best, then the task as it was given.
+        """Yield allowed stances in order of increasing level, then the initial task.
 
-        Each is at least ``_NEXT_LEVEL`` worse than the previous one, in parts of the way from the
-        best level to that of the task.
+        Levels increase by at least ``_MIN_LEVEL_STEP`` times the difference between the initial and
+        the best level, and remain below the initial level. The best stance is not yielded, unless
+        it is the stance of the initial task.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
-        step = _NEXT_LEVEL * (self.nominal.level - self.best.level)
+        step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
         level = self.best.level
         for stance in sorted(allowed, key=lambda stance: stance.level):
             if level + step <= stance.level < self.nominal.level:
@@ -170,80 +232,95 @@ class StanceSearch:
         yield self.nominal
 
     def stance(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
-        """Evaluates a stand."""
+        """Compute the level and the constraints of a stand."""
         room = self.space.room(stand)
-        level, rows = self._level(stand, room)
-        left = room.less(_INSIDE)
+        level, rows = self._compute_level(stand, room)
+        slacks = room.less(_SLACK_REDUCTION)
         allowed = bool(
             room.singular_values.min() >= 0
             and room.joints.min() >= -JOINT_LIMIT_OVERSHOOT
             and room.edges.min() >= 0
             and room.touching >= 0
         )
-        kept = np.column_stack([left, np.zeros(len(left))])
-        return EvaluatedStance(coordinates, stand, level, np.concatenate([rows, kept]), allowed)
+        slack_rows = np.column_stack([slacks, np.zeros(len(slacks))])
+        rows = np.concatenate([rows, slack_rows])
+        return EvaluatedStance(coordinates, stand, level, rows, allowed)
 
-    def _level(self, stand: Stand, room: StanceSlack) -> tuple[float, Array]:
-        """Returns the level, and the rows (k, 2) of which it is the least that satisfies all."""
+    def _compute_level(self, stand: Stand, room: StanceSlack) -> tuple[float, Array]:
+        """Compute the level, and its constraints (k, 2): the level is the smallest feasible one."""
         if self.objective is Objective.PAYLOAD:
-            return self._payload_level(stand)
+            return self._compute_payload_level(stand)
         if self.objective is Objective.MARGIN:
-            inside = (room.edges + stand.task.com_margin) / self.scale
-            return -float(inside.min()), np.column_stack([inside, np.ones(len(inside))])
+            margins = (room.edges + stand.task.com_margin) / self.scale
+            return -float(margins.min()), np.column_stack([margins, np.ones(len(margins))])
         torques = stand_statics(self.robot, stand).joint_torques
-        use = torques[self.bears] / self.limits[self.bears] / self.scale
-        both = np.concatenate([use, -use])
-        return float(both.max()), np.column_stack([-both, np.ones(len(both))])
+        utilisation = torques[self.bears] / self.limits[self.bears] / self.scale
+        signed = np.concatenate([utilisation, -utilisation])
+        return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
-    def _payload_level(self, stand: Stand) -> tuple[float, Array]:
-        """Returns the same for a payload, of mass -scale * level."""
+    def _compute_payload_level(self, stand: Stand) -> tuple[float, Array]:
+        """Compute the level and its constraints for a payload of mass -scale * level [kg]."""
         rows = self.payload.rows(stand)
         if rows is None:
             raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
         return -largest_feasible_mass(rows) / self.scale, rows * (1.0, -self.scale)
 
     def run(self) -> None:
-        """Searches, with the feet together first, and then with each free."""
+        """Run the search: descents with coupled feet, then with independent feet.
+
+        Does nothing if no coordinate can change. The final descents start at the best stance, and
+        are repeated while they gain.
+        """
         space = self.space
         if not (space.high > space.low).any():
             return
-        joined = Subspace(space, space.start, space.directions())
-        samples = _samples(joined.size)
-        tried = [self.evaluate(joined.at(sample)) for sample in samples]
-        order = np.argsort([self.merit(stance) for stance in tried], kind="stable")
-        starts = (joined.start, *samples[order[:_STARTS]])
-        ends = [self._descend(joined, start, _FIRST) for start in starts]
+        coupled = Subspace(space, space.start, space.directions())
+        samples = _draw_latin_hypercube(coupled.size)
+        stances = [self.evaluate(coupled.at(sample)) for sample in samples]
+        order = np.argsort([self.merit(stance) for stance in stances], kind="stable")
+        starts = (coupled.start, *samples[order[:_START_COUNT]])
+        ends = [self._minimise_level(coupled, start, _RANKING_ITERATIONS) for start in starts]
         order = np.argsort([level for level, _ in ends], kind="stable")
-        for number in order[:_FINALISTS]:
-            level, share = ends[number]
-            before = np.inf
-            while before - level > _WORTHWHILE * abs(level):  # a kink may stop a descent short
-                before = level
-                level, share = self._descend(joined, share, _DESCENT)
+        for index in order[:_FINALIST_COUNT]:
+            level, share = ends[index]
+            last_level = np.inf
+            while last_level - level > _MIN_RELATIVE_GAIN * abs(level):
+                last_level = level
+                level, share = self._minimise_level(coupled, share, _DESCENT_ITERATIONS)
             if np.isfinite(level):
-                self._descend_apart(joined.at(share), _APART)
-        before = np.inf
-        while before - self.best.level > _WORTHWHILE * abs(self.best.level):
-            before = self.best.level
-            self._descend_apart(self.best.coordinates, _DESCENT)
+                self._minimise_with_independent_feet(
+                    coupled.at(share), _INDEPENDENT_FEET_ITERATIONS
+                )
+        last_level = np.inf
+        while last_level - self.best.level > _MIN_RELATIVE_GAIN * abs(self.best.level):
+            last_level = self.best.level
+            self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
 
-    def _descend_apart(self, coordinates: Array, most: int) -> None:
-        """Goes down with all coordinates free, in at most so many iterations."""
-        apart = Subspace(self.space, coordinates, np.eye(len(coordinates)))
-        self._descend(apart, apart.start, most)
+    def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
+        """Minimise the level over all coordinates, from some coordinates, and update ``best``."""
+        subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
+        self._minimise_level(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
-        """Returns the level, worse by what is used up more than there is; infinite for none."""
+        """Return the level plus a penalty for negative slacks; infinity for None."""
         if stance is None:
             return np.inf
-        room = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
-        return stance.level - _UNREACHED * float(np.minimum(room, 0).sum())
+        slacks = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
+        return stance.level - _CONSTRAINT_PENALTY * float(np.minimum(slacks, 0).sum())
 
-    def _descend(self, subspace: Subspace, start: Array, iterations: int) -> tuple[float, Array]:
-        """Goes down to a local best in (shares, level), as SLSQP finds it.
+    def _minimise_level(
+        self, subspace: Subspace, start: Array, iterations: int
+    ) -> tuple[float, Array]:
+        """Minimise the level over (shares, level) by SLSQP, and update ``best``.
+
+        Args:
+            subspace: Subspace of the shares.
+            start: Initial shares, shape (subspace.size,).
+            iterations: Largest number of SLSQP iterations.
 
         Returns:
-            The least level that is allowed, and its shares; infinite, and the start, if none is.
+            Smallest level of the allowed stances that SLSQP evaluated (finite-difference steps are
+            not included), and its shares; infinity and ``start`` if there is none.
         """
         from scipy import optimize  # slow to import
 
@@ -251,9 +328,10 @@ class StanceSearch:
         best = np.inf, start
         if first is None:
             return best
-        missing = first.rows - np.array([_UNREACHED, 0.0])
+        missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
         def rows(share: Array) -> Array:
+            """Return the constraints (k, 2) at some shares, and update the smallest level."""
             nonlocal best
             stance = self.evaluate(subspace.at(share))
             if stance is not None and stance.allowed and stance.level < best[0]:
@@ -261,9 +339,10 @@ class StanceSearch:
             return missing if stance is None else stance.rows
 
         def derivative(values: Array) -> Array:
+            """Return the Jacobian of the constraints by (shares, level), by finite differences."""
             share, level = values[:-1], values[-1]
-            here, at = rows(share), self.evaluate(subspace.at(share))
-            near = None if at is None else at.stand
+            current, stance = rows(share), self.evaluate(subspace.at(share))
+            near = None if stance is None else stance.stand
             columns = []
             for index in range(len(share)):
                 step = np.zeros(len(share))
@@ -274,9 +353,9 @@ class StanceSearch:
                 if ahead is None:
                     step = -step
                     ahead = self.evaluate(subspace.at(share + step), near)
-                change = np.zeros_like(here) if ahead is None else ahead.rows - here
+                change = np.zeros_like(current) if ahead is None else ahead.rows - current
                 columns.append((change @ (1.0, level)) / step[index])
-            return np.column_stack([*columns, here[:, 1]])
+            return np.column_stack([*columns, current[:, 1]])
 
         optimize.minimize(
             lambda values: values[-1],
@@ -289,25 +368,43 @@ class StanceSearch:
                 "fun": lambda values: rows(values[:-1]) @ (1.0, values[-1]),
                 "jac": derivative,
             },
-            options={"maxiter": iterations, "ftol": _CONVERGED},
+            options={"maxiter": iterations, "ftol": _SLSQP_FTOL},
         )
         return best
 
 
-def _samples(size: int) -> Array:
-    """Returns samples (n, size) of shares, one in each of n layers of every coordinate.
+def _draw_latin_hypercube(size: int) -> Array:
+    """Draw Latin hypercube samples in [0, 1), shape (n, size), always the same ones.
 
-    Source: McKay, Beckman and Conover, "A comparison of three methods for selecting values of
-    input variables", 1979. SciPy's sequences are as good, and take half a second to import.
+    McKay, Beckman and Conover, "A comparison of three methods for selecting values of input
+    variables", 1979. SciPy's samplers are as good, but take half a second to import.
     """
-    random = np.random.default_rng(0)
-    layers = np.array([random.permutation(_SAMPLES) for _ in range(size)]).T
-    samples: Array = (layers + random.random((_SAMPLES, size))) / _SAMPLES
+    generator = np.random.default_rng(0)
+    layers = np.array([generator.permutation(_SAMPLE_COUNT) for _ in range(size)]).T
+    samples: Array = (layers + generator.random((_SAMPLE_COUNT, size))) / _SAMPLE_COUNT
     return samples
 
 
 class Subspace:
-    """Stances along some directions, as shares from 0 to 1 of the way between the bounds."""
+    """Box of shares from 0 to 1 along some directions in a space of stances.
+
+    Each share interpolates along one direction, between the two ends at which a coordinate of this
+    direction alone reaches its bound. Directions without such an interval are omitted.
+
+    Args:
+        space: Space of stances.
+        origin: Coordinates through which the subspace passes, shape (n,) [m or rad].
+        directions: One direction per column, shape (n, k). Two directions with a common coordinate
+            could exceed the bounds.
+
+    Attributes:
+        origin: Coordinates through which the subspace passes, shape (n,) [m or rad].
+        directions: Remaining directions, shape (n, size).
+        low: Multiple of each direction at share 0, shape (size,).
+        width: Difference between the multiples at share 1 and share 0, shape (size,).
+        size: Number of shares.
+        start: Shares of the origin, shape (size,), clipped to 0 to 1.
+    """
 
     def __init__(self, space: StanceSpace, origin: Array, directions: Array) -> None:
         low, high = [], []
@@ -326,7 +423,7 @@ class Subspace:
         self.start = np.clip(-self.low / self.width, 0, 1)
 
     def at(self, share: Array) -> Array:
-        """Returns the coordinates of shares (size,)."""
-        way = self.low + np.clip(share, 0, 1) * self.width
-        coordinates: Array = self.origin + self.directions @ way
+        """Compute the coordinates (n,) [m or rad] of shares (size,), clipped to 0 to 1."""
+        multiples = self.low + np.clip(share, 0, 1) * self.width
+        coordinates: Array = self.origin + self.directions @ multiples
         return coordinates

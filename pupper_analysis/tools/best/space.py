@@ -1,6 +1,8 @@
-"""The stances among which the best is sought: what is free, between which bounds, what is refused.
+"""Search space of the best stance: coordinates, bounds and constraint slacks.
 
-A stance is a vector: the base's height, place and turn, and how far each free foot is moved.
+A stance is a vector of coordinates: base height, base x and y, roll, pitch, yaw, and the horizontal
+displacement of each free foot. `StanceSpace` converts coordinates to stand tasks and stands, and
+computes the slacks of a stand (`StanceSlack`), which are all >= 0 if the stand is allowed.
 """
 
 from __future__ import annotations
@@ -28,48 +30,57 @@ from pupper_analysis.statics.support_polygon import polygon_sides
 Array = NDArray[np.float64]
 
 BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
+"""Coordinates of the base; see `BestStance.coordinates` for their definition."""
 
-_TURNS = ("roll", "pitch", "yaw")
-"""The base's coordinates: see ``BestStance.coordinates``."""
+_BASE_ROTATIONS = ("roll", "pitch", "yaw")
 
 HEIGHT_RESERVE = 0.05
-"""Share of the reachable heights that is left out at either end: legs stretched or folded up."""
+"""Fraction of the reachable height interval that is excluded at either end, because the legs are
+stretched or folded there. Chosen."""
 
 MAX_OUTWARD_STEP = 0.25
-"""Most that a foot is moved outwards, fore-aft or sideways, in parts of the greatest height."""
+"""Largest displacement of a foot outwards along x or y, relative to the largest reachable height.
+Chosen."""
 
 MAX_INWARD_STEP = 0.5
-"""Most that a foot is moved inwards, in parts of its distance from the middle of the feet."""
+"""Largest displacement of a foot inwards along x or y, relative to the smallest distance of a free
+foot from the centre along that axis. Chosen."""
 
 MAX_BASE_ROTATION = 0.3
-"""Most that the base rolls, pitches or yaws away from the task (rad)."""
+"""Largest difference of roll, pitch and yaw from the initial task [rad]. Chosen."""
 
 MIN_SINGULAR_VALUE_RATIO = 0.5
-"""The least singular value of a leg's Jacobian that is kept, in parts of the nominal one.
+"""Lower bound of the smallest singular value of a leg's Jacobian, relative to the initial stand.
 
-A stretched leg has none. It holds the greatest loads without torque, and falls when it is pushed.
+The singular value of a stretched leg is zero: the leg carries a large load without torque, but a
+push topples the robot. The value is chosen.
 """
 
 JOINT_RESERVE = 0.02
-"""Least distance of the joints from their limits (rad), on top of the task's, where the task's own
-stance leaves as much: what a servo gives way, and a foot that sinks into soft ground stretches its
-leg. On a limit a nudge is enough: Go1 bore 61 kg with its knees on theirs, and failed with 1."""
+"""Distance from the joint limits [rad] that is required in addition to the task's joint margin, if
+the initial stand has as much. It covers the deflection of servos, and the extension of legs whose
+feet sink into soft ground. Chosen. Without a reserve, a small disturbance is enough to fail: with
+the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""The same where it leaves less: a search that follows a limit steps over it by a little, where
-there is no stance to evaluate."""
+"""Lower bound of the reserve [rad] that replaces `JOINT_RESERVE` if the initial stand has less, and
+the tolerance with which a violated reserve is still allowed. A descent along a limit slightly
+violates the limit, where no stand exists for evaluation. Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class StanceSlack:
-    """What a stance has left of what it may not use up; all >= 0 where it is allowed.
+    """Constraint slacks of a stance; all are >= 0 if the stance is allowed.
 
     Attributes:
-        singular_values: (n,) of each leg, less its least, in parts of the nominal one.
-        joints: (2 nu,) distances from both limits, less the margin and ``JOINT_RESERVE`` (rad).
-        edges: (m,) distances of the com's projection from the edges of the support polygon, less
-            the margin (m).
-        touching: Minus how deep parts are in each other that the task's stand has apart (m).
+        singular_values: Shape (n,); smallest singular value of the Jacobian of each contact point
+            less its lower bound, relative to its initial value.
+        joints: Shape (2 nu,) [rad]; distances from the lower, then the upper joint limits, less the
+            joint margin and the reserve. Values are at most 1.
+        edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
+            polygon, less the CoM margin.
+        touching: Negative total penetration [m] of pairs of geoms that do not touch in the initial
+            stand.
     """
 
     singular_values: Array
@@ -78,37 +89,43 @@ class StanceSlack:
     touching: float
 
     def less(self, inside: float) -> Array:
-        """Returns all of it as one vector, in comparable units, less a little.
+        """Return all slacks as one vector, reduced by ``inside``; lengths are multiplied by 10.
 
-        Nothing is taken off where parts touch: it is zero wherever they do not.
+        The entry of ``touching`` is not reduced, because it is zero for every allowed stance.
         """
-        room = [self.singular_values - inside, self.joints - inside, 10 * self.edges - inside]
-        return np.concatenate([*room, [10 * self.touching]])
+        slacks = [self.singular_values - inside, self.joints - inside, 10 * self.edges - inside]
+        return np.concatenate([*slacks, [10 * self.touching]])
 
 
 class StanceSpace:
-    """All stances around a task's, as vectors.
+    """Stances in the neighbourhood of an initial task, as vectors of coordinates.
+
+    Args:
+        robot: Robot.
+        task: Initial task.
 
     Attributes:
-        robot: The robot.
-        nominal: The task's own stand.
-        names: Of the coordinates.
-        start: Coordinates of the task's own stand.
-        low: The coordinates' least values.
-        high: Their greatest.
+        robot: Robot.
+        nominal: Initial stand: the stand of the initial task.
+        centre: Centre of the feet of the initial stand, shape (2,) [m], in the world frame.
+        free: Feet that the task does not place; the search displaces these feet.
+        names: Names of the coordinates: `BASE_COORDINATES`, then ``FR x``, ``FR y`` ...
+        start: Coordinates of the initial stand, shape (n,) [m or rad].
+        low: Lower bounds of the coordinates, shape (n,) [m or rad].
+        high: Upper bounds of the coordinates, shape (n,) [m or rad].
     """
 
     def __init__(self, robot: Robot, task: StandTask) -> None:
         self.robot = robot
         self.nominal = nominal = solve_stand(robot, task)
-        # The floor turned, but without steps, which would have to follow the feet.
+        # The floor has the task's slope, but no steps, because steps would have to follow the feet.
         ground = Ground(task.ground.slope, task.ground.uphill)
-        left = self._from_limits(self.nominal) - task.joint_margin
-        self._reserve = np.clip(left, JOINT_LIMIT_OVERSHOOT, JOINT_RESERVE)
-        self._grounded = build_on_ground(robot, ground, {})
-        self._data = mujoco.MjData(self._grounded.mj_model)
-        self._touching = self._touches(nominal)
-        self._nominal_values = _singular_values(Configuration(robot, nominal.qpos))
+        available = self._joint_limit_distances(self.nominal) - task.joint_margin
+        self._reserve = np.clip(available, JOINT_LIMIT_OVERSHOOT, JOINT_RESERVE)
+        self._robot_on_ground = build_on_ground(robot, ground, {})
+        self._collision_data = mujoco.MjData(self._robot_on_ground.mj_model)
+        self._initial_penetrations = self._compute_penetrations(nominal)
+        self._initial_singular_values = _min_singular_values(Configuration(robot, nominal.qpos))
         self.centre = nominal.centre(robot)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE_COORDINATES, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
@@ -116,60 +133,67 @@ class StanceSpace:
         assert height is not None
         base = [height, *place, task.roll, task.pitch, task.yaw]
         self.start = np.array([*base, *np.zeros(2 * len(self.free))])
-        self.low, self.high = self._bounds()
+        self.low, self.high = self._compute_bounds()
 
-    def _bounds(self) -> tuple[Array, Array]:
-        """Returns the coordinates' least and greatest values; the task's are between."""
-        # Turns go no further than that, so that their ends need not be found.
-        most = dict.fromkeys(BASE_COORDINATES, math.inf) | dict.fromkeys(_TURNS, MAX_BASE_ROTATION)
-        within = {
-            name: find_interval(self.robot, self.nominal, name, most[name], usual_starts_only=True)
+    def _compute_bounds(self) -> tuple[Array, Array]:
+        """Compute the lower and upper bounds of the coordinates, which contain ``start``."""
+        # A bounded rotation saves the search for the end of its interval.
+        max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
+        max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
+        workspace = {
+            name: find_interval(
+                self.robot, self.nominal, name, max_changes[name], usual_starts_only=True
+            )
             for name in BASE_COORDINATES
         }
-        height = within["height"]
+        height = workspace["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]
         for name, value in zip(BASE_COORDINATES[1:], self.start[1:], strict=False):
-            low.append(max(within[name].low, value - most[name]))
-            high.append(min(within[name].high, value + most[name]))
+            low.append(max(workspace[name].low, value - max_changes[name]))
+            high.append(min(workspace[name].high, value + max_changes[name]))
         outwards = self.outwards()
-        apart = [abs(self._from_centre(foot)) for foot in self.free]
+        distances = [abs(self._offset_from_centre(foot)) for foot in self.free]
         inwards = (
-            np.minimum(MAX_OUTWARD_STEP * height.high, MAX_INWARD_STEP * np.min(apart, axis=0))
-            if apart
+            np.minimum(MAX_OUTWARD_STEP * height.high, MAX_INWARD_STEP * np.min(distances, axis=0))
+            if distances
             else 0
         )
         for foot in self.free:
-            way = np.where(outwards[foot] > 0, 1.0, -1.0)
-            ends = np.sort([-way * inwards, way * MAX_OUTWARD_STEP * height.high], axis=0)
+            signs = np.where(outwards[foot] > 0, 1.0, -1.0)
+            ends = np.sort([-signs * inwards, signs * MAX_OUTWARD_STEP * height.high], axis=0)
             low += ends[0].tolist()
             high += ends[1].tolist()
         return np.minimum(low, self.start), np.maximum(high, self.start)
 
-    def _from_centre(self, foot: str) -> Array:
+    def _offset_from_centre(self, foot: str) -> Array:
+        """Return the initial position of a foot relative to the centre of the feet, (2,) [m]."""
         points = self.robot.feet[foot]
-        place = np.mean([self.nominal.foot_targets[point][:2] for point in points], axis=0)
-        away: Array = place - self.centre
-        return away
+        position = np.mean([self.nominal.foot_targets[point][:2] for point in points], axis=0)
+        offset: Array = position - self.centre
+        return offset
 
     def outwards(self) -> dict[str, Array]:
-        """Returns {free foot: (2,) signs of the way outwards along x and y}."""
-        return {foot: np.sign(self._from_centre(foot)) for foot in self.free}
+        """Return {free foot: signs (2,) of the outward directions along world x and y}."""
+        return {foot: np.sign(self._offset_from_centre(foot)) for foot in self.free}
 
     @property
     def symmetric(self) -> bool:
-        """Whether nothing in the task tells left from right."""
+        """True if the initial task is symmetric between left and right.
+
+        The kinematics of the robot are not compared.
+        """
         task, ground = self.nominal.task, self.nominal.task.ground
-        sideways = abs(math.sin(ground.uphill)) * ground.slope
-        turned = max(abs(task.roll), abs(task.yaw), sideways, abs(self.start[2]))
+        side_slope = abs(math.sin(ground.uphill)) * ground.slope
+        asymmetry = max(abs(task.roll), abs(task.yaw), side_slope, abs(self.start[2]))
         uneven = task.swing or task.feet or task.foot_offsets or any(ground.heights.values())
-        return turned < 1e-9 and not uneven
+        return asymmetry < 1e-9 and not uneven
 
     def directions(self) -> Array:
-        """Returns (size, k): along which the feet move together, fore-aft or sideways.
+        """Return directions (size, k) in the space of coordinates, with coupled feet.
 
-        Columns: the base's coordinates (of these only height, x and pitch if the task is
-        symmetric), the length of the stance, its width in front, and its width behind.
+        Columns: base coordinates (only height, x and pitch if the task is symmetric), length of the
+        stance, width of the front feet, width of the rear feet. Columns of zeros are omitted.
         """
         keep = (0, 1, 4) if self.symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
@@ -184,16 +208,16 @@ class StanceSpace:
         return np.array(columns).T
 
     def task(self, coordinates: Array) -> StandTask:
-        """Returns the task of a vector of coordinates."""
+        """Make the stand task for a vector of coordinates."""
         height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE_COORDINATES)])
         task = self.nominal.task
         offsets: dict[str, Point] = dict(task.foot_offsets)
-        for foot, move in zip(
+        for foot, shift in zip(
             self.free, coordinates[len(BASE_COORDINATES) :].reshape(-1, 2), strict=True
         ):
-            had = task.foot_offsets.get(foot, (0.0, 0.0))
-            offsets[foot] = (float(had[0] + move[0]), float(had[1] + move[1]))
-        # An offset is from the centre of the feet as they are then: the feet may move it.
+            initial = task.foot_offsets.get(foot, (0.0, 0.0))
+            offsets[foot] = (float(initial[0] + shift[0]), float(initial[1] + shift[1]))
+        # The offset refers to the centre of the displaced feet.
         return replace(
             task,
             height=height,
@@ -206,18 +230,18 @@ class StanceSpace:
         )
 
     def stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
-        """Returns the stand of a vector of coordinates, if one is found; its com may lack margin.
+        """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        How much it has of that is in its ``room``: a search goes by it. Stands are looked for from
-        the usual starts alone: one that is found only with legs bent another way is not missed
-        among thousands.
+        The CoM margin is not enforced: it is one of the slacks of `room`. Only the usual initial
+        guesses are tried, because stands in other IK branches are rare and the search evaluates
+        thousands.
 
         Args:
-            coordinates: The coordinates.
-            near: A stand whose coordinates are almost these, from which alone it is looked for.
+            coordinates: Coordinates, shape (n,) [m or rad].
+            near: Stand with almost the same coordinates, as the only initial guess.
 
         Raises:
-            ConfigurationError: If it cannot be asked for.
+            ConfigurationError: If the task of the coordinates is rejected.
         """
         task = self.task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
@@ -229,45 +253,48 @@ class StanceSpace:
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def room(self, stand: Stand) -> StanceSlack:
-        """Returns what a stand leaves of what it may not use up."""
+        """Compute the constraint slacks of a stand."""
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
-        least = MIN_SINGULAR_VALUE_RATIO * self._nominal_values
-        scale = np.where(self._nominal_values > 0, self._nominal_values, 1.0)
-        limits = self._from_limits(stand) - self._reserve - task.joint_margin
+        min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
+        scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
+        joint_slacks = self._joint_limit_distances(stand) - self._reserve - task.joint_margin
         sides = polygon_sides(stand.corners(self.robot))
         edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
-        new = self._touches(stand)
-        added = sum(depth for pair, depth in new.items() if pair not in self._touching)
+        penetrations = self._compute_penetrations(stand)
+        added = sum(
+            depth for pair, depth in penetrations.items() if pair not in self._initial_penetrations
+        )
         return StanceSlack(
-            singular_values=(_singular_values(config) - least) / scale,
-            joints=np.minimum(limits, 1.0),
+            singular_values=(_min_singular_values(config) - min_values) / scale,
+            joints=np.minimum(joint_slacks, 1.0),
             edges=edges - task.com_margin,
             touching=-added,
         )
 
-    def _from_limits(self, stand: Stand) -> Array:
-        """Returns how far joints are from their lower, and from their upper limits (2 nu,)."""
+    def _joint_limit_distances(self, stand: Stand) -> Array:
+        """Return the distances from the lower, then the upper joint limits, shape (2 nu,) [rad]."""
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 
-    def _touches(self, stand: Stand) -> dict[tuple[int, int], float]:
-        """Returns how deep parts are in each other or the ground (m), but for feet in it."""
-        robot, data = self._grounded, self._data
+    def _compute_penetrations(self, stand: Stand) -> dict[tuple[int, int], float]:
+        """Compute {pair of geoms: penetration [m]}, without pairs of foot geoms and ground."""
+        robot, data = self._robot_on_ground, self._collision_data
         robot.mj_convention.set_state(data, stand.qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)
         mujoco.mj_collision(robot.mj_model, data)
         ground = contact.ground_geom(robot.mj_model)
-        touches: dict[tuple[int, int], float] = {}
+        penetrations: dict[tuple[int, int], float] = {}
         for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
-            one, two = sorted(map(int, geoms))
-            if distance < 0 and not {one, two} <= {ground, *robot.foot_geoms}:
-                touches[one, two] = max(touches.get((one, two), 0.0), -float(distance))
-        return touches
+            first, second = sorted(map(int, geoms))
+            if distance < 0 and not {first, second} <= {ground, *robot.foot_geoms}:
+                depth = penetrations.get((first, second), 0.0)
+                penetrations[first, second] = max(depth, -float(distance))
+        return penetrations
 
 
-def _singular_values(config: Configuration) -> Array:
-    """Returns the least foot speed per joint speed of each leg (n,) (m)."""
+def _min_singular_values(config: Configuration) -> Array:
+    """Compute the smallest singular value of each contact point's Jacobian, shape (n,) [m/rad]."""
     columns = np.array([jacobian[:, 6:] for jacobian in config.foot_jacobians().values()])
     values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]
     return values

@@ -28,9 +28,9 @@ EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
 
 @pytest.fixture
 def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A shorter search, where what is tested is not how good the best is."""
-    monkeypatch.setattr(search, "_SAMPLES", 8)
-    monkeypatch.setattr(search, "_STARTS", 1)
+    """Shorten the search in tests that do not check how good the best stance is."""
+    monkeypatch.setattr(search, "_SAMPLE_COUNT", 8)
+    monkeypatch.setattr(search, "_START_COUNT", 1)
 
 
 def utilisation(robot: pa.Robot, stand: pa.Stand) -> float:
