@@ -48,7 +48,7 @@ def check_input(path: Path, most: int, *, own: bool = False) -> None:
             run must not write.
 
     Raises:
-        InputError: If the file is missing, is no regular file, or is too large.
+        InputError: If the file is missing, is not accessible, is no regular file, or is too large.
         OutputError: If the run will write this file, unless ``own`` is set.
     """
     try:
@@ -86,7 +86,7 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
         own: As in ``check_input``.
 
     Raises:
-        InputError: If the file is no regular file, is too large, or cannot be read.
+        InputError: If the file is missing, is no regular file, is too large, or cannot be read.
         OutputError: If the run will write this file, unless ``own`` is set.
     """
     check_input(path, most, own=own)

@@ -44,7 +44,9 @@ class Run:
     asked: dict[str, Any] = field(default_factory=dict)
 
     def expect(self, path: Path) -> None:
-        """Register an output file. Reading this file later in the run raises an error.
+        """Register an existing file as an output; a missing file is ignored.
+
+        Reading this file later in the run raises an error, unless the run has written the file.
 
         Raises:
             OutputError: If the run has already read the file.
@@ -64,7 +66,14 @@ class Run:
             raise OutputError(path, diagnose("output-is-an-input", source=self.inputs[identity]))
 
     def wrote(self, path: Path, *, edited: bool = False) -> None:
-        """Register a file that the run has written. A file that was edited remains an input."""
+        """Register a file that the run has written. A missing file is ignored.
+
+        Expected outputs whose file was deleted or replaced are removed.
+
+        Args:
+            path: The file.
+            edited: Whether the run has edited the file in place. The file is then an input.
+        """
         identity = identify_file(path)
         if identity is None:
             return

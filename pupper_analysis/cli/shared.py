@@ -496,7 +496,12 @@ def confirm_written(path: Path | str) -> None:
 
 
 def write_json(path: Path | None, content: object) -> None:
-    """Write results as JSON, if a path was typed."""
+    """Write results as JSON and print the path, if a path was typed.
+
+    Raises:
+        ProcessEnded: If a signal has arrived.
+        OutputError: If the file cannot be written, or must not be replaced.
+    """
     from pupper_analysis.base.files import write_atomically
     from pupper_analysis.base.provenance import to_marked_json
     from pupper_analysis.cli.process import raise_if_ended
@@ -509,7 +514,13 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
-    """Write results as one HTML file, if a path was typed."""
+    """Write results as one HTML file and print the path, if a path was typed.
+
+    Raises:
+        ProcessEnded: If a signal has arrived.
+        ConfigurationError: If there is no result.
+        OutputError: If the file cannot be written, or must not be replaced.
+    """
     from pupper_analysis.cli.process import raise_if_ended
 
     raise_if_ended()
@@ -539,7 +550,8 @@ def parse_point(
         choices: Valid words in place of coordinates, for errors.
 
     Raises:
-        ConfigurationError: If the text has another form; it names the option.
+        ConfigurationError: If the text has another form or number of coordinates, or a length is
+            probably in mm; it names the option.
     """
     try:
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))

@@ -274,7 +274,7 @@ class SpecTree:
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
-        """Return the last actuator at a joint; None if there is none."""
+        """Return the last actuator with transmission ``joint`` at a joint; None without any."""
         transmission = mujoco.mjtTrn.mjTRN_JOINT
         motors = [
             motor
@@ -304,14 +304,16 @@ class SpecTree:
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Change the actuator of a joint to a position servo; without an actuator, add one.
+        """Change the last actuator of a joint to a position servo; without an actuator, add one.
+
+        Limits of the control and of the activation, and the delay, are removed.
 
         Args:
             joint: Joint.
             kp: Stiffness at the joint [N m/rad, N/m].
             kd: Damping at the joint [N m s/rad, N s/m].
             limits: Lower and upper bound of the torque or force at the joint [N m, N]. If None,
-                existing limits stay.
+                the existing force range of the actuator stays.
         """
         motor = self.motor_at(joint) or self._add_actuator(joint)
         gear = float(motor.gear[0]) or 1.0
@@ -323,7 +325,10 @@ class SpecTree:
             motor.forcerange = sorted(float(limit) / gear for limit in limits)
 
     def limit_effort(self, joint: str, effort: float) -> None:
-        """Replace all limits of the actuators of a joint by a symmetric limit of their total.
+        """Replace the force limits of a joint and its actuators by a symmetric limit of the total.
+
+        Control ranges of torque motors are disabled; those of servos stay. Only actuators with
+        transmission ``joint`` are changed.
 
         Args:
             joint: Joint.
@@ -377,7 +382,7 @@ class SpecTree:
         return ball
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Disable all contacts of geoms."""
+        """Set the contact bits of geoms to zero. Explicit pairs (``<pair>``) still collide."""
         for geom in self.spec.geoms:
             if geom.name in geoms:
                 geom.contype = geom.conaffinity = 0

@@ -125,7 +125,7 @@ def parse_text(text: str) -> etree._Element:
 
 
 def to_text(root: etree._Element) -> str:
-    """Return the XML text of an element, without a declaration."""
+    """Return the XML text of a root element, without a declaration."""
     return str(etree.tostring(root, encoding="unicode"))
 
 

@@ -119,7 +119,7 @@ def report_added_servos(
 
 
 def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
-    """Report actuators that act on no single hinge or slide: at a tendon, site or ball joint."""
+    """Report actuators that act on no single hinge or slide, for example at a tendon."""
     model = robot.mj_model
     actuators = [
         actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)

@@ -113,13 +113,21 @@ class GroundLaw:
     def depth(self, force: float, near: float | None = None) -> float:
         """Return the penetration [m] under a normal force; extrapolated linearly if the foot pulls.
 
-        Newton's method, first without bounds from ``near``, then with bounds. A step that leaves
-        the bounds, or that does not halve the residual, is replaced by the geometric mean of the
-        bounds.
+        Newton's method runs first without bounds from ``near``, for at most `_NUM_UNBOUNDED_STEPS`
+        steps, then with bounds. With bounds, a step is replaced by the geometric mean of the bounds
+        if the step leaves the bounds, or if the previous step did not halve the residual. While the
+        lower bound is zero, half the upper bound replaces the mean.
+
+        The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
+        the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
 
         Args:
             force: Normal force [N].
             near: Initial guess of the penetration [m], close to the solution.
+
+        Returns:
+            Penetration [m], at least -margin if the foot does not pull. If the ground exerts no
+            force (``solref`` of zero): infinite for a positive force, else -margin.
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force

@@ -163,9 +163,10 @@ class _Search:
         return is_base_in_ground(self.shapes, self.goal)
 
     def try_starts(self, joints: Iterable[Array]) -> Stand | None:
-        """Return the first stand that IK reaches from some joint positions (nu,).
+        """Return the first solved stand that IK reaches from some joint positions, shape (nu,).
 
-        If no stand can exist, the first configuration with the feet in place.
+        If no stand can exist (`_is_hopeless`), the first configuration with the feet in place is
+        returned. None if no initial guess leads to either.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -468,7 +469,16 @@ def branch_seeds(
 
 
 def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
-    """Estimate the base displacement [m] by a choice of other branches if the CoM stays."""
+    """Estimate an upper bound of the base displacement if branches change and the CoM stays.
+
+    ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM
+    with branch b of one limb [m], and c_0 with its first branch.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration, shape (nq,), of the other limbs.
+        found: {limb: its branches, at least one}.
+    """
     total = 0.0
     for limb, branches in found.items():
         coms = []

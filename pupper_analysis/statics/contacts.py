@@ -276,7 +276,8 @@ def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
         places: Position of each contact point, shape (3,) [m], in the world frame.
 
     Returns:
-        Shape (g, 4): position [m] and force limit in units of the robot's weight.
+        Shape (g, 4): position [m] of the first contact point of the grip, and force limit in units
+        of the robot's weight.
     """
     rows = [
         (*places[robot.feet[foot][0]], limit / robot.weight) for foot, limit in robot.grips.items()

@@ -217,31 +217,37 @@ def gravity_compensation(
     """Compute motor torques and contact forces in static equilibrium.
 
     Solves g(q) = J^T f + S^T tau, where S selects the actuated joints, J is the Jacobian of the
-    contact points, and g contains gravity minus the springs and the gravity compensation of the
-    MJCF (`Configuration.load`). The six base rows determine the total wrench of the contact forces
-    f; ``distribution`` selects one f in the friction cones. Without contacts, an external wrench
-    holds the base, and tau is the joint part of g.
+    contact points, and g contains gravity minus the springs, the gravity compensation and the wind
+    of the MJCF (`Configuration.load`). Closed loops and couplings transfer joint forces to the
+    motors first (`Configuration.by_motors`). The six base rows determine the total wrench of the
+    contact forces f; ``distribution`` selects one f in the friction cones. Without contacts and
+    welds, an external wrench holds the base, and tau is the joint part of g.
 
-    The solver is a second-order cone program in null-space coordinates of the base rows, so balance
-    holds to rounding, independent of the solver's tolerance (see `statics.cone_program`).
+    A second-order cone program is solved if the optimum without friction cones violates the cones,
+    and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of
+    the solver, which uses null-space coordinates of the base rows (see `statics.cone_program`).
 
     Args:
         config: State of the robot. The velocity is ignored.
-        contacts: Feet that carry load. Default: all feet; none for a fixed base.
-        friction: Friction coefficient, for all feet or per foot. Default: MuJoCo's contact.
-        normals: Per foot, a direction out of the ground, shape (3,), in the world frame. Default:
-            upward.
-        depths: Per foot, penetration into the ground [m]. Default: 0. As in MuJoCo, the force acts
-            at half the depth.
+        contacts: Contact points that carry load. Default: all except those of welded parts; none
+            for a fixed base.
+        friction: Friction coefficient, for all contact points or per contact point. Default:
+            MuJoCo's contact.
+        normals: Per contact point, a direction out of the ground, shape (3,), in the world frame.
+            Default: upward.
+        depths: Per contact point, penetration into the ground [m]. Default: 0. As in MuJoCo, the
+            force acts at half the depth.
         distribution: Selection among feasible forces. Default: minimum tangential forces.
 
     Returns:
         Motor torques, contact forces, utilisations and residuals.
 
     Raises:
-        UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient, a normal or ``distribution`` is invalid, or a
-            robot with a fixed base has contacts.
+        UnknownNameError: If a contact point is unknown.
+        ConfigurationError: If an argument has another type, a friction coefficient, a normal or
+            ``distribution`` is invalid, a contact point is named twice, the friction of the ground
+            is unknown, a robot with a fixed base has contacts, or a closed loop is open or
+            singular.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
@@ -271,9 +277,10 @@ def balance_load(
         distribution: Selection among feasible forces, as in ``gravity_compensation``.
         tipping: Reason in the error if ``point`` is outside the support region.
         held: Remove friction cones and unilateral limits, as if feet were glued to the ground.
+            Beside welds, minimum tangential forces keep the unilateral limits.
 
     Raises:
-        ConfigurationError: If ``distribution`` is unknown, or closed loops are open.
+        ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     robot, criterion = config.robot, to_distribution(distribution)
@@ -335,7 +342,7 @@ def check_loops(config: Configuration, left: Array) -> None:
         left: Shape (nv,) [N, N m]; load minus contact forces, carried by motors and loops.
 
     Raises:
-        ConfigurationError: If a loop or coupling is open.
+        ConfigurationError: If a loop or coupling is open, or the configuration is singular.
     """
     closure, robot = config.robot.closure, config.robot
     if closure is not None:

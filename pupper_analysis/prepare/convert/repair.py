@@ -95,7 +95,7 @@ class LinkBodies:
         return None if above == self.tree.base.name == WORLD_LINK else above
 
     def moves(self, body: str) -> bool:
-        """Return True if a body can move relative to its parent."""
+        """Return True if a body can move relative to its parent; for the base, if it is free."""
         joint = self.tree.above.get(body)
         return self.free if joint is None else not joint.is_fixed
 

@@ -63,10 +63,11 @@ class MjcfOnlyEffect(Stated):
 def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model without contacts, limits, dry friction and commands.
 
-    Contacts, joint and tendon limits, dry friction and the control of actuators are disabled.
-    Armature and damping of actuators, gravity compensation through actuators, and DC motors without
-    command remain. The integrator is Euler, because with ``discrete`` the accelerations depend on
-    the time step.
+    Contacts, joint and tendon limits, dry friction and the forces of actuators are disabled, also
+    the stiffness and damping of servos (``kp``, ``kv``). The attributes ``armature`` and
+    ``damping`` of actuators, gravity compensation through actuators, and enabled DC motors without
+    controller remain. The integrator is Euler, because with ``discrete`` the accelerations depend
+    on the time step.
     """
     result = copy.copy(model)
     for bit in (DISABLE.mjDSBL_CONTACT, DISABLE.mjDSBL_LIMIT, DISABLE.mjDSBL_FRICTIONLOSS):
@@ -92,7 +93,7 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
-    """Return ``as_it_is(model)`` with some effects disabled."""
+    """Return a passive copy of a model (`make_passive_model`) with some effects disabled."""
     result = make_passive_model(model)
     for effect in effects:
         effect.switch(result, None)

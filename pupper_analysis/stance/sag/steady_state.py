@@ -485,7 +485,8 @@ def steady_state(
         UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor, or the model has no servos and ``kp`` is None.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NoEquilibriumError: If no equilibrium continues the stand.
+        NoEquilibriumError: If no equilibrium continues the stand, or creep ends the equilibrium
+            within ``seconds``.
     """
     robot = touching(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
@@ -508,7 +509,7 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
 
     Returns:
         Time until the equilibrium ends or has a failure [s]; infinite if longer than
-        ``HOLD_DURATION``.
+        ``HOLD_DURATION``, or if no creep is simulated.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (
@@ -564,7 +565,8 @@ def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0)
         seconds: Creep time of pinned feet at the end [s].
 
     Raises:
-        NoEquilibriumError: If no equilibrium continues the stand.
+        NoEquilibriumError: If no equilibrium continues the stand, or the creep ends the
+            equilibrium.
     """
     way.follow(0.0 if feedforward else 1.0)
     margin = release_margin(way)

@@ -234,14 +234,16 @@ class KeyframeRun(Result):
 
 
 def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | None:
-    """Simulates a file from its first keyframe, with nothing added and nothing changed.
+    """Simulate an unmodified MJCF from its first keyframe, after a velocity nudge.
+
+    The actuator commands are those of the keyframe.
 
     Args:
-        path: The MJCF, as it was written.
-        duration: s.
+        path: The MJCF, as written.
+        duration: Simulated time [s].
 
     Returns:
-        What it does; None if it has no keyframe.
+        Stability of the keyframe and response to the nudge; None if the file has no keyframe.
     """
     model = mujoco.MjModel.from_xml_path(str(path))
     if not model.nkey:
@@ -256,11 +258,11 @@ def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | N
 
 
 def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
-    """Refuses armatures that are negative, or of joints that a URDF does not have.
+    """Check {joint: armature [kg m^2]} for a URDF.
 
     Raises:
-        ConfigurationError: If one is negative, or no number.
-        ModelError: If a joint is not there; the message lists those that are.
+        ConfigurationError: If an armature is negative or not finite.
+        UnknownNameError: If the URDF has no such joint; the message lists the joints.
     """
     known = list(urdf.tree.joints)
     for name, value in names.items():

@@ -210,9 +210,20 @@ def tool_payload(
 
 
 def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
-    """Return the greatest mass (kg) at a tool in a posture (nu,), and the joint that limits it.
+    """Return the greatest mass [kg] at a tool in a posture, and the joint that limits the mass.
 
-    Not a number if a motor that bears the mass in this posture has an unknown limit.
+    Args:
+        robot: Robot with a fixed base.
+        qpos: Posture, shape (nu,) [rad, m].
+        tool: Tool.
+
+    Returns:
+        Mass and joint. The mass is
+
+        - 0 if a motor exceeds its limit without the mass; the joint is the one with the largest
+          excess;
+        - otherwise NaN, with "" for the joint, if a motor that bears the mass has an unknown limit;
+        - infinite, with "" for the joint, above `UNLIMITED_MASS_RATIO` times the robot's mass.
     """
     config, limits = Configuration(robot, qpos), robot.effort_limits
     empty = config.by_motors(config.load())
@@ -232,14 +243,16 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
 def servo_payload(
     robot: Robot, posture: Posture, tool: Tool, kp: ArrayLike | None = None
 ) -> tuple[float, str]:
-    """Returns the greatest mass (kg) at a tool that servos hold in a posture, and whose command.
+    """Compute the greatest mass [kg] at a tool that servos hold in a posture.
 
     The stiffness of servos and gravity together, in the velocities W that couplings allow, is
     W^T (K + G_0 + m G_1) W, linear in the mass; it loses definiteness at the least m > 0 of a
-    generalised eigenvalue problem. What is fed forward, q + tau / kp, is linear in the mass, too.
+    generalised eigenvalue problem. The command with feed-forward, q + tau / kp, is linear in the
+    mass, too. Effort limits are ignored.
 
     Returns:
-        The mass, and the joint whose command is at the end of its range; "" if it is the stiffness.
+        Mass, and the joint whose command is at the end of its range; "" if the stiffness limits the
+        mass, or nothing does (infinite mass). The mass is 0 if the stiffness is too low without it.
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)

@@ -222,8 +222,8 @@ class StancePath(Tabular):
 
         Args:
             path: Output file.
-            force: Replace an existing file of any content. Without, only an earlier table of a path
-                is replaced.
+            force: Replace an existing file of any content, except an input of the run. Without,
+                only an earlier table of a path or an empty file is replaced.
 
         Raises:
             OutputError: If the file cannot be written, or would replace other content.

@@ -137,9 +137,14 @@ def rank_orders(
 ) -> Orders:
     """Rank readings of a policy by simulated walking.
 
-    Tried are: all orders of limbs with equally many joints, each also with the joints grouped by
-    kind instead of by limb; the opposite sign of each joint, and of all joints of one kind; half
-    and twice the action scale; the reversed history, and the other layout of the history.
+    Tried are the stated reading, and readings that differ from it in one respect:
+
+    - Orders of limbs with equally many joints: all orders of up to four limbs, and exchanges of two
+      limbs if there are more. Each order is also tried with the joints grouped by kind instead of
+      by limb, or by limb if they are grouped by kind.
+    - The opposite sign of each joint, and of all joints of one kind.
+    - Half and twice the action scale.
+    - With a history of several steps: the reversed history, and the other layout of the history.
 
     Args:
         robot: Robot.
@@ -149,8 +154,10 @@ def rank_orders(
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the base is fixed.
-        ModelError: If the policy does not fit the robot.
+        ConfigurationError: If an argument is invalid or out of range, the base is fixed, the robot
+            has no feet, or the rate of the policy exceeds that of the time steps.
+        ModelError: If the policy does not fit the robot: for example, the number of joints differs,
+            a joint is unknown or has no motor, or neither policy nor robot has gains.
     """
     checked_commands = np.array([check_command(command) for command in np.atleast_2d(commands)])
     check_runs(1, seconds, WARM_UP_SECONDS)

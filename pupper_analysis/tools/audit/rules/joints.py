@@ -72,7 +72,11 @@ def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
 
 @rule
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find axes more than 60 degrees away from the axis implied by the name, at zero angles."""
+    """Find hinges whose axis is over 60 degrees away from the axis implied by the name.
+
+    Axes are lines in the base frame, at zero angles. A robot whose mirror plane is not parallel to
+    the xz plane of the base is skipped.
+    """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
         return  # the base's y is not sideways: roll and pitch are about other axes
@@ -94,7 +98,7 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find axes shorter than 1e-9."""
+    """Find axes of hinges and slides that are shorter than 1e-9 in the file."""
     for joint in robot.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
             yield CheckFinding("joint", joint.name, diagnose("axis-zero"), "axis")

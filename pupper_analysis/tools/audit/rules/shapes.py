@@ -258,7 +258,15 @@ the largest ratio is 2.3."""
 
 @rule
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the mass of a moving group of fixed links with the convex hull of the shapes."""
+    """Compare the density of each group of fixed links with bounds.
+
+    A group contains a root link or a moving link, and all links fixed to this link. The volume is
+    that of the convex hull of the shapes and of the origins of the link, its frames and its
+    children.
+
+    Skipped are, for example, light groups (`MIN_MASS_FRACTION`), groups with small shapes
+    (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links of which a mesh was not read.
+    """
     for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)

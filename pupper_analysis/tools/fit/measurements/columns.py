@@ -68,7 +68,7 @@ class Columns:
     lines: tuple[int, ...]
 
     def get_columns(self, prefix: str) -> dict[str, Array]:
-        """Return the columns with a prefix: {``FL_knee``: values, shape (n,)} for ``position``."""
+        """Return the numeric columns with a prefix: {``FL_knee``: values (n,)} for ``position``."""
         start = prefix + "."
         return {
             name[len(start) :]: values

@@ -232,9 +232,16 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 
 
 def find_column_step(column: Array) -> float:
-    """Return the largest step of which all differences of positions, shape (n,), are multiples.
+    """Find the largest step of which the differences between sorted positions are multiples.
 
-    0 if there is none.
+    Tested are the `_MAX_STEPS` smallest differences above `_MIN_ENCODER_STEP`. Candidates are the
+    smallest difference and its integer fractions down to 1 / `_MAX_PARTS`.
+
+    Args:
+        column: Positions of one joint, shape (n,) [rad].
+
+    Returns:
+        Step [rad]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
     """
     steps = np.diff(np.sort(column))
     steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_STEPS]

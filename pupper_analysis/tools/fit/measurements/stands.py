@@ -155,10 +155,13 @@ class MeasuredStands:
             raise MeasurementError(self.source, finding)
 
     def average_repeats(self) -> MeasuredStands:
-        """Return the stands with repeated readings (rows with the same name and loads) averaged.
+        """Return the stands with repeated readings averaged.
+
+        Repeated readings are rows with the same name, feet in the air, heading and added masses.
 
         Raises:
-            MeasurementError: If repeated readings differ, so that the robot moved.
+            MeasurementError: If repeated readings differ by more than `_MAX_REPEAT_RANGE`, so that
+                the robot moved.
         """
         loads = np.column_stack([self.heading, *self.added.values()]).tolist()
         keys = list(zip(self.names, self.swing, map(tuple, loads), strict=True))
@@ -296,9 +299,9 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 
 
 def estimate_encoder_step(stands: MeasuredStands) -> float:
-    """Return the encoder step [rad], of which all positions of a joint are multiples apart.
+    """Estimate the encoder step [rad] as the median over the joints; see `find_column_step`.
 
-    The median of the joints' steps; 0 if at most half of the joints have one.
+    Joints without a step are ignored. 0 if at most half of the joints have a step.
     """
     steps = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
     return float(np.median(steps)) if 2 * len(steps) > len(stands.joints) else 0.0

@@ -842,7 +842,9 @@ class StandEquations:
             offsets: Standard deviations of the encoder offsets, shape (nu,) [rad].
 
         Returns:
-            {foot: height above the ground and its standard deviation [m]}.
+            {foot: height above the ground and its standard deviation [m]}. The standard deviation
+            contains the encoder offsets and the unevenness of the ground (``StandNoise.flatness``),
+            not the errors of the base pose.
         """
         carrying, config = (
             self._readings[stand].points,

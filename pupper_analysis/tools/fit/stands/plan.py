@@ -525,7 +525,10 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 
 
 def _compute_clearance(robot: Robot) -> float | None:
-    """Return the required clearance [m] between links; None if links touch in the nominal stand."""
+    """Return the required clearance [m] between links.
+
+    None if the nominal stand cannot be solved, for example since links touch, or has no link pairs.
+    """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
     except PupperAnalysisError:  # overlapping shapes
@@ -545,7 +548,11 @@ def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Return the prior standard deviation of the robot's CoM [m], the larger one of x and y.
 
-    It belongs to the nominal stand, and follows from the priors of masses and CoM positions.
+    The CoM is expressed in the base frame, with joints at their nominal positions. The deviation
+    follows from the priors of masses and CoM positions; links without a prior have the default.
+
+    Raises:
+        ConfigurationError: If a prior of a mass or CoM position matches no link.
     """
     inertial_priors = [prior for prior in priors if prior.kind in ("mass", "com")]
     prior_posterior = Posterior.from_prior(
