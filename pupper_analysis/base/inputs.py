@@ -83,7 +83,8 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
     Args:
         path: The file.
         most: Maximum size [bytes].
-        own: As in ``check_input``.
+        own: Whether the file belongs to this package, and not to the user. It is then not recorded
+            as an input of the run.
 
     Raises:
         InputError: If the file is missing, is no regular file, is too large, or cannot be read.

@@ -72,7 +72,8 @@ class Run:
 
         Args:
             path: The file.
-            edited: Whether the run has edited the file in place. The file is then an input.
+            edited: Whether the run has edited the file in place. The file then counts as an input,
+                which later output of the run must not replace. Otherwise the run may read it.
         """
         identity = identify_file(path)
         if identity is None:

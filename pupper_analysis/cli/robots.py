@@ -224,7 +224,12 @@ class RobotOptions:
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:
-    """Load the robot of files, and show progress; the caller prints the notes."""
+    """Load a robot from its files, and show progress; the caller prints the notes.
+
+    Args:
+        files: Files and options of the user.
+        **more: Keyword arguments of ``files.load``.
+    """
     with shared.show_progress("preparing the robot: feet, start pose, servos"):
         return files.load(**more)
 

@@ -325,7 +325,15 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Return the value in SI units."""
+        """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
+
+        ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A text without a unit is in
+        the SI unit. A number from Python is returned as it is, except for a length.
+
+        Raises:
+            click.BadParameter: If the text is no such quantity, or a length without unit is
+                probably in millimetres.
+        """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
         if isinstance(value, float | int):
@@ -337,9 +345,9 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
 
 
 def parse_quantity(kind: str, text: str) -> float:
-    """Return a value in SI units; the text may end with a unit.
+    """Parse a number with or without a unit into SI units: ``10cm`` is 0.1.
 
-    A length without unit is in metres.
+    A number without a unit is in SI units.
 
     Args:
         kind: Key of ``units.UNITS``.
@@ -514,7 +522,12 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
-    """Write results as one HTML file and print the path, if a path was typed.
+    """Write results as one HTML file and print the path; without a path, write nothing.
+
+    Args:
+        path: Output file of the user, or None.
+        results: Results of the command.
+        robots: Robots of the results, for 3-D views.
 
     Raises:
         ProcessEnded: If a signal has arrived.
@@ -541,13 +554,14 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
 def parse_point(
     option: str, text: str, size: int = 2, choices: Iterable[str] = ()
 ) -> tuple[float, ...]:
-    """Return the coordinates [m] of X,Y or X,Y,Z.
+    """Parse the text ``X,Y`` or ``X,Y,Z`` of an option into coordinates [m].
 
     Args:
-        option: Name of the option, for errors.
-        text: Text.
-        size: Number of coordinates.
-        choices: Valid words in place of coordinates, for errors.
+        option: Name of the option, for error messages.
+        text: Lengths separated by commas, each with or without a unit: ``10mm,0,0``.
+        size: Number of coordinates, 2 or 3.
+        choices: Words that the option also accepts. They are not accepted here: the caller handles
+            them first, and the error message lists them.
 
     Raises:
         ConfigurationError: If the text has another form or number of coordinates, or a length is

@@ -58,7 +58,13 @@ class ModelFile(Protocol):
         """Path of the file."""
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Find the location of an element; see `UrdfFile.place`."""
+        """Return file and line of an element of a kind (link, joint) with a name.
+
+        Args:
+            kind: Kind of the element.
+            name: Name of the element.
+            child: Child element to locate instead. Default: the element itself.
+        """
 
 
 class Reader(Protocol):
@@ -74,10 +80,16 @@ class Reader(Protocol):
         """Return the robot that a file specifies."""
 
     def read_as_urdf(self, path: Path) -> UrdfFile:
-        """Convert a file to a URDF with the same values; ``stands_for`` is the format."""
+        """Read a file of this format, and convert it to a URDF with the same values.
+
+        ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
+        """
 
     def read_as_mjcf(self, path: Path) -> MjcfFile:
-        """Convert a file to an MJCF with the same values; ``stands_for`` is the format."""
+        """Read a file of this format, and convert it to an MJCF with the same values.
+
+        ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
+        """
 
 
 def reader_of(path: Path) -> Reader | None:

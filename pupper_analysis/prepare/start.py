@@ -128,11 +128,14 @@ def choose_keyframes(
 def with_keyframes(
     description: Description, known: Mapping[str, Mapping[str, float]]
 ) -> Description:
-    """Return a description with keyframes, which the matching of both files removes.
+    """Return a description with the keyframes added to the MJCF.
+
+    An earlier step, the matching of URDF and MJCF names, has removed the keyframes of the MJCF.
 
     Args:
-        description: Both files with matched names.
-        known: {keyframe: {joint: position}}; a joint without a position is at its reference.
+        description: URDF and MJCF with matched names.
+        known: {keyframe: {joint: position [rad, m]}}; a joint without a position keeps its value in
+            ``qpos0``. If empty, the description is returned unchanged.
     """
     if not known:
         return description

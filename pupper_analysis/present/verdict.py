@@ -227,16 +227,19 @@ def judged_document(
 
 
 def verdict_word(verdict: Verdict) -> Text:
-    """Return the word of a verdict, in both languages."""
+    """Return the display word of a verdict (HOLDS, FAILS ...), in English and Chinese."""
     return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
 
 
 def qualify_verdict_word(key: str, converted: str) -> Text:
-    """Return the word of a verdict; a good verdict states if both models come from one file.
+    """Return the display word of a verdict, with a restriction if one model was converted.
+
+    If one model was converted from the other, their agreement proves nothing. The text of a good
+    verdict then adds that both models come from one file.
 
     Args:
-        key: Key of the word in the catalogue.
-        converted: Model that was converted from the other one, ``urdf`` or ``mjcf``; empty if
+        key: Key of the word in the catalogue of texts, for example "HOLDS".
+        converted: Model that was converted from the other model, ``urdf`` or ``mjcf``; empty if
             neither was.
     """
     word = text(key)

@@ -111,27 +111,47 @@ class Closure:
         self._reference_rows = self.rows(self._reference_qpos)[:, self.following]
 
     def residual(self, qpos: Array) -> Array:
-        """Return the openings of the constraints (m,) [m, rad]."""
+        """Return the openings (violations) of the constraints, shape (m,) [m, rad].
+
+        Zero for closed loops.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         openings: Array = self._evaluate_constraints(qpos).efc_pos.copy()
         return openings
 
     def rows(self, qpos: Array) -> Array:
-        """Return the Jacobian (m, nu) of the openings; the base has no effect."""
+        """Return the Jacobian, shape (m, nu), of the openings by the joint positions.
+
+        The pose of the base does not affect the openings.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         rows = self._jacobian(self._evaluate_constraints(qpos))[:, self._first_dof :]
         return rows if self._is_used is None else rows * self._is_used
 
     def give(self, qpos: Array, load: Array) -> Array:
-        """Return the static deflection of the constraints (m,) under a load; compare ``residual``.
+        """Return the openings of the soft constraints under a static load, shape (m,) [m, rad].
+
+        Same sign and order as ``residual``.
 
         Args:
-            qpos: Configuration (nq,).
-            load: Load (nu,) of motors and constraints [N m, N].
+            qpos: Configuration, shape (nq,).
+            load: Static load of motors and constraints, shape (nu,) [N m, N].
         """
         forces = self._force_distribution(qpos) @ load[self.following]
         return -self._make_softness(qpos).opened(forces)
 
     def push(self, qpos: Array) -> Array:
-        """Return P (nu, nu): of a load x, the constraints carry P x, and the motors x - P x."""
+        """Return the matrix P, shape (nu, nu), that splits a static load x of the joints.
+
+        The loop constraints carry P x, and the motors carry x - P x.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         matrix = np.zeros((len(self._joint_names), len(self._joint_names)))
         matrix[:, self.following] = self.rows(qpos).T @ self._force_distribution(qpos)
         # Exact, because dependent joints have no motor.
@@ -139,14 +159,30 @@ class Closure:
         return matrix
 
     def springs(self, qpos: Array) -> Array:
-        """Return the joint forces (nu,) of the constraints at rest at their current openings."""
+        """Return the joint torques and forces that the soft loop constraints exert at rest.
+
+        tau = -A^T (r / c), with the Jacobian A, the openings r (constraint violations, m and rad),
+        and the compliances c at these openings. All velocities are zero.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+
+        Returns:
+            Shape (nu,) [N m, N], acting on the robot.
+        """
         forces: Array = self.rows(qpos).T @ (
             -self.residual(qpos) / self._make_softness(qpos).here()
         )
         return forces
 
     def spring_rates(self, qpos: Array) -> Array:
-        """Return the derivative (nu, nu) of ``springs`` by the joints, by central differences."""
+        """Return the derivative of ``springs`` by the joint positions, shape (nu, nu).
+
+        Computed by central differences. Units: N m/rad for hinges, N/m for slides.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         first, columns = self._num_coordinates - len(self._joint_names), []
         for joint in range(first, self._num_coordinates):
             values = []
@@ -158,13 +194,24 @@ class Closure:
         return np.array(columns).T
 
     def null_space(self, qpos: Array) -> Array:
-        """Return a basis (nu, n) of the joint velocities that keep the loops closed."""
+        """Return an orthonormal basis, shape (nu, n), of joint velocities that keep loops closed.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         _, _, right = np.linalg.svd(self.rows(qpos))
         basis: Array = right[self._rank :].T
         return basis
 
     def bound(self, qpos: Array) -> tuple[Array, Array]:
-        """Return independent rows (r, nu) of the Jacobian, and the openings (r,) along these."""
+        """Return linearly independent combinations of the constraint equations.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+
+        Returns:
+            Jacobian, shape (r, nu), and openings, shape (r,) [m and rad mixed].
+        """
         rows = self.rows(qpos)
         combinations = self._independent_combinations(rows)
         return combinations @ rows, combinations @ self.residual(qpos)

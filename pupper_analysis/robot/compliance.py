@@ -87,7 +87,7 @@ class GroundLaw:
         )
 
     def impedance(self, depth: float) -> float:
-        """Return d at a penetration [m]."""
+        """Return MuJoCo's impedance d (0 to 1, from ``solimp``) at a penetration [m]."""
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
@@ -111,23 +111,27 @@ class GroundLaw:
         return self.rate(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:
-        """Return the penetration [m] under a normal force; extrapolated linearly if the foot pulls.
+        """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
-        Newton's method runs first without bounds from ``near``, for at most `_NUM_UNBOUNDED_STEPS`
-        steps, then with bounds. With bounds, a step is replaced by the geometric mean of the bounds
-        if the step leaves the bounds, or if the previous step did not halve the residual. While the
-        lower bound is zero, half the upper bound replaces the mean.
+
+        Positive forces are solved for by Newton's method. With ``near``, up to
+        `_NUM_UNBOUNDED_STEPS` steps start from this guess. If they do not converge, or without
+        ``near``, a second iteration keeps a lower and an upper bound of the penetration. There a
+        step is replaced by the geometric mean of the bounds if the step leaves the bounds, or if
+        the previous step did not halve the residual. While the lower bound is zero, half the upper
+        bound replaces the mean.
 
         The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
         the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
 
         Args:
             force: Normal force [N].
-            near: Initial guess of the penetration [m], close to the solution.
+            near: Initial guess of the penetration [m], close to the solution. Default: none.
 
         Returns:
-            Penetration [m], at least -margin if the foot does not pull. If the ground exerts no
-            force (``solref`` of zero): infinite for a positive force, else -margin.
+            Penetration [m], at least -margin if the force is positive; otherwise -margin or less,
+            extrapolated with the initial stiffness. If the ground exerts no force (``solref`` of
+            zero): infinite for a positive force, else -margin.
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force

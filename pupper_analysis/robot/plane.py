@@ -66,11 +66,15 @@ class Plane:
         return self._number_sign * offset
 
     def height(self, place: Array) -> float:
-        """Return the distance [m] of a point (3,) above the plane; negative behind the plane."""
+        """Return the distance [m] of a point along the normal; negative behind the plane.
+
+        Args:
+            place: Point, shape (3,) [m], in the world frame.
+        """
         return float((place - np.array(self.point)) @ np.array(self.normal))
 
     def nearest(self, place: Array) -> Array:
-        """Return the point (3,) [m] of the plane nearest to a point (3,)."""
+        """Project a point, shape (3,) [m], orthogonally onto the plane, in the world frame."""
         nearest: Array = place - self.height(place) * np.array(self.normal)
         return nearest
 

@@ -406,7 +406,10 @@ class Robot:
 
     @cached_property
     def structure(self) -> Structure:
-        """Model and indices for configurations, computed once."""
+        """Pinocchio model with the indices of joints, links and contact points; cached.
+
+        Every `Configuration` of the robot uses it.
+        """
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
     @cached_property

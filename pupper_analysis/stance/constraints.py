@@ -83,11 +83,11 @@ class BaseHeight(Constraint):
     name, is_equality, is_presatisfied = "base-height", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the base height minus the required height, shape (1,) [m]."""
         return at.qpos[2:3] - goal.height
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the violation; see `Constraint.violation`."""
+        """Return the difference from the required height [m], not negative."""
         return abs(float(at.qpos[2]) - goal.height)
 
 
@@ -97,11 +97,14 @@ class BaseOrientation(Constraint):
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the angle to the required orientation, shape (1,) [rad]."""
+        """Return the angle from the base orientation to the required one, shape (1,) [rad].
+
+        Not negative: the angle of the single rotation between both orientations, 0 to pi.
+        """
         return np.array([self.violation(goal, at)])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the violation; see `Constraint.violation`."""
+        """Return the angle between the base orientation and the required one, 0 to pi [rad]."""
         return angle_between(goal.base_quaternion, at.qpos[3:7].tolist())
 
 
@@ -130,7 +133,7 @@ class Footholds(Constraint):
         return np.concatenate([*apart, np.zeros(0)])
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the contact point positions by qvel, shape (3 n, nv)."""
         jacobians = at.foot_jacobians()
         return np.concatenate(
             [*map(jacobians.__getitem__, goal.targets), np.zeros((0, at.robot.nv))]
@@ -153,12 +156,12 @@ class Loops(Constraint):
         self._closure = closure
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the openings of the loops, minus their static deflection, shape (m,) [m, rad]."""
         left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the loop openings by qvel, shape (m, nv)."""
         rows = self._closure.rows(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
@@ -175,15 +178,15 @@ class PlaceConstraint(Constraint):
     name, is_equality = "com-place", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the horizontal position (CoM or base) minus the target, shape (2,) [m], world."""
         return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the horizontal position by qvel, shape (2, nv)."""
         return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the violation; see `Constraint.violation`."""
+        """Return the horizontal distance from the target [m]."""
         here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
         return math.dist(here, goal.place.tolist())
 
@@ -200,13 +203,19 @@ class SupportMargin(Constraint):
     name = "support-margin"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the CoM's distance from each polygon side minus the margin, shape (m,) [m].
+
+        Positive inside the support polygon.
+        """
         sides, com = self._polygon_sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the CoM's distances from the sides by qvel, shape (m, nv).
+
+        The polygon is constant.
+        """
         jacobian: Array = self._polygon_sides(goal)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
 
@@ -216,7 +225,7 @@ class SupportMargin(Constraint):
         return polygon_sides(corners, SIDES if self._goal.task.ground.planes else len(corners))
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the violation; see `Constraint.violation`."""
+        """Return the shortfall of the CoM margin [m]; 0 if the margin is kept."""
         x, y, _ = at.com
         return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
 
@@ -227,18 +236,18 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the distances to the finite lower limits, then to the upper ones [rad, m]."""
         joints, low, high = at.qpos[-len(goal.lower) :], *self._has_limits
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the distances to the finite limits by qvel, shape (n, nv)."""
         rows = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
         low, high = self._has_limits
         return np.concatenate([rows[low], -rows[high]])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the violation; see `Constraint.violation`."""
+        """Return the largest excess of a joint position beyond its limits [rad, m]."""
         joints = at.qpos[-len(goal.lower) :].tolist()  # lists are faster for a dozen numbers
         below, above = map(sub, goal.lower.tolist(), joints), map(sub, joints, goal.upper.tolist())
         return float(max(0.0, *below, *above))
@@ -255,12 +264,15 @@ class GroundClearance(Constraint):
     name = "ground-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the height of each part minus the required clearance, shape (n,) [m].
+
+        Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
+        """
         heights = self._shapes.part_heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
         return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the heights of the parts by qvel, shape (n, nv)."""
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
@@ -274,13 +286,16 @@ class SelfClearance(Constraint):
     name = "self-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the residual; see `Constraint.residual`."""
+        """Return the distances of the nearest pairs of links minus the required one [m].
+
+        Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
+        """
         pairs = self._shapes.nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian; see `Constraint.jacobian`."""
+        """Return the Jacobian of the distances of the nearest pairs by qvel, shape (n, nv)."""
         return self._shapes.distance_jacobian(at, _NUM_NEAREST_PAIRS)
 
     def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:

@@ -142,7 +142,10 @@ class Field:
 
     @property
     def attribute(self) -> str:
-        """Attribute of the task that contains the field: the field itself, or ``ground``."""
+        """Attribute of `StandTask` that stores the value: ``name``, or ``"ground"``.
+
+        It is ``"ground"`` if the value is part of the ground description of the task.
+        """
         return self.name if self.part == "task" else self.part
 
     @property

@@ -163,10 +163,16 @@ class _Search:
         return is_base_in_ground(self.shapes, self.goal)
 
     def try_starts(self, joints: Iterable[Array]) -> Stand | None:
-        """Return the first solved stand that IK reaches from some joint positions, shape (nu,).
+        """Solve IK from one initial guess after another, and return the first solved stand.
 
-        If no stand can exist (`_is_hopeless`), the first configuration with the feet in place is
-        returned. None if no initial guess leads to either.
+        If the base would be in the ground, no stand can be solved. The result is then the first
+        configuration with the feet at their targets.
+
+        Args:
+            joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
+
+        Returns:
+            Stand; None if no guess leads to one.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -177,7 +183,11 @@ class _Search:
         return None
 
     def try_branches(self) -> Stand | None:
-        """Try IK from combinations of the legs' branches that may be in reach."""
+        """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
+
+        Returns:
+            First solved stand; None if no combination leads to one.
+        """
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):
             nearest = self._nearest()
@@ -192,7 +202,11 @@ class _Search:
         return None
 
     def try_program(self) -> Stand:
-        """Solve the nonlinear program from one seed after another."""
+        """Solve the nonlinear program from one initial guess after another.
+
+        Returns:
+            First solved stand; otherwise the best stand of the search, which may violate the goal.
+        """
         best = self.result()
         if best.solved or (self._is_hopeless and self.reached):
             return best
@@ -440,7 +454,10 @@ _SHIFT_SAFETY_FACTOR = 1.5
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
-    """Yield random joint positions (nu,) within limits; equal in every search."""
+    """Yield random joint positions, shape (nu,) [rad, m], within the limits of the goal.
+
+    The seed of the generator is fixed, so that every search uses the same positions.
+    """
     low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
     random = np.random.default_rng(0)
     yield from random.uniform(low, np.maximum(low, high), (count, len(low)))
@@ -469,15 +486,17 @@ def branch_seeds(
 
 
 def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
-    """Estimate an upper bound of the base displacement if branches change and the CoM stays.
+    """Estimate an upper bound of the base displacement [m] when legs change their IK branch.
 
+    If the CoM keeps its horizontal position, the base moves by as much as another branch shifts the
+    CoM relative to the base. The estimate is
     ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM
     with branch b of one limb [m], and c_0 with its first branch.
 
     Args:
         robot: Robot.
-        qpos: Configuration, shape (nq,), of the other limbs.
-        found: {limb: its branches, at least one}.
+        qpos: Configuration, shape (nq,), of the base and the other limbs.
+        found: {limb: its IK branches, at least one}.
     """
     total = 0.0
     for limb, branches in found.items():

@@ -269,15 +269,18 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
 
 
 def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
-    """Return position and force limit of each grip, or None without grips.
+    """Return position and force limit of each grip, or None if the robot has no grips.
+
+    A grip is a foot that holds on to its contact point: it can pull as well as push, and carries no
+    moment. The norm of its force is limited.
 
     Args:
-        robot: Robot with grips.
-        places: Position of each contact point, shape (3,) [m], in the world frame.
+        robot: Robot.
+        places: {contact point: position, shape (3,) [m], in the world frame}.
 
     Returns:
-        Shape (g, 4): position [m] of the first contact point of the grip, and force limit in units
-        of the robot's weight.
+        Shape (g, 4), one row per gripping foot: position [m] of its first contact point in the
+        world frame, and maximum force in units of the robot's weight.
     """
     rows = [
         (*places[robot.feet[foot][0]], limit / robot.weight) for foot, limit in robot.grips.items()

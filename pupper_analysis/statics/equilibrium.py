@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FootLoad(Result):
-    """What the ground does to one foot, over all its contact points.
+    """Load of one foot: force of the ground, summed over the contact points of the foot.
 
     Attributes:
         force: (3,) in world axes (N).
@@ -151,7 +151,7 @@ class ForceDistribution(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Tabular):
-    """What motors and ground hold together.
+    """Static equilibrium of a robot: joint torques and contact forces that balance its load.
 
     Attributes:
         joint_names: Names of the joints, in actuator order.
@@ -216,12 +216,15 @@ def gravity_compensation(
 ) -> GravityCompensation:
     """Compute motor torques and contact forces in static equilibrium.
 
-    Solves g(q) = J^T f + S^T tau, where S selects the actuated joints, J is the Jacobian of the
-    contact points, and g contains gravity minus the springs, the gravity compensation and the wind
-    of the MJCF (`Configuration.load`). Closed loops and couplings transfer joint forces to the
-    motors first (`Configuration.by_motors`). The six base rows determine the total wrench of the
-    contact forces f; ``distribution`` selects one f in the friction cones. Without contacts and
-    welds, an external wrench holds the base, and tau is the joint part of g.
+    Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points.
+    f are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,),
+    is the generalised force of gravity minus the passive forces of the MJCF, which are springs,
+    gravity compensation and wind (`Configuration.load`). The six base rows determine the total
+    wrench of f; ``distribution`` selects one f in the friction cones. Without contacts and welds,
+    an external wrench holds the base, and tau is the joint part of g.
+
+    In closed loops and couplings, joints without a motor have no torque: the constraints transfer
+    their load to the motors (`Configuration.by_motors`).
 
     A second-order cone program is solved if the optimum without friction cones violates the cones,
     and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of

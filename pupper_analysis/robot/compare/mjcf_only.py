@@ -65,9 +65,10 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
     Contacts, joint and tendon limits, dry friction and the forces of actuators are disabled, also
     the stiffness and damping of servos (``kp``, ``kv``). The attributes ``armature`` and
-    ``damping`` of actuators, gravity compensation through actuators, and enabled DC motors without
-    controller remain. The integrator is Euler, because with ``discrete`` the accelerations depend
-    on the time step.
+    ``damping`` of actuators, and gravity compensation through actuators, remain. Enabled DC motors
+    without a controller also remain, since their back-EMF brakes without a command. The integrator
+    is Euler, because with MuJoCo's integrator ``discrete`` the accelerations depend on the time
+    step.
     """
     result = copy.copy(model)
     for bit in (DISABLE.mjDSBL_CONTACT, DISABLE.mjDSBL_LIMIT, DISABLE.mjDSBL_FRICTIONLOSS):

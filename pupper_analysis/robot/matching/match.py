@@ -677,7 +677,7 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Return {base or joint: body that it moves}."""
+    """Return {base link or joint of the URDF: name of the MJCF body that it moves}."""
     model = robot.mj_model
     bodies = {robot.base: robot.mj_base}
     for name in robot.joint_names:

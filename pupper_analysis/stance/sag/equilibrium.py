@@ -692,7 +692,15 @@ class SagEquilibrium:
         return Solution(solution.qpos, forces, solution.residual)
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
-        """Start a backward Euler step of creep, with the viscosities at its start."""
+        """Start a backward Euler step of creep, the slow slip of loaded contacts in MuJoCo.
+
+        Stores the current contact positions, and for each contact the creep per tangential force
+        seconds / c [m/N]. c is the ``viscosity`` at the start of the step, constant in the step.
+
+        Args:
+            solution: Equilibrium at the start of the step.
+            seconds: Duration of the step [s].
+        """
         places = self.contacts_at(solution.qpos).places
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
@@ -701,9 +709,14 @@ class SagEquilibrium:
         }
 
     def viscosity(self, foot: str, depth: float) -> float:
-        """Return tangential force per slip velocity [N s/m].
+        """Return the tangential force per slip velocity of a contact [N s/m].
 
-        Infinite if the contact does not press, or if MuJoCo's no-slip solver is active.
+        Infinite if the contact does not press, or if the model has no creep (for example, MuJoCo's
+        no-slip solver is active).
+
+        Args:
+            foot: Contact point.
+            depth: Penetration [m].
         """
         law = self.laws[foot]
         return law.viscosity(depth) if self._has_creep and depth > -law.margin else math.inf

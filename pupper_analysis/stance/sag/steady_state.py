@@ -557,12 +557,16 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
 
 def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Follow a path to its end; see `steady_state`.
+    """Compute the rest position to which a stand sags when its feed-forward is removed.
+
+    The path of equilibria starts at the stand, whose servo commands contain the lead that holds the
+    load (feed-forward). The lead is removed in steps. Then the contact points creep slowly
+    under their tangential forces, as in MuJoCo.
 
     Args:
-        way: Path at its beginning.
-        feedforward: Keep the feed-forward.
-        seconds: Creep time of pinned feet at the end [s].
+        way: Path at its start, with the full feed-forward; modified.
+        feedforward: Keep the full feed-forward instead of removing it.
+        seconds: Duration of the creep [s]; 0 for no creep.
 
     Raises:
         NoEquilibriumError: If no equilibrium continues the stand, or the creep ends the
@@ -576,7 +580,12 @@ def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0)
 
 
 def release_margin(way: HomotopyPath) -> float:
-    """Compute the `SteadyState.release_margin` at the present point of a path."""
+    """Compute `SteadyState.release_margin` at the current equilibrium of a path.
+
+    The margin is the smallest (friction x normal force - tangential force) / weight of the feet, at
+    the forces 2 f - f_0, with the current forces f and the forces f_0 of the stand. Infinite
+    without feet.
+    """
     held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
     before = np.array([way.system.frames[foot] @ held.get(foot, nothing) for foot in feet])

@@ -92,7 +92,16 @@ class Tile:
 
 
 def project_points(points: Array) -> Array:
-    """Project world points of shape (n, 3) [m] onto the image axes, shape (n, 2) [m]."""
+    """Project world points orthographically onto the image plane of the figures.
+
+    The camera is above the robot and has a fixed direction (`CAMERA_AZIMUTH`, `CAMERA_ELEVATION`).
+
+    Args:
+        points: Shape (n, 3) [m], in the world frame.
+
+    Returns:
+        Shape (n, 2) [m]: components along `IMAGE_RIGHT` and `IMAGE_UP`.
+    """
     seen: Array = points @ np.array([IMAGE_RIGHT, IMAGE_UP]).T
     return seen
 

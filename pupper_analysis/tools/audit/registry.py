@@ -180,11 +180,15 @@ def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
 
 
 def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Return points that span the shapes of known extent.
+    """Return points whose convex hull contains the shapes of some links, at zero joint angles.
+
+    Args:
+        bodies: Links with visual and collision shapes.
+        frame: Link in whose frame the points are expressed.
 
     Returns:
-        Points, shape (n, 3) [m], in the frame of ``frame``; None if no extent is known. True if the
-        extents of all shapes are known; False for example if a mesh was not read.
+        Points, shape (n, 3) [m], or None if no size is known; and whether the sizes of all shapes
+        are known (False for example if a mesh was not read).
     """
     to_frame, parts, is_complete = frame.pose.inverse(), [], True
     for body in bodies:

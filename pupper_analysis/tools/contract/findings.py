@@ -117,7 +117,7 @@ class Pose(Result):
 def find_disagreements(
     placed: Sequence[PlacedSource], model: RobotJoints
 ) -> tuple[Disagreement, ...]:
-    """List all disagreements, the most severe first.
+    """List all disagreements between sources (for example a model and a driver), the worst first.
 
     Args:
         placed: Sources, sorted by role.
@@ -144,10 +144,17 @@ def find_disagreements(
 
 
 def facts_agree(first: Fact, second: Fact) -> bool:
-    """Return True if two numbers agree within tolerances, or after rounding.
+    """Return True if two stated numbers are equal within a tolerance, or equal after rounding.
 
-    The tolerances of effort, velocity, damping, friction and position limits are those of
-    `crosscheck`.
+    The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
+    of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
+    numbers are equal after rounding if the difference is at most half a unit of the last decimal
+    of one number, and the other number has at least five decimals or was computed. The
+    difference must also be at most 10 % of the other number.
+
+    Args:
+        first: Number of one source, with its quantity.
+        second: Number of another source for the same quantity.
     """
     a, b = first.number, second.number
     difference = abs(a - b)

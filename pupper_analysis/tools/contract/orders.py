@@ -82,8 +82,12 @@ class RobotJoints:
     def mirrored_sign(self, first_name: str, second_name: str) -> int:
         """Return the sign between the angles of two joints in mirrored postures.
 
-        A rotation about the axis a, mirrored at the xz plane, is a rotation about (-a_x, a_y,
-        -a_z).
+        The axes are expressed in the base frame, at zero joint angles. A rotation about the axis a,
+        mirrored at the xz plane of the base frame, is a rotation about (-a_x, a_y, -a_z).
+
+        Args:
+            first_name: Joint on one side.
+            second_name: Joint on the other side.
 
         Returns:
             1 if mirrored postures have equal angles, -1 if opposite angles, 0 if the axes are no

@@ -239,11 +239,12 @@ def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | N
     The actuator commands are those of the keyframe.
 
     Args:
-        path: The MJCF, as written.
+        path: MJCF.
         duration: Simulated time [s].
 
     Returns:
-        Stability of the keyframe and response to the nudge; None if the file has no keyframe.
+        Stability of the keyframe, response to the nudge, and reasons why the robot does not return
+        to rest; None if the file has no keyframe.
     """
     model = mujoco.MjModel.from_xml_path(str(path))
     if not model.nkey:
@@ -258,10 +259,14 @@ def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | N
 
 
 def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
-    """Check {joint: armature [kg m^2]} for a URDF.
+    """Check armatures: the joints exist in the URDF, and the values are finite and not negative.
+
+    Args:
+        urdf: URDF.
+        names: {joint: armature [kg m^2]}.
 
     Raises:
-        ConfigurationError: If an armature is negative or not finite.
+        ConfigurationError: If an armature is negative, infinite or NaN.
         UnknownNameError: If the URDF has no such joint; the message lists the joints.
     """
     known = list(urdf.tree.joints)

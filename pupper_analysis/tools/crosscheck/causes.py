@@ -118,13 +118,13 @@ def fold_bodies(*bodies: TreeBody) -> TreeBody:
 
 
 def compute_moments(body: TreeBody) -> Array:
-    """Compute mass, first and second moments of a body about the origin of its frame.
+    """Compute mass, first moments and rotational inertia of a body about the origin of its frame.
 
-    Moments are additive over bodies.
+    The vectors of bodies that are expressed in one frame can be added.
 
     Returns:
-        Shape (10,): mass [kg], first moments [kg m], six entries of the inertia about the origin
-        [kg m^2].
+        Shape (10,): mass m [kg]; first moments m c, with the CoM c [kg m]; ixx, iyy, izz, ixy, ixz,
+        iyz of the inertia tensor about the origin [kg m^2].
     """
     c = body.com
     inertia = body.inertia + body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))

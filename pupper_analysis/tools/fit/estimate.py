@@ -78,7 +78,13 @@ class LinearisedResiduals:
     def from_residuals(
         residual: Array, jacobian: Array, log_noise: float = 0.0
     ) -> LinearisedResiduals:
-        """Return the sums of whitened residuals, shape (m,), and their Jacobian, shape (m, n)."""
+        """Compute the sums A^T A, A^T r and r^T r from residuals r and their Jacobian A.
+
+        Args:
+            residual: Whitened residuals r, shape (m,), dimensionless.
+            jacobian: Jacobian A by the parameters, shape (m, n).
+            log_noise: Logarithm of the determinant of the noise covariance used for whitening.
+        """
         return LinearisedResiduals(
             jacobian.T @ jacobian,
             jacobian.T @ residual,

@@ -347,8 +347,8 @@ AXES = ("x", "y", "z")
 def find_moved_link(model: pin.Model, number: int) -> str:
     """Return the URDF link that a Pinocchio joint moves.
 
-    Several links are fixed together if fixed joints connect them: the first one whose frame
-    coincides with the joint frame is returned, or else the first one.
+    If fixed joints connect several links, the result is the first link, in the order of the model's
+    frames, whose frame coincides with the joint frame, or else the first link.
 
     Args:
         model: Pinocchio model.

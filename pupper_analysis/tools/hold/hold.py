@@ -210,15 +210,15 @@ def tool_payload(
 
 
 def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
-    """Return the greatest mass [kg] at a tool in a posture, and the joint that limits the mass.
+    """Compute the largest mass that the motors hold at a tool, at rest in one posture.
 
     Args:
         robot: Robot with a fixed base.
         qpos: Posture, shape (nu,) [rad, m].
-        tool: Tool.
+        tool: Point at which the mass is attached.
 
     Returns:
-        Mass and joint. The mass is
+        Mass [kg] and the joint whose effort limit is reached first. The mass is
 
         - 0 if a motor exceeds its limit without the mass; the joint is the one with the largest
           excess;

@@ -124,7 +124,11 @@ def simulation_document(stance: Stance) -> doc.Document:
 
 
 def push_document(trial: PushTrial) -> doc.Document:
-    """Create the document of a push."""
+    """Create the report of a simulated push against the standing robot, for the live page.
+
+    Args:
+        trial: Result of one push: impulse, direction, and whether the robot recovers.
+    """
     document = trial_document(trial)
     return replace(document, blocks=(*document.blocks, _SIMULATION_NOTE))
 

@@ -260,7 +260,7 @@ class PathThere(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict is positive."""
+        """Whether the verdict on the tracking of the path in simulation is positive."""
         return self.verdict.passed
 
 

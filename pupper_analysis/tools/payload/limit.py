@@ -417,7 +417,7 @@ class _LoadedStand:
 
     @cached_property
     def statics(self) -> GravityCompensation | None:
-        """Statics of the loaded stand; None without a stand."""
+        """Torques and contact forces of the stand with the trial payload; None without a stand."""
         return None if self.stand is None else stand_statics(self.robot, self.stand)
 
 

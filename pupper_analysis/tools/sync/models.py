@@ -340,7 +340,7 @@ def find_subject_link(difference: Difference) -> str:
 
 
 def format_difference_label(difference: Difference) -> str:
-    """Return the name of a difference: ``link FL_hip: mass``."""
+    """Return the name of a difference between two models, for example ``link FL_hip: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
     return f"{format_owner_name(difference)}: {kind}"
 

@@ -47,7 +47,7 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Result):
-    """One reading of a policy, with the result of simulated walking.
+    """One interpretation (reading) of a policy, with the result of simulated walking.
 
     Attributes:
         change: Difference from the stated contract: ``stated``, ``limbs``, ``by-kind``, ``sign``,
@@ -103,14 +103,22 @@ class Orders(Result):
 
     @property
     def determined(self) -> bool:
-        """True if the first candidate tracks a command and is unique; see `MIN_COST_RATIO`."""
+        """True if the first candidate tracks a command and is clearly better than the second.
+
+        The first is clearly better if it tracks more commands, or if the cost of the second is more
+        than `MIN_COST_RATIO` times the cost of the first.
+        """
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO
         )
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of all candidates that are as good as the first; empty if none tracks."""
+        """Indices of the candidates that track as many commands as the first at similar cost.
+
+        Their cost is at most `MIN_COST_RATIO` times the cost of the first. Empty if no candidate
+        tracks a command.
+        """
         best = self.candidates[0]
         return tuple(
             place
@@ -122,7 +130,7 @@ class Orders(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the stated reading is among the best."""
+        """True if the stated interpretation is among ``alike``, the best candidates."""
         return self.stated in self.alike
 
 
@@ -135,9 +143,11 @@ def rank_orders(
     seconds: float = DEFAULT_SECONDS,
     workers: int | None = None,
 ) -> Orders:
-    """Rank readings of a policy by simulated walking.
+    """Rank interpretations of a policy's inputs and outputs by simulated walking.
 
-    Tried are the stated reading, and readings that differ from it in one respect:
+    The stated joint order, signs, scale or history of a policy may be wrong. Candidates are ranked
+    by the number of tracked commands, then by `Candidate.cost`. Tried are the stated
+    interpretation, and interpretations that differ from it in one respect:
 
     - Orders of limbs with equally many joints: all orders of up to four limbs, and exchanges of two
       limbs if there are more. Each order is also tried with the joints grouped by kind instead of
@@ -148,8 +158,9 @@ def rank_orders(
 
     Args:
         robot: Robot.
-        policy: Policy.
-        commands: Commands, shape (n, 3) [m/s, m/s, rad/s].
+        policy: Policy with the stated interpretation.
+        commands: Commands of the base, shape (n, 3): forward and leftward speed, turning rate about
+            the vertical [m/s, m/s, rad/s].
         seconds: Duration of each run [s], 3 to 600.
         workers: Number of threads; by default the number of cores.
 

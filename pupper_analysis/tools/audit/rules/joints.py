@@ -48,9 +48,10 @@ _HIP_PATTERN = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 
 
 def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
-    """Return the axis implied by a joint name.
+    """Return the axis of the base frame that a joint name implies.
 
-    ``hip`` alone implies abduction (x) if the same leg has a ``thigh`` and a ``calf``.
+    Examples: ``abduction`` and ``hip_roll`` imply x, ``thigh``, ``knee`` and ``hip_pitch`` imply y,
+    ``hip_yaw`` implies z. ``hip`` alone implies x if the same leg has a ``thigh`` and a ``calf``.
 
     Args:
         name: Name of the joint.
@@ -72,10 +73,11 @@ def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
 
 @rule
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find hinges whose axis is over 60 degrees away from the axis implied by the name.
+    """Find hinges whose axis contradicts the name of the joint: ``knee`` implies the y axis.
 
-    Axes are lines in the base frame, at zero angles. A robot whose mirror plane is not parallel to
-    the xz plane of the base is skipped.
+    `infer_axis_from_name` derives the axis (x, y or z of the base frame) from the joint name. A
+    finding is an axis at more than 60 degrees from it, in either direction, at zero joint angles. A
+    robot whose mirror plane is not parallel to the xz plane of the base is skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -109,10 +111,11 @@ def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find ranges with lower >= upper, including URDF limits of which both are missing (0).
+    """Find position ranges of moving joints with lower >= upper.
 
-    In an MJCF, inverted ranges of joints, actuators and tendons are reported too if ``limited`` is
-    "auto": MuJoCo ignores an inverted range silently.
+    A URDF limit without ``lower`` and ``upper`` counts as 0 to 0. In an MJCF, inverted ranges of
+    joints, actuators and tendons are reported too if ``limited`` is "auto": MuJoCo ignores an
+    inverted range silently.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -150,7 +153,7 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints of type continuous with limits."""
+    """Find joints without position limits (URDF type ``continuous``) whose file states limits."""
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
         if joint.moves and math.isinf(joint.lower) and lower < upper:
@@ -161,9 +164,11 @@ def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find limits of 12 to 400 rad, and files in degrees without limits above 2 pi.
+    """Find hinge limits that appear to be in the wrong unit.
 
-    Limits of 10 rad are a common way to specify no limit.
+    Limits with a magnitude of 12 to 400 rad are probably degrees; 10 rad is a common way to specify
+    no limit. If the unit of the file is degrees, and no limit of at least three hinges is above
+    2 pi degrees, the limits are probably radians.
     """
     hinges = [
         j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
@@ -190,7 +195,10 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find a single symmetric range of half a turn or more for all of four or more hinges."""
+    """Find robots whose limited hinges, four or more, all have one symmetric range.
+
+    The range is a finding if its upper limit is at least 3.1 rad: it is probably a placeholder.
+    """
     hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
     if len(hinges) < _MIN_HINGES:
         return
@@ -253,7 +261,7 @@ def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | N
 
 @rule
 def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find effort and velocity limits below zero."""
+    """Find URDF effort limits [N m] and velocity limits [rad/s] below zero."""
     for name, stated in ((joint.name, joint.stated) for joint in robot.joints.values()):
         for what, unit in (("effort", "N m"), ("velocity", "rad/s")):
             value = stated.get(what, 0.0)

@@ -258,13 +258,13 @@ the largest ratio is 2.3."""
 
 @rule
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the density of each group of fixed links with bounds.
+    """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    A group contains a root link or a moving link, and all links fixed to this link. The volume is
-    that of the convex hull of the shapes and of the origins of the link, its frames and its
-    children.
+    The mass is that of a root link or a moving link, and of all links fixed to it. Visual and
+    collision shapes, and the origins of the link, its frames and its children, define the hull.
+    Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read.
 
-    Skipped are, for example, light groups (`MIN_MASS_FRACTION`), groups with small shapes
+    Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
     (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links of which a mesh was not read.
     """
     for body in _list_moving_links(robot):

@@ -68,7 +68,13 @@ class Columns:
     lines: tuple[int, ...]
 
     def get_columns(self, prefix: str) -> dict[str, Array]:
-        """Return the numeric columns with a prefix: {``FL_knee``: values (n,)} for ``position``."""
+        """Return the numeric columns ``<prefix>.<name>`` as {name: values}.
+
+        With the prefix ``position``, the column ``position.FL_knee`` has the key ``FL_knee``.
+
+        Returns:
+            {name: values, shape (n,), in SI units; NaN for missing cells}.
+        """
         start = prefix + "."
         return {
             name[len(start) :]: values

@@ -191,7 +191,7 @@ class MeasuredStands:
         )
 
     def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
-        """Return some of the stands."""
+        """Return the stands with the given row indices, in the given order."""
         chosen = list(rows)
         return replace(
             self,
@@ -299,9 +299,14 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 
 
 def estimate_encoder_step(stands: MeasuredStands) -> float:
-    """Estimate the encoder step [rad] as the median over the joints; see `find_column_step`.
+    """Estimate the resolution of the joint encoders [rad].
 
-    Joints without a step are ignored. 0 if at most half of the joints have a step.
+    The step of one joint is the largest step of which all differences between its positions are
+    multiples (`find_column_step`). The result is the median over the joints with a step, or 0 if at
+    most half of the joints have a step.
+
+    Args:
+        stands: Measured stands.
     """
     steps = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
     return float(np.median(steps)) if 2 * len(steps) > len(stands.joints) else 0.0

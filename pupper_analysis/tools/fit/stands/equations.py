@@ -837,9 +837,10 @@ class StandEquations:
         """Return the height of the lowest contact point of each foot in the air.
 
         Args:
-            stand: Index of the stand.
-            x: Parameters, shape (n,).
-            offsets: Standard deviations of the encoder offsets, shape (nu,) [rad].
+            stand: Index of the measured stand.
+            x: Parameter vector of ``table``, shape (n,), each number in the unit of its parameter.
+            offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad], as part
+                of the standard deviation of the height.
 
         Returns:
             {foot: height above the ground and its standard deviation [m]}. The standard deviation

@@ -546,10 +546,15 @@ def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
 
 
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Return the prior standard deviation of the robot's CoM [m], the larger one of x and y.
+    """Compute the standard deviation [m] of the robot's CoM before any measurement.
 
-    The CoM is expressed in the base frame, with joints at their nominal positions. The deviation
-    follows from the priors of masses and CoM positions; links without a prior have the default.
+    It follows from the priors of link masses and CoM positions, with the joints at their nominal
+    positions; links without a prior have the default. The result is the larger value of the x and
+    the y component in the base frame.
+
+    Args:
+        robot: Robot.
+        priors: Priors; kinds other than "mass" and "com" are ignored.
 
     Raises:
         ConfigurationError: If a prior of a mass or CoM position matches no link.
