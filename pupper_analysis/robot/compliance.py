@@ -113,7 +113,6 @@ class GroundLaw:
     def depth(self, force: float, near: float | None = None) -> float:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
-
         Positive forces are solved for by Newton's method. With ``near``, up to
         `_NUM_UNBOUNDED_STEPS` steps start from this guess. If they do not converge, or without
         ``near``, a second iteration keeps a lower and an upper bound of the penetration. There a
