@@ -31,7 +31,15 @@ on its shanks has lost half."""
 
 
 def tilt_between(first: Array, second: Array) -> float:
-    """Return the angle [rad] between the vertical axes of two rotations, shape (3, 3)."""
+    """Return the relative tilt [rad] of two orientations; a yaw about the world's z has no effect.
+
+    The third row of each matrix is the world's z axis in the axes of the body. The tilt is the
+    angle between the two rows.
+
+    Args:
+        first: Rotation matrix, body to world, shape (3, 3).
+        second: Rotation matrix, body to world, shape (3, 3).
+    """
     return math.acos(min(1.0, max(-1.0, float(first[2] @ second[2]))))
 
 

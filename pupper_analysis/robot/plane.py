@@ -53,14 +53,15 @@ class Plane:
 
     @property
     def _number_sign(self) -> float:
-        """Sign of ``number`` relative to the offset along the normal: that of the normal."""
+        """Factor, 1 or -1, between the offset of the plane along its normal and ``number``."""
         return sum(self.normal) if self.kind else 1.0
 
     @property
     def number(self) -> float:
-        """Coordinate [m] in the syntax of the user: x of a wall, z of a table or ceiling.
+        """Coordinate [m] that the user types: x of a wall, z of a table or ceiling.
 
-        For other planes, the offset along the normal.
+        For another plane, the distance of the world origin from the plane, positive if the normal
+        points away from the origin.
         """
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
         return self._number_sign * offset
@@ -79,7 +80,10 @@ class Plane:
         return nearest
 
     def through(self, _check_position: Point) -> Plane:
-        """Return the plane itself; same interface as ``Slope.through``."""
+        """Return this plane unchanged; the point is ignored, because the plane has a position.
+
+        `Slope.through` and `Bar.through` use the point, so all three can be called in one way.
+        """
         return self
 
     def moved(self, number: float) -> Plane:
@@ -121,11 +125,11 @@ class Slope:
 
     @property
     def number(self) -> float:
-        """Angle [rad]."""
+        """Angle to the horizontal [rad]."""
         return self.angle
 
     def moved(self, number: float) -> Slope:
-        """Return the slope with another angle [rad]."""
+        """Return a copy with another angle to the horizontal [rad]."""
         return replace(self, angle=number)
 
     def through(self, point: Point) -> Plane:
@@ -162,11 +166,11 @@ class Bar:
 
     @property
     def number(self) -> float:
-        """Height [m]."""
+        """Height of the point on the axis above the world origin [m]."""
         return self.point[2]
 
     def moved(self, number: float) -> Bar:
-        """Return the bar at another height [m]."""
+        """Return a copy whose point on the axis has another height [m]."""
         return replace(self, point=(*self.point[:2], number))
 
     def top(self, x: float, y: float) -> Point:
@@ -211,7 +215,8 @@ class Tangent(Plane):
 
 
 _AXIS_ATOL = 1e-9
-"""Maximum distance [m] of a point on the axis of a bar."""
+"""Distance [m] from the axis of a bar up to which a point counts as on the axis: such a point has
+no nearest point on the bar. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -268,22 +273,25 @@ class Contact:
 
     @property
     def turns(self) -> bool:
-        """Whether the adjustable number is an angle: that of a slope."""
+        """True if ``numbers`` contains an angle [rad] (a `Slope`); False if lengths [m]."""
         return isinstance(self.plane, Slope)
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Numbers that a relaxation may change: that of the plane, or a bar's point [m, rad]."""
+        """Adjustable numbers: point of a bar [m], ``number`` of a plane [m] or of a slope [rad].
+
+        A relaxation of the contact changes these numbers.
+        """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.number,)
 
     def moved(self, numbers: Sequence[float]) -> Contact:
-        """Return a contact with other ``numbers`` [m, rad]."""
+        """Return a copy with other ``numbers``: [rad] for a slope, else [m]."""
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
         return self.at(*numbers)
 
     def at(self, number: float) -> Contact:
-        """Return a contact with another ``number`` of the plane [m, rad]."""
+        """Return a copy with another ``number`` of the plane: [rad] for a slope, else [m]."""
         return replace(self, plane=self.plane.moved(number))
 
     def __str__(self) -> str:
@@ -339,11 +347,11 @@ class Weld:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Numbers that a relaxation may change: the place, if specified [m]."""
+        """Adjustable numbers: x, y, z of ``place`` [m]; empty if there is no place."""
         return self.place or ()
 
     def moved(self, numbers: Sequence[float]) -> Weld:
-        """Return a weld at another place [m]."""
+        """Return a copy with another place (x, y, z) [m]."""
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:

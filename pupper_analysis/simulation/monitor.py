@@ -122,7 +122,11 @@ class StandReference:
         )
 
     def tilt(self, state: Array) -> float:
-        """Return the angle between the vertical axes of the base and of the reference [rad]."""
+        """Return the tilt of the base against the expected orientation [rad]; yaw has no effect.
+
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        """
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
@@ -154,7 +158,12 @@ class StandReference:
     def has_fallen(self, state: Array) -> bool:
         """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
-        A robot with a fixed base never falls.
+        The CoM, fixed in the base, is too low if it has sunk below its expected position by more
+        than (1 - ``FALLEN_HEIGHT_RATIO``) of its expected height above the feet. A robot with a
+        fixed base never falls.
+
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...
         """
         if self.robot.bolted:
             return False
@@ -164,7 +173,14 @@ class StandReference:
         )
 
     def has_collapsed(self, state: Array) -> bool:
-        """Return True if a robot no longer stands, or has left its posture (fixed base)."""
+        """Return True if a robot no longer stands, or has left its posture (fixed base).
+
+        With a free base, the limits of tilt, height and travel are those of `fall.has_collapsed`.
+        With a fixed base, a joint must deviate by at least ``MIN_POSTURE_DEVIATION``.
+
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        """
         if self.robot.bolted:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
             return not bool((np.abs(joints - self.joints) < MIN_POSTURE_DEVIATION).all())
@@ -235,7 +251,15 @@ def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def base_heights(robot: Robot, states: Array) -> Array:
-    """Return the base's height in each state of a rollout [m]; zeros for a fixed base."""
+    """Return the world z of the base frame in each state of a rollout [m].
+
+    Args:
+        robot: The robot.
+        states: States (mjSTATE_FULLPHYSICS), shape (..., size).
+
+    Returns:
+        Heights, shape (...); zeros for a fixed base.
+    """
     if not robot.floating:
         return np.zeros(states.shape[:-1])
     heights: Array = states[..., 1 + robot.mj_convention.qpos_index[2]]
@@ -243,7 +267,13 @@ def base_heights(robot: Robot, states: Array) -> Array:
 
 
 def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the angle between the base's orientation and a rotation [rad]; 0 if fixed."""
+    """Compute the angle of the rotation between the base and a reference [rad]; 0 for a fixed base.
+
+    Args:
+        robot: The robot.
+        rotation: Reference orientation, base to world, shape (3, 3).
+        state: State of a simulation (mjSTATE_FULLPHYSICS).
+    """
     if not robot.floating:
         return 0.0
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
@@ -251,7 +281,13 @@ def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
 
 
 def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the angle between the vertical axes of the base and of a rotation [rad]."""
+    """Compute the tilt of the base against a reference orientation [rad]; yaw has no effect.
+
+    Args:
+        robot: Robot with a free base.
+        rotation: Reference orientation, base to world, shape (3, 3).
+        state: State of a simulation (mjSTATE_FULLPHYSICS).
+    """
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
     return tilt_between(rotation, rotation_from_quaternion(quaternion))
 
@@ -260,6 +296,10 @@ def has_diverged(states: Array, timestep: float) -> bool:
     """Return True if a rollout diverged: a value is not finite, or the time has been reset.
 
     MuJoCo resets the state, with the time, if the simulation diverges.
+
+    Args:
+        states: Successive states (mjSTATE_FULLPHYSICS), shape (..., n, size).
+        timestep: Time between successive states [s].
     """
     times = states[..., 0]
     with np.errstate(invalid="ignore", over="ignore"):  # a sum of infinities is no number
@@ -306,16 +346,17 @@ _SAMPLE_TIME = 0.02
 
 
 LIGHT_FOOT_LOAD = 1e-3
-"""Share of the weight; a foot with a smaller predicted load may leave the ground for a moment.
-Measured: minimum tangential forces leave two of four feet on unequal slopes with 5e-5 to 6e-4 of
-the weight, 4 to 20 mN, which each nudge exceeds."""
+"""Predicted load of a foot, relative to the robot's weight, below which the foot may leave the
+ground for a moment without a failure. Measured: minimum tangential forces leave two of four feet on
+unequal slopes with 5e-5 to 6e-4 of the weight, 4 to 20 mN, which each nudge exceeds."""
 
 MIN_PUSH_RATIO = 1e-3
 """Smallest normal force between two bodies, relative to the robot's weight, that is reported as a
 contact. Chosen, not tuned."""
 
 MEASURING_TIME = 1.0
-"""Time before the nudge over which settled quantities are averaged [s]. Chosen, not tuned."""
+"""Duration directly before the nudge over which settled torques, forces and foot positions are
+averaged [s]. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

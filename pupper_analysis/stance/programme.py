@@ -42,12 +42,13 @@ _SOLVE_ITERATIONS = (20, 50)
 without that led to a stand took 12 or fewer; 90 % of 350 solves with took 45 or fewer."""
 
 _FINE_UNIT = 200.0
-"""Parts of a stand height that are the first unit of small foot distances. Measured in flat
-valleys: with whole heights SLSQP ends on the slope of the valley, with thousands of parts on the
-way."""
+"""Stand height divided by the smallest length unit in which foot distances are minimised again.
+Measured in flat valleys of the cost: in whole stand heights SLSQP ends on the slope of the valley;
+in thousandths of a stand height, it ends on the way."""
 
 _MAX_ITERATIONS = 100
-"""Upper bound of the iterations in the small unit. At the limit of reach about 45 are needed."""
+"""Upper bound of the SLSQP iterations that minimise foot distances in the small length unit. About
+45 are needed if the feet are at the limit of reach."""
 
 _MIN_PROGRESS_RATIO = 0.9
 """A step makes progress if the violation is at most this part of the smallest violation so far."""
@@ -128,10 +129,17 @@ class _Progress:
         self._smallest, self._steps_in_vain = math.inf, 0
 
     def update(self, x: Array, violation: float) -> None:
-        """Register the violation after a step.
+        """Record the violation after a step of SLSQP, and store ``x`` if it is the smallest so far.
+
+        A step makes progress if its violation is at most ``enough``, or at most
+        `_MIN_PROGRESS_RATIO` of the smallest violation of the earlier steps.
+
+        Args:
+            x: Variables of the program after the step.
+            violation: Largest violation of the constraints at ``x`` [m, rad].
 
         Raises:
-            _NoProgressError: After more than ``patience`` successive steps without progress.
+            _NoProgressError: If more than ``patience`` successive steps made no progress.
         """
         helps = violation <= max(self._enough, _MIN_PROGRESS_RATIO * self._smallest)
         self._steps_in_vain = 0 if helps else self._steps_in_vain + 1
@@ -309,13 +317,13 @@ class StanceProgram:
         return start
 
     def _demand_values(self, x: Array) -> Array:
-        """Return the relaxed numbers [m, rad]."""
+        """Return the relaxed numbers of the demands at the variables [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
     def _evaluate(self, x: Array) -> _Point:
-        """Evaluate goal, configuration and residuals at the variables."""
+        """Evaluate goal, configuration and residuals at the variables of the program."""
         goal = self._make_goal(self._demand_values(x), self._goal)
         qpos = np.empty(self._robot.nq)
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion
@@ -325,7 +333,7 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Create the goal of relaxed numbers, reusing foot targets of a similar goal."""
+        """Create the goal of relaxed numbers; equal foot targets of ``like`` are reused."""
         return make_goal(
             self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
         )

@@ -202,7 +202,7 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
 
 
 def list_link_points(robot: RobotModel, body: Link) -> Array:
-    """Return the origin of a link, its frames and the origins of its children.
+    """Return the origin of a link, the origins of its frames and the origins of its child links.
 
     Returns:
         Points, shape (n, 3) [m], in the frame of the link.
@@ -221,7 +221,9 @@ def compute_hull_distance(points: Array, point: Array) -> float:
         point: Point, shape (3,) [m].
 
     Returns:
-        Distance [m], positive outside. For points without volume, the distance to the bounding box
+        Largest signed distance [m] to the planes of the hull's faces: positive if the point is
+        outside the hull, negative if it is inside. If no hull with a volume exists (fewer than four
+        points, or points in a plane), the largest signed distance to the sides of the bounding box
         along the coordinate axes.
     """
     from scipy.spatial import ConvexHull, QhullError  # slow to import

@@ -30,13 +30,27 @@ class Operator(Protocol):
     def prepare(
         self, stand: PlannedStand, loads: Mapping[str, Array], instructions: Sequence[str]
     ) -> bool:
-        """Set a stand up: lift, turn and load the robot; return False to skip the stand."""
+        """Let the operator lift, turn and load the robot for a stand.
+
+        Args:
+            stand: Stand to be set up.
+            loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
+            instructions: Steps for the operator, as text.
+
+        Returns:
+            False if the operator skips the stand.
+        """
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """Return the feet that are in the air; None to skip the stand."""
+        """Return the feet that the operator sees in the air; None if the operator skips the stand.
+
+        Args:
+            feet: All feet of the robot.
+            planned: Feet that are in the air according to the plan.
+        """
 
     def stops(self) -> bool:
-        """Return True if a key was pressed."""
+        """Return True if the operator has pressed a key to stop."""
 
 
 class Bridge(Protocol):
@@ -49,16 +63,19 @@ class Bridge(Protocol):
     ramps: bool
 
     def read(self) -> tuple[float, Array]:
-        """Return the measurement time [s], as of ``now``, and joint positions (nu,) [rad]."""
+        """Return the time of the measurement [s], and joint positions, shape (nu,) [rad].
+
+        The time is on the clock of ``now``. The joints are in actuator order.
+        """
 
     def send(self, command: Array) -> None:
-        """Command joint positions, shape (nu,) [rad]."""
+        """Command joint positions, shape (nu,) [rad], in actuator order."""
 
     def now(self) -> float:
-        """Return the time [s]."""
+        """Return the time on the clock of the bridge [s]; only differences have a meaning."""
 
     def wait(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for a duration [s] on the clock of the bridge."""
 
     def close(self) -> None:
         """Close the connection; the robot holds its last command."""
@@ -97,9 +114,9 @@ class WallClock:
     """Real time, for bridges to real robots."""
 
     def now(self) -> float:
-        """Return the time [s]."""
+        """Return the time of the monotonic system clock [s]; only differences have a meaning."""
         return time.monotonic()
 
     def wait(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for a duration [s]."""
         time.sleep(seconds)

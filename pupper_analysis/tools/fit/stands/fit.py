@@ -248,8 +248,8 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
     Args:
         posterior: Distribution of the parameters.
-        friction_error: Servo error [rad] that balances the mean dry friction; a smaller dead band
-            may be friction.
+        friction_error: Mean dry friction divided by the mean kp [rad]. A smaller dead band may be
+            an effect of friction, and is not reported.
     """
     loaded = "added" in posterior.kinds
     for index, parameter in enumerate(posterior.parameters):
@@ -272,8 +272,8 @@ _MIN_VARIANCE_REDUCTION = 0.02
 is tested. Below, the measurements determine too little. Chosen, not tuned."""
 
 _MIN_NAMED_STDS = 2.0
-"""Standard deviations from which a foot is named in a failure, besides the foot with the largest
-deviation. Chosen, not tuned."""
+"""Deviation of a foot's parameter, in standard deviations, from which a failure names the foot. The
+foot with the largest deviation is named in any case. Chosen, not tuned."""
 
 _MAX_FLATNESS_RATIO = 5.0
 """Upper bound of the estimated over the expected unevenness of the ground. Larger noise would hide
@@ -302,13 +302,18 @@ tuned."""
 def check_residuals(
     posterior: Posterior, estimated: StandNoise, assumed: StandNoise, friction_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield failures: parts of the measurements that the model does not explain.
+    """Yield a failure for each kind of evidence that the model does not explain the measurements.
+
+    The tests, in order: chi2 of all residuals; unevenness of the ground and dry friction, each
+    estimated over expected; change of each parameter from its stated value; surroundings
+    (`check_surroundings`).
 
     Args:
         posterior: Distribution of the parameters.
-        estimated: Estimated noise.
-        assumed: Noise that was expected.
-        friction_error: Servo error [rad] that balances the mean dry friction.
+        estimated: Noise levels estimated from the measurements.
+        assumed: Noise levels that were expected before the fit.
+        friction_error: Mean dry friction divided by the mean kp [rad]: command minus position at
+            which the servo torque equals the dry friction.
     """
     from scipy import stats  # slow to import
 
@@ -599,7 +604,10 @@ class _StandProblem:
 
     @property
     def friction_error(self) -> float:
-        """Servo error [rad] that balances the mean dry friction."""
+        """Mean dry friction divided by the mean kp [rad], over the joints with a servo.
+
+        At this difference between command and position, the servo torque equals the friction.
+        """
         has_servo = self.stiffness > 0
         mean_error = self.friction[has_servo].sum() / max(
             self.stiffness[has_servo].sum(), _ZERO_RTOL
@@ -650,7 +658,7 @@ class _StandProblem:
         equations, notes = self.make_equations(posterior)
 
         def fit_with_noise(noise: StandNoise) -> tuple[Posterior, float]:
-            """Return the posterior for a noise, and the log evidence."""
+            """Return the posterior for given noise levels, and the log evidence."""
             equations.noise, equations.table = noise, scale_common_widths(table, noise, self.noise)
             fitted = _estimate_from_stands(robot, stands, equations, scale_residual, posterior.mean)
             linearised = equations.linearise(fitted.mean, fitted.mean) + scale_residual(fitted.mean)
@@ -867,8 +875,9 @@ def get_stated_stiffness(
 
 
 _STOP_MARGIN = 2e-3
-"""Distance [rad] from a joint limit below which a mechanical stop may carry load, so that the servo
-error does not determine the joint torque. Chosen, not tuned."""
+"""Distance [rad] from a joint limit below which a mechanical stop may carry load. The difference of
+command and position then does not determine the joint torque, and the command is not used. Chosen,
+not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
 """Margin of a joint to a position limit, in standard deviations of the encoder offset. Chosen, not
@@ -948,8 +957,9 @@ def _make_scale_residual(
 
 
 _MAX_DEPTH_STDS = 1.0
-"""Largest depth below the ground of a foot in the air, in standard deviations. Feet of v3 that sag
-to within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
+"""Largest computed depth below the ground of a foot that is reported as in the air, in standard
+deviations of the computed height. Beyond, the stand contradicts its data. Feet of v3 that sag to
+within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
 
 
 def _check_feet(
@@ -1028,17 +1038,25 @@ class LogCoordinates:
         self.lower_bounds: Array = np.where(is_bounded, 0.0, -np.inf)
 
     def to_parameters(self, coordinates: Array) -> Array:
-        """Return the parameters, shape (n,), for coordinates, shape (n,)."""
+        """Convert coordinates y of the fit, shape (n,), to physical parameters x, shape (n,).
+
+        Masses and kp with the stated value x0: x = x0 exp(y / x0 - 1). Other parameters: x = y. The
+        inverse is `from_parameters`.
+        """
         return np.where(self._factors, self._stated * self.compute_rates(coordinates), coordinates)
 
     def from_parameters(self, vector: Array) -> Array:
-        """Return the coordinates, shape (n,), for parameters, shape (n,)."""
+        """Convert physical parameters x, shape (n,), to the coordinates y of the fit, shape (n,).
+
+        Masses and kp with the stated value x0: y = x0 (1 + log(x / x0)). Other parameters: y = x.
+        Each y has the unit of its parameter. The inverse is `to_parameters`.
+        """
         coordinates, stated = vector.copy(), self._stated[self._factors]
         coordinates[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
         return coordinates
 
     def compute_rates(self, coordinates: Array) -> Array:
-        """Return dx/dy, shape (n,): x / x0 for logarithms, otherwise 1."""
+        """Return dx/dy at coordinates y, shape (n,): x / x0 for masses and kp, otherwise 1."""
         rates = np.ones(len(coordinates))
         stated = self._stated[self._factors]
         rates[self._factors] = np.exp(coordinates[self._factors] / stated - 1)
@@ -1047,7 +1065,12 @@ class LogCoordinates:
     def transform_linearised(
         self, linearised: LinearisedResiduals, coordinates: Array
     ) -> LinearisedResiduals:
-        """Return residuals linearised by coordinates, from those linearised by parameters."""
+        """Convert a linearisation about the parameters x to one about the coordinates y.
+
+        Args:
+            linearised: Residuals, linearised with respect to the parameters.
+            coordinates: Coordinates y of the linearisation, shape (n,).
+        """
         rates = self.compute_rates(coordinates)
         information = rates[:, None] * linearised.information * rates
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
@@ -1077,8 +1100,8 @@ _LEVEL_LOG_STD = 1.5
 not tuned."""
 
 _MIN_FLATNESS = 1e-4
-"""Lower bound [m] of the unevenness of the ground, with which links are as accurate. Simulated
-ground is flatter, but the penetration of feet is modelled to about this accuracy."""
+"""Lower bound [m] of the estimated unevenness of the ground. Simulated ground is flatter, but the
+penetration of feet is modelled to about this accuracy only."""
 
 _MIN_MOMENT = 1e-4
 """Lower bound [m] of the moment on a contact point over its normal force. Moments that are equal in
@@ -1091,8 +1114,8 @@ that is equal in all stands, so that the estimate is too small: a fifth on MEVIU
 only 88 % of the intervals contained the truth."""
 
 _UNKNOWN_STEPS = 4
-"""Steps of each stand's own unknowns before the noise is estimated. More do not change the
-evidence."""
+"""Number of iterations of each stand's own unknowns (`StandEquations`) before the noise is
+estimated. More iterations do not change the evidence."""
 
 _MAX_EVALUATIONS = 40
 """Upper bound of the evaluations of the evidence in the search for three levels, which are needed
