@@ -55,7 +55,8 @@ _cleaned_folders: Final[set[tuple[int, Path]]] = set()
 def hidden_beside(target: Path) -> Path:
     """Return an unused name for a hidden temporary file in the folder of a file.
 
-    Temporary files left in this folder by killed processes are removed first.
+    In the first call of a process for this folder, old temporary files are removed; see
+    `remove_stale_files`.
     """
     remove_stale_files(target.parent)
     return target.parent / f".{hidden_token()}.tmp"
@@ -67,9 +68,13 @@ takes that long. Process ids are reused, and those of another container cannot b
 
 
 def remove_stale_files(folder: Path) -> None:
-    """Remove the temporary files in a folder whose process has ended; only on POSIX systems.
+    """Remove old temporary files from a folder, once per process; only on POSIX systems.
 
-    Each run that may write to a folder calls it, also if the run has nothing to write in the end.
+    A temporary file is removed if its process ran on this machine and has ended, or if the file is
+    older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed remain.
+
+    Each run that may write to a folder calls this function, also if the run writes nothing in the
+    end.
     """
     # On other systems os.kill(pid, 0) may end the process.
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:

@@ -64,7 +64,8 @@ class Foot:
 
 
 _MIN_DIRECTION_COSINE = 0.7
-"""Lower bound of the cosine between the mean limb direction and an axis of the base: 45 deg."""
+"""Lower bound of the cosine between a limb and an axis of the base, as mean over the limbs: 45
+deg."""
 
 
 _MIN_LIMB_LENGTH = 1e-3
@@ -73,10 +74,12 @@ none. Chosen."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
-    """Report the axis of the base frame along which the limbs end, if it is not downwards.
+    """Report the axis of the base frame along which the limbs point, if it is not downwards.
 
-    The joint positions are zero, clipped to the limits. The direction is that of the mean over
-    the limbs. A robot with fewer than two limbs is not reported.
+    The axis is that with the largest component of the mean unit vector over the limbs: from the
+    origin of the limb's first body to the mean CoM of its last bodies, at joint positions of zero,
+    clipped to the limits. Nothing is reported if the robot has fewer than two limbs, or if this
+    component is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.placed(robot.posed(joints))

@@ -168,6 +168,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
 
     Raises:
         VariantError: If the name is unknown.
+        ConfigurationError: If ``fixed_base`` is not a bool.
         ModelError: If a model file is missing or damaged.
     """
     spec = get_variant_spec(variant)
@@ -194,7 +195,9 @@ _PAIR_SEPARATOR: Final = "+"
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
-    """Return the name of a variant, or the files of a robot: one, or two separated by a plus.
+    """Return the name of a variant, or the files of a robot: one, or several separated by a plus.
+
+    The number of files is not checked.
 
     Raises:
         VariantError: If the word is neither.
@@ -208,9 +211,11 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
 
 
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
-    """Return the variants and files that words name, without duplicates.
+    """Return the variants and files that words name.
 
-    A URDF followed by an MJCF is one robot. An MJCF and a URDF alone are also one robot.
+    A URDF followed by an MJCF is one robot. An MJCF and a URDF alone are also one robot. A robot of
+    one word is returned once. A robot of two words, URDF and MJCF, is returned as often as it is
+    typed.
 
     Raises:
         VariantError: If a word names no robot.

@@ -48,8 +48,8 @@ MAX_KEYFRAME_DURATION = 5.0
 and slow failures have become visible (a knee without torque: 2 cm/s after 2 s)."""
 
 _MAX_KEYFRAME_STEPS = 5000
-"""Upper bound of the steps of such a run. With a shorter time step, the simulated time is
-shorter."""
+"""Number of steps of such a run above which the simulated time is shortened, but not below
+`_MIN_KEYFRAME_DURATION`."""
 
 _MIN_KEYFRAME_DURATION = 2.0
 """Lower bound of the simulated time [s]: a robot that falls from its own height lies on the ground

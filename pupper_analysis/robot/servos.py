@@ -183,7 +183,9 @@ def model_with_servos(
 def write_position_servos(
     model: mujoco.MjModel, actuators: NDArray[np.int64], kp: ArrayLike, kd: ArrayLike
 ) -> None:
-    """Make actuators position servos, in place; gears, ranges and filters' states are kept.
+    """Make actuators position servos without filter, in place; gears and ranges are kept.
+
+    The activation states of removed filters remain in the model, without effect.
 
     Args:
         model: MuJoCo model.
@@ -226,8 +228,9 @@ def _narrow_force_ranges(
 ) -> None:
     """Write effort ranges at the joints, shape (n, 2) [N m], to the force ranges of a model.
 
-    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. A
-    force range that exists already is replaced only by a narrower one.
+    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. An
+    existing force range is replaced, at both ends, if the new range is narrower at one end or both.
+    A range with an infinite bound, or for a gear of 0, is not written.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)

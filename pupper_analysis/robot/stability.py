@@ -369,7 +369,11 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Mark the growing modes that the spectrum with ``SECOND_STEP`` has as well."""
+    """Mark the growing modes that the spectrum with ``SECOND_STEP`` has as well.
+
+    The result is unchanged, without a second spectrum, if `Stability.modes_growing_within` returns
+    no mode.
+    """
     if not found.modes_growing_within():
         return found
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
@@ -489,7 +493,10 @@ class _Modes:
 
 
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
-    """Return up to `_MAX_NAMED_JOINTS` names with the largest shares, largest first."""
+    """Return up to `_MAX_NAMED_JOINTS` names with the largest shares, largest first.
+
+    Shares of zero, or below `_MIN_NAMED_SHARE` of the largest share, are omitted.
+    """
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _MIN_NAMED_SHARE * shares[names[0]] if names else 0.0
     return tuple(name for name in names[:_MAX_NAMED_JOINTS] if shares[name] >= least > 0)

@@ -35,8 +35,8 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Smallest remaining CoM height, relative to the CoM height of the stand: a robot below has fallen.
-Chosen, not tuned."""
+"""Smallest remaining height of the judged point of `StandReference`, relative to its expected
+height: below, a robot has fallen. Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
 """Largest tilt of the base of a robot that stands [rad]. Chosen, not tuned: dropped variants that
@@ -48,7 +48,7 @@ class StandCheck(Result):
     """Result of the check whether a robot stands, from one simulated state.
 
     Attributes:
-        tilt: Angle between the vertical axis of the base and that of the expected stand (rad).
+        tilt: Tilt of the base relative to the expected stand, regardless of heading (rad).
         height: CoM height above the ground, with the CoM fixed in the base (m).
         expected_height: CoM height of the expected stand (m).
         touching: Bodies other than feet that touch the ground.

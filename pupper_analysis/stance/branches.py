@@ -59,7 +59,7 @@ _MAX_DAMPING = 1e3
 """Upper bound of the damping [m^2/rad^2]."""
 
 _CONVERGED_STEP = 1e-4
-"""Largest joint step [rad] of a start at which the start has converged; PlaCo continues from
+"""Largest joint step [rad or m] of a start at which the start has converged; PlaCo continues from
 there."""
 
 

@@ -203,7 +203,11 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
 
 
 def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
-    """Compute the horizontal mean of the stance contacts (x, y) [m], without hands."""
+    """Compute the horizontal mean of the requested stance foot positions (x, y) [m], without hands.
+
+    Each foot counts once per contact point. Without such a foot, the mean is the home position of
+    the base.
+    """
     stance_feet = [
         place
         for foot, place in foot_positions_of_task(robot, task).items()

@@ -516,10 +516,11 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Compute the targets of the sphere centres on rigid ground, shape (3,) each [m].
+    """Compute the targets of the sphere centres on rigid ground: {contact point: (3,) [m]}.
 
-    A sole lies flat on the slope, rotated from its default orientation by the shortest rotation. A
-    swing foot is translated upward by its height.
+    A sole lies flat on its plane or slope, rotated from its default orientation by the shortest
+    rotation. A swing foot is translated by its height: upward, or along the normal if the foot has
+    a plane of its own.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
@@ -548,7 +549,8 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
     """Compute the sphere centres of a foot or hand on a plane of its own, shape (3,) each [m].
 
-    The contact is the point of the plane nearest to the requested position.
+    The contact is the point of the plane nearest to the requested position. A swing foot is
+    translated from there by its height, along the normal of the plane.
     """
     points = robot.feet[foot]
     on = task.ground.planes[foot].nearest(_requested_position(robot, task, foot, place))
@@ -570,8 +572,8 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
         robot: Robot.
         task: Task.
         foot: Foot or hand.
-        place: Horizontal position of the foot, shape (2,) [m]. For a hand, its offset from the
-            nominal position counts.
+        place: Horizontal position of the foot, shape (2,) [m]. For a hand, or a contact with a
+            ``place`` of its own, only the offset from the nominal position counts.
     """
     if task.contacts[foot].place is not None or foot in robot.hands:
         near = np.array(task.contacts[foot].place or default_contact_position(robot, foot).tolist())

@@ -454,7 +454,7 @@ _SHIFT_SAFETY_FACTOR = 1.5
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
-    """Yield random joint positions, shape (nu,) [rad, m], within the limits of the goal.
+    """Yield random joint positions, shape (nu,) [rad, m], within the limits of the goal and +-pi.
 
     The seed of the generator is fixed, so that every search uses the same positions.
     """
@@ -472,9 +472,9 @@ def branch_seeds(
         robot: Robot.
         goal: Goal.
         found: {limb: its branches}.
-        reach: Upper bound of the base displacement [m] from the pose of the branches. Branches with
-            larger foot errors are omitted, since a foot error changes by at most the base
-            displacement.
+        reach: Upper bound of the base displacement [m] from the pose of the branches. Branches
+            whose foot error exceeds ``reach`` by more than ``NEAR_MISS`` are omitted, since a foot
+            error changes by at most the base displacement.
         most: Upper bound of the number of combinations.
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
@@ -528,10 +528,12 @@ def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
 
 
 def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
-    """Yield configurations (nq,) with displaced base and feet in reach, in all branches.
+    """Yield configurations (nq,) with displaced base and feet in reach, in several IK branches.
 
-    Sorted by the sum of violations. No violation is required to vanish, since another leg may carry
-    the load.
+    For each base position, up to `_MAX_TRIED_COMBINATIONS` combinations of branches are evaluated,
+    and the `_SEEDS_PER_PLACE` with the smallest sum of violations are yielded. All are sorted by
+    this sum, to which footholds do not contribute. No violation is required to vanish, since
+    another leg may carry the load.
 
     Args:
         shapes: Robot with collision shapes.

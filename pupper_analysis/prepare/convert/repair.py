@@ -255,9 +255,10 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 
 
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
-    """Return the first moving ancestor of a fixed body, and the placement of the body in it.
+    """Return the nearest ancestor that is not fixed to a parent, and the body's placement in it.
 
-    The body itself is returned if it is not fixed to a parent.
+    The ancestor moves, or is the fixed base. The body itself is returned if it is not fixed to a
+    parent.
 
     Args:
         bodies: Bodies.
@@ -298,7 +299,7 @@ def _to_triple(values: Array) -> tuple[float, float, float]:
 
 
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
-    """Move the collision shapes of fixed bodies without mass to the bodies that carry them.
+    """Move the collision shapes of fixed bodies without inertial to the bodies that carry them.
 
     The compliance of MuJoCo's ground depends on the inertia of the shape's body at its own
     frame: the sphere of a massless toe body sinks 25 times as far as the same sphere in the body

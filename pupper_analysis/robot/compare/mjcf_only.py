@@ -224,7 +224,7 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the tendons that act on the robot without command."""
+    """Yield the tendons with stiffness, damping, armature, dry friction or a limit."""
     model = scene.model
     words = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss")
     for tendon in range(model.ntendon):

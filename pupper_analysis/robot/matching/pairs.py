@@ -162,7 +162,10 @@ def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str,
 
 
 def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return the sequence of words with which at least 60 % of the names start."""
+    """Return the sequence of words with which at least 60 % of the names start.
+
+    At least two names must start with the sequence. A name counts only if a word remains after it.
+    """
     prefix: list[str] = []
     while True:
         with_prefix = [
@@ -195,10 +198,11 @@ Chosen, not tuned."""
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Return {frame: (link, site or body)} of the frames in both files.
+    """Return {site or body: (link, site or body)} of the frames in both files.
 
     Frames are links on fixed joints of the URDF, and sites or bodies without joints of the MJCF.
-    The bodies of a fixed base are excluded, because their frames are a convention.
+    The bodies of a fixed base are excluded, because their frames are a convention. With
+    ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
 
     Args:
         root: Root element of the URDF.
@@ -210,7 +214,6 @@ def common_frames(
     places |= {
         body.name
         for body in spec.bodies
-        # With ``fusestatic`` MuJoCo merges fixed bodies.
         if not spec.compiler.fusestatic
         and body.name
         and body.name not in base

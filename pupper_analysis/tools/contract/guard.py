@@ -17,7 +17,7 @@ def guard(
     Args:
         models: URDF, MJCF, or both.
         sources: Files, ``FILE:NAME``, or folders.
-        names: {joint name in a source: joint name in the MJCF}.
+        names: {joint name in a source: joint name in the MJCF, or in the URDF without an MJCF}.
 
     Returns:
         Disagreements, the most severe first.

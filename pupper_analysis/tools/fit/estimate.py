@@ -209,8 +209,8 @@ def estimate_parameters(
 
     Step: minimum of the linearised cost within the lower bounds, with damping added to the
     diagonal. An undamped step may be corrected twice with the derivatives of its start. Accepted:
-    an actual decrease of at least 10 % of the predicted decrease. Rejected: the damping is raised
-    tenfold.
+    an actual decrease of at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`.
+    Rejected: the damping is raised tenfold, from 0 to `_MIN_DAMPING`.
 
     Stop criteria: the predicted decrease of the undamped step is below ``min_decrease``
     (converged); no step is accepted, an accepted step decreases the cost by at most
@@ -349,7 +349,10 @@ class _QuadraticCost:
 def _find_decrease(
     cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Return parameters with a lower cost and the decrease, or None; and the next damping."""
+    """Return the accepted parameters and the decrease of the cost, or None; and the next damping.
+
+    The decrease may be negative, but not below ``-_MIN_PREDICTED_DECREASE``.
+    """
     table, x = cost.table, cost.x
     while damping <= _MAX_DAMPING:
         step = cost.compute_step(damping)

@@ -158,7 +158,9 @@ def read_stance(path: Path) -> State:
     """Read the state of a stance file.
 
     Raises:
-        ConfigurationError: If the file is not a stance, or has an option without slider.
+        ConfigurationError: If the file is not a stance, an option is unknown or has no slider, or a
+            value is invalid.
+        click.BadParameter: If a value is not of the type of its option.
     """
     from pupper_analysis.tools.live.state import (
         ROBOT_SLIDER_FIELDS,

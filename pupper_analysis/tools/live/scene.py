@@ -73,8 +73,8 @@ Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 MAX_FACES = 40_000
-"""Maximum number of faces of all meshes of a robot: about 0.5 MB, sent when a page opens. Chosen,
-not tuned."""
+"""Approximate upper bound of the number of faces of all meshes of a robot, which are sent when a
+page opens: about 0.5 MB of vertex indices. Primitive shapes are not counted. Chosen, not tuned."""
 
 
 BodyMeshes = dict[tuple[int, Colour], Mesh]

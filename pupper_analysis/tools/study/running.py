@@ -274,12 +274,12 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Designs per second."""
+        """Number of designs that this run evaluates per second; 0 before any time has elapsed."""
         return self.done / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def left(self) -> float:
-        """Estimated remaining time [s]; infinite until the first design is done."""
+        """Estimated remaining time [s]: 0 if no design remains, else infinite if `rate` is 0."""
         rest = self.total - self.there - self.done
         return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
 

@@ -278,7 +278,7 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
 
 
 _MJCF_FOLDER = "mjcf"
-"""Folder of the MJCF and its files, if they are not in the folders of the URDF."""
+"""Folder of the MJCF and its files, if neither model is within the top folder of the other."""
 
 
 @dataclass(frozen=True)
@@ -345,7 +345,8 @@ def _normalise_path(path: Path) -> Path:
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """Return the layout of a URDF, with the meshes and textures found relative to it.
 
-    A ``package://`` path to a folder around the URDF counts as relative. A path that is found by a
+    A ``package://`` path to a folder around the URDF counts as relative; the ``package.xml`` of
+    this folder is then included. A path that is found by a
     given package folder or by ``ROS_PACKAGE_PATH`` does not depend on the location.
     """
     files: list[Path] = []
@@ -377,7 +378,7 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 
 
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
-    """Yield the asset files with relative paths."""
+    """Yield the existing asset files whose paths in the MJCF are relative."""
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))
     references = [
