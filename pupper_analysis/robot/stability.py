@@ -482,7 +482,10 @@ class _Modes:
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)
 
     def _joint_motions(self, mode: int) -> dict[str, float]:
-        """Return the motion of each joint in a mode [rad, m], without the free base."""
+        """Return the relative amplitude of each joint in a mode [rad, m], without free joints.
+
+        Only the ratios of the amplitudes have a meaning: an eigenvector has no scale.
+        """
         model, moves = self._model, np.abs(self._vectors[: self._model.nv, mode])
         ends = [*model.jnt_dofadr[1:].tolist(), model.nv] if model.njnt else []
         return {

@@ -287,7 +287,10 @@ class _Search:
         return stand if stand.solved else None
 
     def solve_program(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Return the stand at the result of a program, if its feet are in place; else None."""
+        """Return the stand at the result of a program, if its feet are in place; else None.
+
+        Also None if the violation of the program exceeds `NEAR_MISS`.
+        """
         found = programme.solve(qpos)
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 

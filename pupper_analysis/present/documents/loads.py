@@ -240,7 +240,7 @@ def view_block(
     statics: GravityCompensation | None,
     motions: Sequence[doc.Motion] = (),
 ) -> doc.View:
-    """Create the 3-D view of a stand; an empty view without a robot.
+    """Create the 3-D view of a stand; without a robot, a view that contains no scene.
 
     Args:
         robot: Robot; None if it is not available.

@@ -82,7 +82,7 @@ BodyMeshes = dict[tuple[int, Colour], Mesh]
 
 
 def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
-    """Return the shapes of a robot, joined by body and colour."""
+    """Return the visible shapes of a robot, joined by body and colour."""
     shapes, meshes = collect_visible_shapes(model, MAX_FACES)
     meshes_by_key: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:

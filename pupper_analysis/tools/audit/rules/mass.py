@@ -234,8 +234,8 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about moments of inertia.
 
 MAX_INERTIA_FACTOR = 100.0
-"""Largest ratio to the moment of a solid box, in both directions. Wrong units change moments by
-1000 or more."""
+"""Largest ratio of a moment to m R^2 if a link has no shapes, and of the moment of a solid box to
+the moment of the link. Wrong units change moments by 1000 or more."""
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment to m R^2 if a mesh was not read; R is the radius of the known shapes
@@ -245,7 +245,7 @@ MIN_GYRATION_SQUARED = 1e-10
 """Moment per mass that counts as zero [m^2]: a radius of gyration of 0.01 mm."""
 
 MIN_REACH = 0.05
-"""Smallest radius of a link without shapes [m]."""
+"""Lower bound of the distance R of `inertia_implausible` for a link without shapes [m]."""
 
 
 def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
@@ -302,8 +302,9 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moments that are too large or too small for the mass and the size of the link.
 
     Upper limit: m R^2, with R the largest distance of a point from the CoM, times 2 (shapes may be
-    simplified), 8 if a mesh was not read, or 100 without shapes (R is then the distance to the
-    farthest joint or frame). Lower limit: 1 % of the moment of a solid box around the shapes of the
+    simplified), 8 if a mesh was not read, or 100 without shapes. R includes the joints and frames
+    of the link if a mesh was not read; without shapes it is the distance to the farthest of these,
+    at least `MIN_REACH`. Lower limit: 1 % of the moment of a solid box around the shapes of the
     link, m (a^2 + b^2) / 12.
     """
     for body, inertial in _list_stated_inertials(robot):
