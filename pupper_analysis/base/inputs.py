@@ -110,7 +110,12 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Return the content of a text file (UTF-8); see ``read_input`` and ``decode_input``."""
+    """Read a UTF-8 text file of at most `MAX_TEXT_BYTES`, and register it as an input of the run.
+
+    Raises:
+        InputError: If the file cannot be read, is too large, or is not UTF-8 text.
+        OutputError: If the run will write this file.
+    """
     return decode_input(path, read_input(path, MAX_TEXT_BYTES))
 
 

@@ -59,8 +59,12 @@ class Run:
     def refuse_input(self, path: Path, identity: Identity) -> None:
         """Raise an error if the run has read a file that it did not write itself.
 
+        Args:
+            path: Name of the file, for the error.
+            identity: Device and inode number of the file.
+
         Raises:
-            OutputError: If so.
+            OutputError: If the file is such an input.
         """
         if identity in self.inputs and identity not in self.written:
             raise OutputError(path, diagnose("output-is-an-input", source=self.inputs[identity]))

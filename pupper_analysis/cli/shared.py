@@ -62,11 +62,23 @@ class OutputPath(click.Path):
         self._holds = holds
 
     def get_kind(self, given: Mapping[str, Any]) -> Kind | Folder | None:
-        """Return the kind of the written result."""
+        """Return the file format, or the folder content, that the command writes to this path.
+
+        Args:
+            given: Parameters of the command.
+
+        Returns:
+            Format or folder content; None if the command writes nothing.
+        """
         return self._holds(given) if callable(self._holds) else self._holds
 
     def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
-        """Refuse a name whose suffix belongs to another format.
+        """Check that the suffix of an output file does not belong to another format.
+
+        Args:
+            option: Name of the option, for errors.
+            path: Output file.
+            kind: Format that is written.
 
         Raises:
             ConfigurationError: If the suffix belongs to another format.
@@ -217,7 +229,7 @@ def _check_outputs(command: Command, context: click.Context) -> None:
 def file_option(
     *names: str, help: str, required: bool = False
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return an option whose value is the path of an input file."""
+    """Return a decorator that adds an option for the path of an input file to a command."""
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
 
@@ -228,7 +240,15 @@ def output_option(
     help: str,
     **more: Any,
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return an option with the path of a result; see `OutputPath`."""
+    """Return a decorator that adds an option for an output path to a command.
+
+    Args:
+        *names: Names of the option, such as ``--json``.
+        holds: Format of the result, or content of the folder; or a function that returns one of
+            these, or None, from the parameters of the command.
+        help: Text in ``--help``.
+        **more: Further arguments of ``click.option``.
+    """
     return click.option(*names, type=OutputPath(holds), help=help, **more)
 
 
@@ -406,11 +426,11 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
 
 
 def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
-    """Return a value in SI units.
+    """Parse a number with or without a unit into SI units, for an option of a command.
 
     Args:
         option: Name of the option, for errors.
-        kind: Key of ``units.UNITS``.
+        kind: Quantity, a key of ``units.UNITS``, for example "length".
         text: Text of the value.
         given: Complete value of the option, for errors.
 
@@ -477,7 +497,13 @@ def show_results(
 
 
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
-    """Print a report for a terminal, or as Markdown; see `show_results`."""
+    """Print a report for a terminal, or as Markdown with the version of this package.
+
+    Args:
+        report: Report.
+        style: ``text`` or ``markdown``.
+        everything: True to print all tables and notes. Ignored for Markdown.
+    """
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
         from pupper_analysis.present.markdown import fold_lines, write_markdown
@@ -491,9 +517,10 @@ def show_report(report: Report, style: str = "text", *, everything: bool = False
 
 
 def confirm_written(path: Path | str) -> None:
-    """Print the path of a written file; on standard error if the style is not ``text``.
+    """Print the path of a written file, unless the file was standard output.
 
-    Nothing is printed for standard output.
+    The path is printed on standard output if the option ``--style`` is ``text`` or missing, and
+    otherwise on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT
     from pupper_analysis.present.formats import escape_control
@@ -583,7 +610,18 @@ def parse_point(
 
 
 def parse_place(option: str, text: str) -> tuple[str | float, ...]:
-    """Return (x, y, z) or (frame, x, y, z) [m] of X,Y,Z, FRAME,X,Y,Z or FRAME."""
+    """Parse the position ``X,Y,Z``, ``FRAME,X,Y,Z`` or ``FRAME`` of an option.
+
+    Args:
+        option: Name of the option, for errors.
+        text: Text; ``FRAME`` alone is the origin of the frame.
+
+    Returns:
+        (x, y, z) [m], or the frame's name followed by (x, y, z) [m] in this frame.
+
+    Raises:
+        ConfigurationError: If the text has another form; it names the option.
+    """
     frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
     zero = (0.0, 0.0, 0.0)
     point = parse_point(option, place, 3) if place or not frame else zero
@@ -591,7 +629,10 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
 
 
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
-    """Return {package: folder} of NAME=DIR.
+    """Parse the values ``NAME=DIR`` of an option with the folders of ROS packages.
+
+    Returns:
+        {package: folder}.
 
     Raises:
         ConfigurationError: If a text has another form, or a folder does not exist.
@@ -636,12 +677,20 @@ fine_tolerance_option = click.option(
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
-    """Return tolerances with the changes of --tolerance KIND=VALUE."""
+    """Return tolerances with the values of the option ``--tolerance KIND=VALUE`` replaced.
+
+    Args:
+        tolerances: Tolerances of the comparison of two models.
+        changes: Texts ``KIND=VALUE``.
+    """
     return tolerances.changed(dict(parse_number_assignment("tolerance", text) for text in changes))
 
 
 def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
-    """Return {name in the URDF: name in the MJCF} of --map.
+    """Parse the values ``URDF_NAME=MJCF_NAME`` of the option ``--map``.
+
+    Returns:
+        {name in the URDF: name in the MJCF}.
 
     Raises:
         ConfigurationError: If a text has another form, or a name is mapped to two names.

@@ -74,10 +74,10 @@ class Reader(Protocol):
     """{audit rule, of the format or of this package: additional check}."""
 
     def read_file(self, path: Path) -> ModelFile:
-        """Read a file."""
+        """Read a model file of this format, without building the robot."""
 
     def read_model(self, file: Any) -> RobotModel:
-        """Return the robot that a file specifies."""
+        """Return links and joints of the robot that a read file specifies, for checks."""
 
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert it to a URDF with the same values.

@@ -34,7 +34,11 @@ class Place:
 
     @property
     def within(self) -> str:
-        """Location within the file: ``":7"``, ``":</Robot/base>"``, or "" for the whole file."""
+        """Location within the file, to be appended to the file name.
+
+        Examples: ``":7"`` for line 7, ``":</Robot/base>"`` for an element in a file without lines,
+        "" for the whole file.
+        """
         if self.element is not None:
             return f":<{self.element}>"
         return "" if self.line is None else f":{self.line}"
@@ -51,7 +55,10 @@ class Place:
 
 
 def innermost_element(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
-    """Return the innermost existing element on a path of tags.
+    """Follow a path of tags from an element, as far as child elements exist.
+
+    Returns:
+        Last element found; ``element`` itself if the first tag has no child.
 
     Args:
         element: Start of the path.
@@ -76,7 +83,7 @@ NO_LINE: Final = 65535
 
 
 def line_of(element: etree._Element) -> int | None:
-    """Return the line of an element; None if unknown."""
+    """Return the line number of an XML element in its file; None if unknown."""
     line = element.sourceline
     return line if line is not None and line < NO_LINE else None
 

@@ -48,7 +48,12 @@ for a URDF without a limit."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
-    """Replace the inertia of a body by an inertia in the frame of the body."""
+    """Replace mass, CoM and rotational inertia of a body.
+
+    Args:
+        body: Body of a spec; modified.
+        inertia: Spatial inertia [kg, m, kg m^2], expressed in the frame of the body.
+    """
     entries = inertia_entries(np.array(inertia.inertia))
     body.explicitinertial, body.mass = True, float(inertia.mass)
     body.ipos, body.iquat = np.array(inertia.lever), (1.0, 0.0, 0.0, 0.0)
@@ -59,7 +64,16 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
-    """Set a joint parameter of a spec, in SI units; an effort becomes a symmetric force range."""
+    """Set a joint parameter of an MJCF spec, for example damping or effort.
+
+    An effort becomes a symmetric force range of the joint. If MuJoCo stores a polynomial, the value
+    is its first coefficient, and the others are zero.
+
+    Args:
+        joint: Joint; modified.
+        attribute: Parameter.
+        value: Value in SI units.
+    """
     if attribute.kind == "effort":
         value = max(value, MIN_RANGE)
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -93,12 +107,12 @@ class SpecTree:
         return None if parent.name == self.spec.worldbody.name else str(parent.name)
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the joints of a body, except a free joint."""
+        """Return the names of the joints that move a body against its parent, except a free one."""
         joints = self.spec.body(link).joints
         return tuple(joint.name for joint in joints if joint.type != JointKind.FREE)
 
     def moved_by(self, joint: str) -> str | None:
-        """Return the body of a joint; None if there is no such joint."""
+        """Return the name of the body that a joint moves; None if there is no such joint."""
         element = self.spec.joint(joint)
         return None if element is None else str(element.parent.name)
 

@@ -205,7 +205,12 @@ _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
-    """Return joint positions (nu,) [rad, m], clipped to the limits; zero if not specified."""
+    """Return joint positions, shape (nu,) [rad, m], clipped to the joint limits.
+
+    Args:
+        robot: Robot.
+        joints: {joint: position [rad, m]}; joints without a position are at zero before clipping.
+    """
     values = np.array([(joints or {}).get(name, 0.0) for name in robot.joint_names])
     return np.clip(values, robot.lower_limits, robot.upper_limits)
 
@@ -462,7 +467,10 @@ def list_foot_bodies(robot: Robot) -> set[int]:
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if only feet, and the bodies to which they belong, are near the ground."""
+    """Return True if only feet, and the bodies to which they belong, are near the ground.
+
+    A geom is near if it touches the ground when the base is lowered by `_MIN_GROUND_CLEARANCE`.
+    """
     model = robot.mj_model
     foot_bodies = list_foot_bodies(robot)
     return all(

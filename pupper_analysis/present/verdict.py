@@ -107,7 +107,10 @@ _VERDICT_WORDS = {
 
 
 def get_verdict_key(verdict: Verdict) -> str:
-    """Return the catalogue key of a verdict's word, for tables."""
+    """Return the word of a verdict, for example "HOLDS" or "FAILS", as a key of the text catalogue.
+
+    Tables of results use this key.
+    """
     if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
     if _disagrees(verdict):

@@ -220,13 +220,13 @@ class Closure:
         """Close the loops near a configuration, by Newton's method with minimum weighted step norm.
 
         Args:
-            qpos: Configuration (nq,).
-            moving: Mobility (nu,) of each joint; see ``readiness``.
-            give: Required openings (m,); 0 by default.
+            qpos: Configuration, shape (nq,), with open loops.
+            moving: Mobility of each joint, shape (nu,): a joint with a lower value moves less.
+            give: Required openings, shape (m,) [m, rad]; 0 by default.
 
         Returns:
-            Configuration (nq,) with the same base. None if the iteration does not converge, or
-            converges to another assembly mode.
+            Configuration, shape (nq,), with the same base pose. None if the iteration does not
+            converge, or converges to another assembly mode.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.as_built(result) else None
@@ -262,11 +262,17 @@ class Closure:
         return None
 
     def open(self, qpos: Array) -> float:
-        """Return the largest opening of the loops and couplings [m, rad]."""
+        """Return the largest opening (violation) of the loops and couplings.
+
+        Metres and radians are mixed. 0 without constraints.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         return float(np.abs(self.residual(qpos)).max(initial=0.0))
 
     def open_by(self, qpos: Array, give: Array | None = None) -> float:
-        """Return the largest opening beyond the required openings [m, rad].
+        """Return the largest deviation of the openings from the required ones (m and rad mixed).
 
         Only independent combinations of equations count: in files with rounded numbers, a planar
         loop is open by nanometres in the redundant direction.
@@ -293,7 +299,9 @@ class Closure:
             )
 
     def readiness(self, placing: IntArray) -> Array:
-        """Return the joint mobilities (nu,) for ``closed``, with low values for joints of feet.
+        """Return the mobility of each joint, shape (nu,), with which `closed` weights its steps.
+
+        It is 1, and low for joints that place feet, so that closing the loops moves feet little.
 
         Args:
             placing: Indices of the joints that place feet.
@@ -303,7 +311,7 @@ class Closure:
         return mobility
 
     def describe(self) -> Diagnostic:
-        """Return a diagnostic of the dependent and independent joints."""
+        """Return a message that lists the dependent joints and the joints that drive them."""
         following = [self._joint_names[joint] for joint in self.following]
         leading = [self._joint_names[joint] for joint in self.leading]
         if not following:

@@ -209,7 +209,10 @@ class Configuration:
         return np.array([placements[frames[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
 
     def foot_twists(self, feet: Sequence[str]) -> Array:
-        """Return the Jacobians (n, 6, nv) of contact points; see ``frame_jacobian``."""
+        """Return the Jacobians, shape (n, 6, nv), of the centres of n contact points.
+
+        J qvel = (linear velocity of the centre [m/s], angular velocity [rad/s]), in world axes.
+        """
         return self._jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
@@ -312,7 +315,18 @@ class Configuration:
         return self.pushed_rates(self._jacobians(wrenches), pushes)
 
     def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return ``static_rates`` for Jacobians (n, 6, nv) and wrenches (n, 6)."""
+        """Return the derivative of l - sum J^T w by steps in the directions of qvel.
+
+        l is the static load (``load``), and each wrench w is constant in world axes.
+
+        Args:
+            jacobians: Jacobians J of the loaded points, shape (n, 6, nv): linear velocity, then
+                angular velocity, in world axes.
+            wrenches: Force [N] and moment about the point [N m], shape (n, 6), in world axes.
+
+        Returns:
+            Shape (nv, nv).
+        """
         structure, n = self._structure, self._structure.nv
         workspace = structure.workspace()
         rates = pin.computeGeneralizedGravityDerivatives(self._model, workspace.data, self._q)
@@ -440,7 +454,13 @@ class AtRest:
         return self._passive_forces()
 
     def rates(self, qpos: Array) -> Array:
-        """Return the derivative (nv, nv) of the forces by steps in the directions of qvel."""
+        """Return the derivative of ``forces`` by steps in the directions of qvel, shape (nv, nv).
+
+        Computed by central differences.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         data, index = self._data, self._convention.qvel_index
         self._convention.set_state(data, qpos)
         start_qpos = data.qpos.copy()

@@ -87,7 +87,7 @@ class Plane:
         return self
 
     def moved(self, number: float) -> Plane:
-        """Return the parallel plane with another ``number`` [m]."""
+        """Return the parallel plane with another ``number``, its coordinate or offset [m]."""
         offset, displacement = (
             self._number_sign * number,
             self._number_sign * (number - self.number),

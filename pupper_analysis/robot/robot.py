@@ -189,7 +189,13 @@ def with_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Return contact parameters in which feet on planes have the friction of the planes."""
+    """Return contact parameters with the friction of the planes that feet touch.
+
+    Args:
+        contacts: {contact point: parameters} on the ground.
+        feet: {foot: its contact points}.
+        touching: {foot: its contact}; a contact without own friction changes nothing.
+    """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
         for name, properties in touching.items()
@@ -345,7 +351,7 @@ class Robot:
 
     @cached_property
     def has_floor(self) -> bool:
-        """Whether the MJCF has a floor that touches: not if the file of an arm has none."""
+        """Whether the MJCF has a floor that can collide. The MJCF of an arm may have none."""
         floor = ground_geom(self.mj_model)
         if floor is None:
             return False
@@ -594,7 +600,14 @@ class Robot:
         )
 
     def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:
-        """Return the sum of the forces {contact point: (3,)} on each foot."""
+        """Sum the forces on the contact points of each foot.
+
+        Args:
+            forces: {contact point: force, shape (3,) [N]}, all in one frame.
+
+        Returns:
+            {foot: force, shape (3,) [N]} for the feet with a contact point in ``forces``.
+        """
         return {
             foot: np.sum([forces[point] for point in self.feet[foot] if point in forces], axis=0)
             for foot in self.feet_with(forces)

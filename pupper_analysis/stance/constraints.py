@@ -68,7 +68,12 @@ class Constraint:
         raise NotImplementedError
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the derivative of the residual by qvel directions, shape (n, nv)."""
+        """Return the derivative of the residual by steps in the directions of qvel, shape (n, nv).
+
+        Args:
+            goal: The goal, or a goal with other numbers.
+            at: Configuration.
+        """
         raise NotImplementedError
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
@@ -109,7 +114,12 @@ class BaseOrientation(Constraint):
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
-    """Return the angle [rad] between two unit quaternions (w, x, y, z)."""
+    """Return the angle of the rotation between two orientations, 0 to pi [rad].
+
+    Args:
+        one: Unit quaternion (w, x, y, z).
+        other: Unit quaternion (w, x, y, z).
+    """
     (a, b, c, d), (w, x, y, z) = one, other
     return 2 * math.atan2(
         math.hypot(

@@ -150,7 +150,7 @@ class Field:
 
     @property
     def default_value(self) -> Any:
-        """Value of a default task: an empty mapping, None or 0."""
+        """Value of this field in a default task: an empty mapping, None or 0."""
         if self.per:
             return FrozenDict()
         return None if self.optional else 0.0
@@ -231,7 +231,7 @@ class Field:
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:
-        """Return a value with its unit, for a message; a contact is unchanged."""
+        """Return a value with its SI unit, for a message; a contact is returned unchanged."""
         if self.kind == "contact":
             return value
         if isinstance(value, tuple):

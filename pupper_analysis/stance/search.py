@@ -116,19 +116,48 @@ def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | Non
 
 
 def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
-    """Search from joint positions (nu,) only, with the CoM or base at its target."""
+    """Search for a stand from one initial guess of the joint positions, with IK.
+
+    CoM or base start at their target.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal.
+        joints: Initial joint positions, shape (nu,) [rad, m].
+
+    Returns:
+        Solved stand; None if IK does not reach one.
+    """
     return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
 def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search from one configuration (nq,) with the nonlinear program of all constraints."""
+    """Search for a stand from one configuration, with the nonlinear program of all constraints.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal.
+        qpos: Initial configuration, shape (nq,).
+
+    Returns:
+        Solved stand; None if the program does not reach one.
+    """
     there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
 def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search from one nearby configuration (nq,) only, with IK."""
+    """Search for a stand from one nearby configuration, with IK.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal.
+        qpos: Initial configuration, shape (nq,).
+
+    Returns:
+        Solved stand; None if IK does not reach one.
+    """
     return _Search(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
 
 
@@ -322,7 +351,11 @@ class _Search:
 
 
 def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yield initial joint positions (nu,): the ik_seed, home, the middle of the limits."""
+    """Yield the usual initial guesses of the joint positions, shape (nu,) [rad, m].
+
+    In this order: ``ik_seed`` of the task, if there is one; the robot's home position; the middle
+    of the joint limits (zero for a joint without limits).
+    """
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
     yield robot.home[7:]
@@ -332,8 +365,9 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
 
 
 def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
-    """Minimise the foot error of an unreachable goal from a start (nq,).
+    """Minimise the distance of the feet from their targets, for an unreachable goal.
 
+    The minimum is searched with the nonlinear program from the configuration ``qpos``, shape (nq,).
     Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors vanish, and end before
     this minimum.
     """
@@ -389,9 +423,11 @@ def has_underactuated_feet(robot: Robot) -> bool:
 
 
 def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
-    """Describe the missing leg joints of a lifted or moved sole, or the open loops.
+    """Describe a reason in the mechanism why a goal has no stand, for an error message.
 
-    None if neither applies.
+    Returns:
+        Message: closed loops must open under load; or a sole that is lifted or moved has a leg with
+        fewer than six joints. None if neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -419,7 +455,10 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 
 
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
-    """Move the foot targets to the reached positions if underactuated soles miss by micrometres.
+    """Return a goal whose foot targets are the reached positions, if soles miss by micrometres.
+
+    A leg with fewer than six joints cannot lay its sole exactly. The goal is returned unchanged if
+    IK converged, the foot error is larger, or all soles have six joints.
 
     Args:
         robot: Robot.
@@ -469,12 +508,14 @@ def random_postures(goal: Goal, count: int) -> Iterator[Array]:
 def branch_seeds(
     robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
 ) -> Iterator[Array]:
-    """Yield joint positions for combinations of branches, the nearest first.
+    """Yield joint positions, shape (nu,) [rad, m], for combinations of the limbs' IK branches.
+
+    Combinations near ``ik_seed`` of the task, or else near the home position, come first.
 
     Args:
         robot: Robot.
         goal: Goal.
-        found: {limb: its branches}.
+        found: {limb: its IK branches}.
         reach: Upper bound of the base displacement [m] from the pose of the branches. Branches
             whose foot error exceeds ``reach`` by more than ``NEAR_MISS`` are omitted, since a foot
             error changes by at most the base displacement.
@@ -513,9 +554,9 @@ def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch
 
 
 def support_radius(goal: Goal) -> float:
-    """Return the largest horizontal distance [m] between the feet's centre and the support polygon.
+    """Return the largest horizontal distance [m] between the feet's centre and a support corner.
 
-    If all feet are welded there is no support polygon: then the distance to the welded feet.
+    Without a support polygon (all feet are welded), the largest distance to a foot target.
     """
     corners = goal.corners or [target[:2] for target in goal.targets.values()]
     distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]
@@ -523,7 +564,16 @@ def support_radius(goal: Goal) -> float:
 
 
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
-    """Return a configuration (nq,): joints clipped to their limits, CoM at ``place`` (2,) [m]."""
+    """Return an initial configuration, shape (nq,), with a given horizontal CoM position.
+
+    The base has the height and orientation of the goal.
+
+    Args:
+        robot: Robot.
+        goal: Goal.
+        joints: Joint positions, shape (nu,) [rad, m]; clipped to their limits.
+        place: Horizontal CoM position, shape (2,) [m], in the world frame.
+    """
     bent = np.clip(joints, goal.lower, goal.upper)
     qpos = np.array([0.0, 0.0, goal.height, *goal.base_quaternion, *bent])
     qpos[:2] = place - Configuration(robot, qpos).center_of_mass()[:2]

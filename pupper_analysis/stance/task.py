@@ -145,21 +145,30 @@ class StandTask:
         return cls(ik_seed=seed).with_values(values)
 
     def replace_unchecked(self, **values: Any) -> StandTask:
-        """Return a copy with other attributes, without checks.
+        """Return a copy with other attributes, without checking their values.
 
-        The checks took an eighth of the time of a stand in a sequence.
+        In a sequence of stands the checks would take an eighth of the time.
+
+        Args:
+            **values: {attribute: valid value}.
         """
         task = object.__new__(StandTask)
         vars(task).update(vars(self), **values)
         return task
 
     def values(self) -> dict[str, Any]:
-        """Return {field of the table of ``stance.fields``: value}, including the ground."""
+        """Return all requirements as {name of the field: value}, including those of the ground.
+
+        The fields are those of ``stance/fields.toml``.
+        """
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 
     def with_values(self, values: Mapping[str, Any]) -> StandTask:
-        """Return a copy with other values, {field of the table: value}.
+        """Return a copy with other values.
+
+        Args:
+            values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
 
         Raises:
             ConfigurationError: If a value is out of range.
@@ -171,7 +180,7 @@ class StandTask:
         return replace(self, **own)
 
     def rotation(self) -> Array:
-        """Return the rotation of the base in the world, shape (3, 3)."""
+        """Return the rotation matrix from base axes to world axes, shape (3, 3)."""
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
         return rotation
 

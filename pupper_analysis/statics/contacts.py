@@ -98,7 +98,10 @@ class Contacts:
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
-        """Tangential metric for contacts of equal viscosity."""
+        """Weights of the tangential forces in `ForceDistribution.MIN_TANGENTIAL`.
+
+        All contacts have the same viscosity (tangential force per creep velocity).
+        """
         return TangentialMetric(self.normals)
 
     @functools.cached_property
@@ -180,10 +183,17 @@ def make_contacts(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
-    """Validate the contact arguments of ``gravity_compensation``.
+    """Validate the contact arguments of `gravity_compensation`, and create the contacts.
 
-    See ``gravity_compensation`` for the arguments. Contacts with default arguments are cached per
-    robot.
+    Contacts with default friction, normals and depths are cached per robot.
+
+    Args:
+        robot: Robot.
+        contacts: Contact points that carry load. Default: `Robot.bearing` for a free base, none for
+            a fixed base.
+        friction: Friction coefficient, for all contact points or per contact point.
+        normals: {contact point: direction out of the ground, shape (3,), in the world frame}.
+        depths: {contact point: penetration into the ground [m]}.
 
     Raises:
         UnknownNameError: If a foot is unknown.
@@ -256,7 +266,16 @@ def _make_contacts(
 
 
 def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
-    """Return the normal forces that the task states, in the format of `Contacts.stated`."""
+    """Return the total normal forces that the task states for feet.
+
+    Args:
+        robot: Robot with the contacts of a task.
+        feet: Names of the n contact points that carry load.
+
+    Returns:
+        Groups, shape (k, n), 1.0 if a contact point belongs to the group of a stated force; and
+        forces, shape (k,), in units of the robot's weight. None if the task states no force.
+    """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None
     }

@@ -291,7 +291,16 @@ def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
 
 
 def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
-    """Return {attribute: values} of an element, for the rows of the table with its tag."""
+    """Return the compiled values of an element, for the attributes that audits compare.
+
+    Args:
+        model: Compiled model.
+        element: Tag, such as "joint" or "geom"; "option" for the global options.
+        row: Id of the element; not used for "option".
+
+    Returns:
+        {MJCF attribute: value or values in MuJoCo's units (SI, rad)}.
+    """
     attributes = [attribute for attribute in ELEMENT_ATTRIBUTES if attribute.element == element]
     if element == "option":
         return {
@@ -307,7 +316,16 @@ def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, V
 
 
 def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
-    """Return the row of an element in an array; for ``dof_`` arrays, a slice of the joint."""
+    """Return the index of an element in an array of MjModel.
+
+    Args:
+        model: Compiled model.
+        array: Name of the array, such as "jnt_range" or "dof_damping".
+        row: Id of the element.
+
+    Returns:
+        ``row``; for a ``dof_`` array, the slice of the degrees of freedom of joint ``row``.
+    """
     if not array.startswith("dof_"):
         return row
     next_address = model.jnt_dofadr[row + 1] if row + 1 < model.njnt else model.nv

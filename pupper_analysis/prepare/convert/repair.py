@@ -100,7 +100,10 @@ class LinkBodies:
         return self.free if joint is None else not joint.is_fixed
 
     def inertia(self, body: str) -> pin.Inertia | None:
-        """Return the inertia of a body, in its own frame; None without an inertial."""
+        """Return the spatial inertia of a body, expressed in the frame of the body.
+
+        None if the URDF link has no ``<inertial>``.
+        """
         return self.tree.links[body].inertia
 
     def carried(self, body: str) -> bool:

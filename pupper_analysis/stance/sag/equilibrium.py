@@ -61,7 +61,10 @@ class Solution:
     residual: float = math.inf
 
     def force(self, foot: str) -> Array:
-        """Return the force on a contact point, shape (3,) [N]; zero without contact."""
+        """Return the force of the ground on a contact point, shape (3,) [N].
+
+        Expressed in the ground frame of the contact. Zero if the point does not touch.
+        """
         return self.forces.get(foot, np.zeros(3))
 
 
@@ -152,12 +155,18 @@ class ContactKinematics:
         return deeper
 
     def push(self, forces: Array) -> Array:
-        """Compute the generalised force, shape (nv,), of contact forces (n, 3) [N]."""
+        """Compute the generalised force of the contact forces, shape (nv,) [N, N m].
+
+        Args:
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+        """
         pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, self.config.robot.nv)
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the derivative of load minus ``push`` by a step, shape (nv, nv).
+        """Compute the derivative of the static load minus ``push`` by a step, shape (nv, nv).
+
+        A step is in the directions of qvel.
 
         Args:
             forces: Contact forces, shape (n, 3) [N], in the ground frame; constant in direction.
@@ -380,7 +389,12 @@ class SagEquilibrium:
         }
 
     def equilibrium_depths(self, forces: Array) -> Array:
-        """Return the penetrations of touching contacts, shape (n,) [m], under forces (n, 3)."""
+        """Return the penetrations at which the ground exerts given forces, shape (n,) [m].
+
+        Args:
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames. Only
+                the normal component is used.
+        """
         normal_forces = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if normal_forces != self._depth_cache[0]:
             # Initial guesses: the previous depth of the contact, or the depth of another contact.
@@ -438,7 +452,13 @@ class SagEquilibrium:
         return places
 
     def project_soles(self, slips: Array) -> Array:
-        """Project slips, shape (n, 2, ...), onto rigid motions of each sole."""
+        """Project the slips of contact points onto the rigid motions of their soles.
+
+        A sole is a foot with several contact points; slips of other feet are unchanged.
+
+        Args:
+            slips: Slips of the n touching contacts, shape (n, 2, ...) [m], or their derivatives.
+        """
         feet = tuple(self.anchors)
         if self._sole_projection_cache[0] != feet:
             self._sole_projection_cache = feet, rigid_slips(self.anchors, self._sole, self.frames)
@@ -490,7 +510,14 @@ class SagEquilibrium:
         return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Compute the derivative of `residual` by step and forces, in closed form."""
+        """Compute the derivative of `residual`, shape (nv + 3 n, nv + 3 n), in closed form.
+
+        The first nv columns belong to a step in the directions of qvel, the others to the forces.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the ground frames.
+        """
         n, touch, size = self.robot.nv, self.contacts_at(qpos), len(forces)
         whole = np.zeros((n + 3 * size, n + 3 * size))
         by_qpos, by_force = whole[:, :n], whole[n:, n:]
@@ -606,7 +633,7 @@ class SagEquilibrium:
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Return the forces on the touching contacts, shape (n, 3) [N]."""
+        """Return the forces on the touching contacts, shape (n, 3) [N], in the ground frames."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
@@ -635,7 +662,14 @@ class SagEquilibrium:
         return None
 
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
-        """Replace constrained rows of residual or derivative by the weld constraints."""
+        """Replace the equations that welds determine by the weld constraints.
+
+        Without welds the equations are returned unchanged.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            equations: Residual or derivative of the equilibrium equations; not modified.
+        """
         if self._welds is not None:
             return self._welds.insert(self.contacts_at(qpos).config, equations, self.units.weight)
         if self._num_welded_rows:
@@ -646,7 +680,13 @@ class SagEquilibrium:
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Return the Jacobian of the welds, shape (6 w + 3 g, nv)."""
+        """Return the Jacobian of w welds (6 rows each) and g grips (3 rows each).
+
+        Shape (6 w + 3 g, nv).
+
+        Args:
+            qpos: Configuration, shape (nq,).
+        """
         if self._welds is None:
             return np.eye(self._num_welded_rows, self.robot.nv)
         return self._welds.jacobian(self.contacts_at(qpos).config)
@@ -654,7 +694,10 @@ class SagEquilibrium:
     def find_violations(self, solution: Solution) -> dict[str, float]:
         """Return the contacts that contradict a solution, with the violation.
 
-        A touching contact must not pull [N]; another contact must not penetrate the ground [m].
+        A touching contact must not pull; any other contact point must not penetrate the ground.
+
+        Returns:
+            {contact point: pulling force [N] or penetration [m]}.
         """
         feet = self.robot.bearing
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}

@@ -86,9 +86,17 @@ def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str,
 
 
 def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
-    """Measure the slip of touching points, shape (n, 2) [m]; soles move as rigid bodies.
+    """Measure the slip of the touching contact points along the ground.
 
-    The slip starts at the first contact, or at the start of the present creep step.
+    The slip is measured from the first contact, or from the start of the current creep step. The
+    slips of a sole's points are projected onto a rigid motion.
+
+    Args:
+        system: Equations.
+        solution: Solution of the equations.
+
+    Returns:
+        Shape (n, 2) [m], along the two ground tangents of each contact.
     """
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.contacts_at(solution.qpos).places[:, :2]
@@ -221,10 +229,13 @@ class HomotopyPath:
         self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
     def follow(self, goal: float) -> None:
-        """Remove the share ``goal`` of the feed-forward, with an adaptive step.
+        """Move along the path to a removed share of the feed-forward, with an adaptive step.
+
+        Args:
+            goal: Share of the feed-forward to remove, 0 (none) to 1 (all).
 
         Raises:
-            NoEquilibriumError: If the equilibrium ends before that share.
+            NoEquilibriumError: If the equilibrium ends before this share.
         """
         step = 1.0
         while self.share < goal:
@@ -254,7 +265,14 @@ class HomotopyPath:
                 )
 
     def linearise(self, solution: Solution) -> tuple[Array, float]:
-        """Return derivative and stiffness at a solution; the latest is cached."""
+        """Return the derivative of the equations and the stiffness at a solution.
+
+        The result for the last solution is cached.
+
+        Returns:
+            Derivative (`SagEquilibrium.derivative`), and smallest stiffness (`stiffness_at`)
+            [1/s^2].
+        """
         system, seen = self.system, self._linearisation
         if seen is None or seen[0] is not solution:
             derivative = system.derivative(solution.qpos, system.stack_forces(solution))
@@ -655,7 +673,12 @@ def minimum_stiffness(
 
 
 def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
-    """Create the result at the present point of a path; ``margin`` is its release margin."""
+    """Collect the results at the current equilibrium of a path.
+
+    Args:
+        way: Path.
+        margin: `SteadyState.release_margin` to be stored in the result.
+    """
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)

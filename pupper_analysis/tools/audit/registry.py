@@ -83,7 +83,10 @@ CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
 
 
 def rule(check: Check) -> Check:
-    """Register a check for the rule of the same name, ``axis-zero`` for ``axis_zero``."""
+    """Register a function as the check of an audit rule; used as a decorator.
+
+    The name of the function determines the rule: ``axis_zero`` checks the rule ``axis-zero``.
+    """
     name = check.__name__.replace("_", "-")
     assert name in RULES, f"catalogue.toml has no rule {name}"
     _REGISTERED_CHECKS[name] = check
@@ -165,15 +168,15 @@ class Audit(Tabular):
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Return points that span all shapes of some links; None if an extent is not known.
+    """Return points whose convex hull contains all shapes of some links, at zero joint angles.
 
     Args:
         bodies: Links.
         frame: Link in whose frame the points are expressed.
 
     Returns:
-        Points, shape (n, 3) [m]; None if there are no shapes, or the extent of a shape is not
-        known.
+        Points, shape (n, 3) [m]; None if there are no shapes, or the size of a shape is not known,
+        for example because a mesh was not read.
     """
     points, is_complete = list_known_points(bodies, frame)
     return points if is_complete else None

@@ -469,7 +469,14 @@ _ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
 def add_height_effects(
     findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
 ) -> tuple[Disagreement, ...]:
-    """Add the difference in base height to disagreements about default angles."""
+    """Return the disagreements, with an effect added to those about default joint angles.
+
+    The effect is the difference between the base heights [m] in the two default poses.
+
+    Args:
+        findings: Disagreements between sources.
+        poses: Default poses of the sources. A source without a pose adds no effect.
+    """
     heights = {pose.source: pose.height for pose in poses}
     done = []
     for finding in findings:

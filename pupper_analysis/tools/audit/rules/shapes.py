@@ -182,10 +182,12 @@ def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
 
 @rule
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the frame of a foot with the nearest collision sphere of the moving group.
+    """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
-    Spheres with a foot-like name, or on a link with such a name, have precedence. NOTE if the frame
-    is inside the sphere, which some models use for a flat sole.
+    The sphere is the nearest collision sphere on the links that are fixed to the foot frame.
+    Spheres with a foot-like name, or on a link with such a name, have precedence. A sphere farther
+    away than five radii is ignored. The severity is NOTE if the frame is inside the sphere, which
+    some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -294,7 +296,12 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the extent of all joints with common robots, and each link with this extent."""
+    """Find robots and shapes of implausible size, for example in millimetres.
+
+    The extent of all joint positions at zero angles must be between `MIN_ROBOT_EXTENT` and
+    `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
+    this extent.
+    """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
         return
