@@ -140,8 +140,9 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text and the values of a TOML file.
 
     Raises:
-        InputError: If the file cannot be read, is no valid TOML (with the line, if known), or has a
-            key that is too long.
+        InputError: If the file cannot be read, is no UTF-8 text, is no valid TOML (with the line,
+            if known), or has a key longer than `_MAX_KEY_LENGTH`.
+        OutputError: If the run will write this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))
     try:
@@ -213,7 +214,8 @@ def read_content(path: Path, most: int) -> bytes:
     """Return the content of a file, or of the model from standard input.
 
     Raises:
-        InputError: If the file is no regular file, has more than ``most`` bytes, or cannot be read.
+        InputError: If the file is missing, is no regular file, has more than ``most`` bytes, or
+            cannot be read.
         OutputError: If the run will write this file.
     """
     if not is_held(path):

@@ -639,8 +639,8 @@ def minimum_stiffness(
         UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP`;
-            contains the reason.
+        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
+            ``EquilibriumScales.stiffness``; contains the reason.
     """
     if not 0 < tolerance < 1:
         refused = diagnose("not-between", given=tolerance, low=0, high=1)

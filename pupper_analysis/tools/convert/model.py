@@ -94,9 +94,12 @@ def convert_model(
         Written files, notes, and the results of the verification.
 
     Raises:
-        ConfigurationError: If an argument is out of range.
-        ModelError: If the source cannot be read, or the other format cannot represent the robot.
-        OutputError: If the output or a mesh exists, is an input file, or cannot be written.
+        ConfigurationError: If an argument is out of range, or an option of new MJCFs is passed for
+            an MJCF.
+        ModelError: For example, if the source cannot be read, the other format cannot represent the
+            robot, or the URDF has no joint of ``armature``.
+        OutputError: If the output or a mesh exists, is an input file, has another suffix, is no
+            regular file, or cannot be written.
     """
     source, output = Path(source), Path(output)
     register_input(source)

@@ -114,8 +114,9 @@ class ToolPayload(Result):
     """The greatest point masses that the motors hold at a tool.
 
     Attributes:
-        mass: In the posture (kg); infinite if no motor bears it, not a number if a motor that bears
-            it has an unknown limit.
+        mass: Largest mass in the posture (kg). 0 if a motor exceeds its limit without the mass, or
+            a motor that may bear the mass has no torque. Otherwise not a number if a motor that
+            bears the mass has an unknown limit, and infinite if no motor bears the mass.
         joint: Whose motor then is at its limit; "" if none is.
         servos: The greatest that its servos hold in the posture (kg), whatever the motors do: with
             more, gravity turns it over against their stiffness, or one is commanded beyond its
