@@ -382,3 +382,12 @@ class FitError(PupperAnalysisError):
     def __init__(self, problem: Problem) -> None:
         self.problem = str(problem)
         super().__init__(problem)
+
+
+def __dir__() -> list[str]:
+    """Return the names that this module defines, without those that it imports."""
+    return sorted(
+        name
+        for name, value in globals().items()
+        if name.startswith("__") or getattr(value, "__module__", None) == __name__
+    )

@@ -53,7 +53,11 @@ def make_lazy_exports(
         setattr(sys.modules[package], name, value)  # later accesses do not call this function
         return value
 
-    return get_attribute, lambda: sorted([*vars(sys.modules[package]), *sources]), sorted(sources)
+    def list_names() -> list[str]:
+        special = [name for name in vars(sys.modules[package]) if name.startswith("__")]
+        return sorted({*special, *sources})
+
+    return get_attribute, list_names, sorted(sources)
 
 
 def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) -> str:

@@ -165,3 +165,12 @@ def shorten(value: object) -> str:
         return f"{type(value).__name__}(...)"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def __dir__() -> list[str]:
+    """Return the names that this module defines, without those that it imports."""
+    return sorted(
+        name
+        for name, value in globals().items()
+        if name.startswith("__") or getattr(value, "__module__", None) == __name__
+    )

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 
 import pytest
 
@@ -82,3 +82,18 @@ def test_docstrings_example_works(tmp_path: Path) -> None:
     lines = [line[4:] for line in pa.__doc__.splitlines() if line.startswith("    ")]
     assert len(lines) >= 5
     assert run("\n".join([*lines, "print(report.passed, len(torques))"]), tmp_path) == "True 12"
+
+
+def test_completion_offers_public_names_only() -> None:
+    """``dir`` is what IPython completes; it showed ``Any``, ``np`` and ``make_lazy_exports``."""
+    values = [getattr(pa, name) for name in pa.__all__]
+    for module in (pa, *(value for value in values if isinstance(value, ModuleType))):
+        names = [name for name in dir(module) if not name.startswith("_")]
+        assert names, module.__name__
+        for name in names:
+            value = getattr(module, name)
+            is_module = isinstance(value, ModuleType)
+            source = value.__name__ if is_module else getattr(value, "__module__", None)
+            assert source is None or source.startswith("pupper_analysis"), name
+    assert {"Any", "np", "orjson"}.isdisjoint(dir(pa.results))
+    assert "make_lazy_exports" not in dir(pa.stance)
