@@ -430,7 +430,7 @@ class Robot:
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes in MuJoCo, including feet."""
+        """Collision shapes of the moving bodies in MuJoCo, including feet; see `shapes_of`."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,

@@ -55,6 +55,8 @@ def shapes_of(
 ) -> tuple[CarriedShape, ...]:
     """Return the collision shapes of the moving bodies, including feet, in order of the geom ids.
 
+    If the base of the MJCF is the world, the shapes that are fixed in the world are included.
+
     The pose of a body in its link is computed at zero angles, for which both models agree.
 
     Args:

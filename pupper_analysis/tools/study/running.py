@@ -257,8 +257,9 @@ class Progress:
     """Progress of a run.
 
     Attributes:
-        total: Number of designs of the study.
-        there: Number of designs that were stored before the run.
+        total: Number of designs of the study; repetitions within a block are subtracted when found.
+        there: Number of designs that were stored before the run, or that repeat a design of an
+            earlier block.
         done: Number of designs that this run has evaluated.
         failures: {failure kind: number of designs of this run}.
         seconds: Elapsed time [s].
