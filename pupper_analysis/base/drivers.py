@@ -16,11 +16,11 @@ from typing import Any
 
 
 def import_mujoco() -> None:
-    """Import MuJoCo; if the backend in MUJOCO_GL fails, import MuJoCo without OpenGL.
+    """Import MuJoCo if MUJOCO_GL is set; without OpenGL if the backend in MUJOCO_GL fails.
 
-    Without MUJOCO_GL, or if MuJoCo is already imported, nothing is imported: MuJoCo then selects an
-    available backend. If MuJoCo is not installed, the first module that needs MuJoCo reports the
-    error.
+    Nothing is imported if MUJOCO_GL is not set, because MuJoCo then selects an available backend,
+    or if MuJoCo is already imported. If MuJoCo is not installed, the first module that needs MuJoCo
+    reports the error.
     """
     if not os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules:
         return

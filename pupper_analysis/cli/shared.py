@@ -693,7 +693,7 @@ def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
         {name in the URDF: name in the MJCF}.
 
     Raises:
-        ConfigurationError: If a text has another form, or a name is mapped to two names.
+        ConfigurationError: If a value is not of this form, or a URDF name is mapped to two names.
     """
     names: dict[str, str] = {}
     for text in pairs:

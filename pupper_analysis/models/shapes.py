@@ -54,7 +54,7 @@ class Pose:
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:
-        """Return the pose of the outer frame in the frame of this pose."""
+        """Return the inverse transformation x' = rotation^T (x - position)."""
         return Pose(-self.rotation.T @ self.position, self.rotation.T)
 
     @staticmethod
@@ -225,8 +225,8 @@ class Shape:
         arithmetic is used because this function is called often.
 
         Args:
-            link: Rotation (3, 3) and position (3,) [m] of the body.
-            normal: Unit normal of the plane.
+            link: Rotation (3, 3) and position (3,) [m] of the body in the world.
+            normal: Unit normal of the plane in the world.
         """
         rotation, position = link
         a, b, c = normal
@@ -249,7 +249,14 @@ class Shape:
         return float(height)
 
     def lowest(self, link: tuple[Array, Array], normal: Array) -> Array:
-        """Return the lowest point (3,) [m] in the world above a plane; see ``height``."""
+        """Return the shape's lowest point along a plane's normal, shape (3,) [m], in the world.
+
+        The extent of the shape must be known.
+
+        Args:
+            link: Rotation (3, 3) and position (3,) [m] of the body in the world.
+            normal: Unit normal of the plane in the world, shape (3,).
+        """
         rotation, position = link
         local_normal = rotation.T @ normal
         centre, bars, radii, ball, hull = self.terms  # type: ignore[misc]
@@ -267,16 +274,19 @@ class Shape:
         return lowest
 
     def outline(self, circle: Array, globe: Array) -> Array | None:
-        """Return centres (n, 3) [m] of balls with the radius of the terms, whose hull is the shape.
+        """Return the centres of equal balls whose convex hull is the shape.
 
-        Ellipses and ellipsoids are approximated by points.
+        The radius of the balls is ``terms.ball``, the ball of the shape's Minkowski sum: the radius
+        of a sphere or capsule, 0 for boxes, cylinders and meshes. An ellipse or ellipsoid of the
+        sum is approximated by the points ``circle`` or ``globe``.
 
         Args:
             circle: Unit vectors (n, 2), the sampled points of ellipses.
             globe: Unit vectors (n, 3), the sampled points of ellipsoids.
 
         Returns:
-            Centres in the frame of the body; None if the extent is unknown.
+            Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown
+            (missing mesh, plane).
         """
         if self.terms is None:
             return None

@@ -36,16 +36,20 @@ the base's height, for the limb to be a leg. Hands and heads are higher; feet in
 rarely differ by more than a few percent."""
 
 _MAX_LEG_RISE_FRACTION = 0.05
-"""The same bound, relative to the largest distance of a limb's last body from the base; the
-larger bound counts. Spread legs, such as a spider's, end near the height of the base."""
+"""Upper bound of the height of a leg's lowest point above that of the lowest limb, relative to the
+largest distance of a limb's last body from the base. The larger of this bound and
+`_MAX_LEG_HEIGHT_FRACTION` is used: spread legs, such as a spider's, end near the height of the
+base."""
 
 _MAX_SPHERE_DISTANCE = 0.02
-"""Upper bound of the distance [m] between a named frame and the centre of the sphere that is
-meant."""
+"""Upper bound of the distance [m] between a foot frame that the user names and the centre of a
+sphere, for the sphere to be the foot. Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
-"""Distance [m] within which a link of the URDF is at the place of a foot. Chosen, not tuned."""
+"""Distance [m] up to which a link of the URDF counts as placed at a contact point of the MJCF. The
+position of the contact point is then not shifted by the distance of the joint axes. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)

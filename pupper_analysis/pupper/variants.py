@@ -113,8 +113,8 @@ class VariantSpec:
 
 
 MAX_SCALE = 1000.0
-"""Upper bound of both scales: legs of 100 m, a torso of a tonne. Chosen: engines compute
-nonsense beyond."""
+"""Upper bound of ``leg_scale`` and ``torso_mass_scale``: legs of 100 m, a torso of a tonne. Chosen,
+not tuned: larger robots have no meaningful simulation."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {
@@ -174,11 +174,14 @@ class ScalableVariant:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """{name: default value} of the scales of a ``VariantSpec``."""
+        """{``leg_scale`` or ``torso_mass_scale``: value in ``spec``}, factors on the base model."""
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def scaled(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Return the variant with some scales replaced.
+        """Return the variant with some scale factors replaced.
+
+        Args:
+            scales: {``leg_scale`` or ``torso_mass_scale``: factor}; other factors stay.
 
         Raises:
             VariantError: If a scale is not a finite positive number, or too large.

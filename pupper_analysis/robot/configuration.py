@@ -373,10 +373,12 @@ class Configuration:
         return accelerations
 
     def com_acceleration(self, qacc: ArrayLike) -> Array:
-        """Return the acceleration (3,) [m/s^2] of the CoM in the world.
+        """Return the acceleration of the CoM, J qacc + dJ/dt qvel, shape (3,) [m/s^2], world axes.
 
         Args:
-            qacc: Generalised acceleration (nv,).
+            qacc: Generalised acceleration, shape (nv,), in the convention of MuJoCo's qacc with the
+                joints in actuator order: linear acceleration of the base in world axes, angular
+                acceleration in base axes, then joints.
         """
         workspace = self._compute_accelerations(qacc)
         pin.centerOfMass(self._model, workspace.data, pin.ACCELERATION, False)

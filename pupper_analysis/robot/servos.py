@@ -226,7 +226,7 @@ class Gains:
 def _narrow_force_ranges(
     model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array
 ) -> None:
-    """Write effort ranges at the joints, shape (n, 2) [N m], to the force ranges of a model.
+    """Bound the actuators of a model by the efforts of the joints, in place.
 
     MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. An
     existing force range is replaced, at both ends, if the new range is narrower at one end or both.

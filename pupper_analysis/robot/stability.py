@@ -29,11 +29,13 @@ DIFFERENCE_STEP = 1e-7
 Measured: the error of the eigenvalues is 1e-9 with this step, and with 1e-6."""
 
 SECOND_STEP = 3e-8
-"""Step with which a mode that grows must be found again. Two public MJCFs with dry friction have a
-spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this step."""
+"""Finite-difference step [m, rad, and rates] with which a growing mode must be found again. Two
+public MJCFs with dry friction have a spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of
+1.000 with this step."""
 
 _RATE_TOLERANCE = 0.3
-"""Relative difference of the growth per step up to which both steps agree on a mode."""
+"""Relative difference of the growth per time step, up to which the modes of both finite-difference
+steps count as one mode. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-14
 """Solver tolerance during differences. Measured with the default of 1e-8: the solver sometimes
@@ -127,7 +129,8 @@ limit, so that their mean is invalid. ANYmal at a hard knee limit appeared to sh
 returned from each nudge."""
 
 _NEUTRAL_RATE = 1e-4
-"""Rate below which a mode neither grows nor decays [1/s]: two hours per doubling."""
+"""Upper bound of the absolute growth rate of a mode that counts as neither growing nor decaying
+[1/s]: two hours per doubling. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Error of a well-conditioned eigenvalue."""
@@ -148,7 +151,8 @@ the spectrum at the start is meaningless (v3 half way down on soft servos: 1.5 t
 position)."""
 
 _MIN_NAMED_SHARE = 0.5
-"""Smallest motion of a named joint, relative to the largest."""
+"""Smallest amplitude of a joint in a mode that is named in a message, relative to the largest
+amplitude. Chosen, not tuned."""
 
 _MAX_NAMED_JOINTS = 4
 """Upper bound of the number of named joints of a mode."""
@@ -476,7 +480,7 @@ class _Modes:
         )
 
     def _mode_direction(self, mode: int) -> Array:
-        """Return a mode's real direction, scaled to a largest deviation of a position of 1."""
+        """Return a mode's real direction, shape (2 nv + na,), scaled to a largest position of 1."""
         vector = self._vectors[:, mode]
         largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)

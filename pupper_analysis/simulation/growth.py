@@ -220,7 +220,13 @@ def _make_displacement(
 
 
 def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
-    """Return a state (mjSTATE_FULLPHYSICS) after a displacement in the tangent space."""
+    """Return a state displaced in the tangent space, by ``mj_integratePos`` for the positions.
+
+    Args:
+        model: MuJoCo model.
+        start: State (mjSTATE_FULLPHYSICS).
+        displacement: Changes of position, velocity and activation, shape (2 nv + na,).
+    """
     data, nv = mujoco.MjData(model), model.nv
     mujoco.mj_setState(model, data, start, STATE_SPEC)
     mujoco.mj_integratePos(model, data.qpos, np.ascontiguousarray(displacement[:nv]), 1.0)

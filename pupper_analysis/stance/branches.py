@@ -26,8 +26,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _NUM_STARTS = 32
-"""Number of starts per limb. Measured on 800 random goals of the legs of v3 and original: 32 starts
-find all but one of the branches that 256 find."""
+"""Number of random initial guesses per limb. Measured on 800 random goals of the legs of v3 and
+original: 32 find all but one of the branches that 256 find."""
 
 _MAX_ITERATIONS = 14
 """Upper bound of Levenberg-Marquardt iterations. Reachable feet converge in 6 to 10."""
@@ -37,14 +37,16 @@ _MAX_FOLLOW_ITERATIONS = 5
 are out of reach."""
 
 _BRANCH_DISTANCE = 0.05
-"""Largest joint displacement [rad or m] between positions of one branch."""
+"""Largest difference [rad or m] of a joint between two solutions that count as the same branch.
+Chosen, not tuned."""
 
 _FOOT_ERROR_STEP = 1e-6
-"""Rounding [m] of foot errors in comparisons of branches."""
+"""Foot errors are rounded to multiples of this length [m] before branches are sorted, so that the
+order does not depend on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
-"""Rounding [rad or m] of the costs of combinations: the order of equal costs does not depend on
-rounding errors."""
+"""Costs of branch combinations are rounded to multiples of this value [rad or m] before sorting, so
+that the order of equal costs does not depend on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
 """Upper bound of branches per limb; a redundant limb has a continuum."""
@@ -53,10 +55,10 @@ _INITIAL_DAMPING = 1e-3
 """Initial damping [m^2/rad^2]. The squared Jacobian of a leg is 1e-2 to 1e-1."""
 
 _MIN_DAMPING = 1e-12
-"""Lower bound of the damping [m^2/rad^2]."""
+"""Lower bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""
 
 _MAX_DAMPING = 1e3
-"""Upper bound of the damping [m^2/rad^2]."""
+"""Upper bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""
 
 _CONVERGED_STEP = 1e-4
 """Largest joint step [rad or m] of a start at which the start has converged; PlaCo continues from

@@ -468,21 +468,22 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
 
 
 _MAX_ITERATIONS = 4
-"""Iterations of fitting a plane to spheres of unequal radius, whose contact points depend on the
-normal."""
+"""Number of iterations in which a plane is fitted to the spheres of a sole. With unequal radii, the
+contact points depend on the normal of the plane. Chosen, not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Vertical component of a plane normal below which the plane does not count for the centre of the
-feet: 60 deg."""
+"""Lower bound of the vertical component of a plane's unit normal. A foot on a steeper plane (more
+than 60 deg from horizontal) is left out of the centre of the feet. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
-"""Extent of contact points [m] across a line up to which they count as collinear."""
+"""Extent of a sole's contact points perpendicular to their line [m], up to which the points count
+as collinear. Chosen, not tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Return the default sphere centres of the contact points, shape (3,) each [m].
+    """Return {contact point: default centre of its sphere, shape (3,) [m]} in the world frame.
 
-    The base is upright at the origin, with the nominal joint positions.
+    The base is upright at the origin, and the joints are at their nominal positions.
     """
     return {point: place.copy() for point, place in robot.once(_compute_nominal_points)}
 
@@ -494,7 +495,10 @@ def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
 
 
 def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
-    """Return the default position of each foot, shape (2,) [m]: the mean of its contact points."""
+    """Return {foot: default horizontal position, shape (2,) [m]} in the world frame.
+
+    The position is the mean of the foot's sphere centres at the nominal joint positions.
+    """
     places = nominal_point_positions(robot)
     return {
         foot: (
@@ -507,7 +511,11 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 
 
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Return the horizontal position of each foot in a task, shape (2,) [m]."""
+    """Return {foot: horizontal position that a task requires, shape (2,) [m]} in the world frame.
+
+    The position is that in ``task.feet`` or the default position, plus the offset of the foot in
+    ``task.foot_offsets``.
+    """
     nominal = nominal_foot_positions(robot)
     return {
         foot: np.array(task.feet.get(foot, place)) + task.foot_offsets.get(foot, 0.0)
@@ -648,9 +656,15 @@ def sink_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Move targets of contact points into the ground by their depths [m].
+    """Move the targets of sphere centres into the ground by the penetration depths.
 
-    A sole moves as a rigid body, by the best fit to the depths of its points.
+    A sole moves as a rigid body, by the least-squares fit to the depths of its contact points.
+
+    Args:
+        robot: Robot.
+        targets: {contact point: target on rigid ground, shape (3,) [m]}.
+        depths: {contact point: penetration [m]}; 0 for points that are not included.
+        normals: {contact point: unit normal out of the ground, shape (3,)}.
     """
     sunk = {point: targets[point] - depths.get(point, 0.0) * normals[point] for point in targets}
     for points in robot.feet.values():
@@ -667,10 +681,16 @@ def raise_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Return the targets of sunk feet on rigid ground.
+    """Move the targets of sunk feet back to rigid ground: the inverse of `sink_feet`.
 
-    Unchanged if no foot has a plane of its own, since the horizontal position of a level step does
-    not depend on depth.
+    The targets are returned unchanged if no foot has a plane of its own: the horizontal position of
+    a level step does not depend on the penetration.
+
+    Args:
+        ground: Ground.
+        targets: {contact point: target in the ground, shape (3,) [m]}.
+        depths: {stance point: penetration [m]}.
+        normals: {stance point: unit normal out of the ground, shape (3,)}.
     """
     if not ground.planes:
         return targets

@@ -45,13 +45,14 @@ _BRANCH_ROUNDS = 4
 """Upper bound of searches for branches. A new search starts if the foot error has halved."""
 
 _CLOSE_MISS = 3e-3
-"""Foot error [m] below which displaced base positions are tried as seeds. Chosen, not tuned."""
+"""Foot error [m] below which configurations with a displaced base are tried as initial guesses.
+Chosen, not tuned."""
 
 _MAX_SHIFTED_SEEDS = 32
-"""Upper bound of the number of these seeds. Chosen, not tuned."""
+"""Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
 
 _MISS_TOLERANCE = 0.1
-"""Relative difference up to which foot errors of two seeds agree."""
+"""Relative difference up to which the foot errors of two initial guesses count as equal."""
 
 _MIN_AGREEING_SEEDS = 8
 """Number of seeds with the same smallest foot error after which the search ends. Measured on 400
@@ -391,7 +392,7 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
         return stand
 
     def foot_error(tried: Stand) -> float:
-        """Return the largest distance of a stance point to its target [m]."""
+        """Return the largest distance of a stance point from its target [m]."""
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
@@ -475,24 +476,29 @@ NEAR_MISS = 1e-3
 """Foot error [m] below which the feet may be in reach after a small CoM displacement."""
 
 _MAX_BASE_SHIFT = 0.75
-"""Largest base displacement of seeds in x and y [stand heights]."""
+"""Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a
+displaced base. Chosen, not tuned."""
 
 _NUM_SHIFTS = 11
-"""Number of base positions per axis: 20 mm apart for Pupper, as far as a thigh that is 20 mm in the
-ground has to move. With 5, a stand was missed."""
+"""Number of displaced base positions per axis that are tried as initial guesses. They are 20 mm
+apart for Pupper: the displacement that frees a thigh that penetrates the ground by 20 mm. Measured:
+with 5, a stand was missed."""
 
 _MAX_TRIED_COMBINATIONS = 64
 """Upper bound of evaluated branch combinations per base position. With 16, the combination by which
 a Mini Cheetah stands on 62 degrees was missed."""
 
 _SEEDS_PER_PLACE = 4
-"""Number of seeds per base position, in the order of their violations."""
+"""Number of initial guesses per displaced base position, those with the smallest violations.
+Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
-"""Foot error [m] up to which a branch counts as in reach at a displaced base."""
+"""Foot error [m] below which an IK branch counts as in reach at a displaced base. Chosen, not
+tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
-"""Safety factor of the estimated base displacement by other branches."""
+"""Safety factor on the estimated displacement of the base if legs change their IK branch. A too
+small estimate would reject branches that are in reach. Chosen, not tuned."""
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:

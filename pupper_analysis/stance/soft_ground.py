@@ -37,11 +37,12 @@ Array = NDArray[np.float64]
 
 
 DEPTH_TOLERANCE = 1e-9
-"""Change of the penetrations [m] per iteration below which the depths have converged."""
+"""Largest change of a penetration depth or loop opening [m, rad] in an iteration, below which the
+fixed-point iteration has converged. Chosen, not tuned."""
 
 
 _MAX_ITERATIONS = 50
-"""Upper bound of iterations. Chosen, not tuned."""
+"""Upper bound of the fixed-point iterations between forces and depths. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
 """Number of successive iterations without a smaller change after which the iteration fails: a sole
@@ -246,7 +247,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     """
 
     def compute_forces(depths: Array) -> Array:
-        """Return the normal forces at penetrations (n,) [N]."""
+        """Return the normal force of each point [N] at penetrations ``depths``, shape (n,) [m]."""
         return np.array(
             [
                 law.force(max(-law.margin, depth))
@@ -260,7 +261,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(place: Array) -> Array:
-        """Return the difference of the resultants."""
+        """Return the resultant force and moments minus the wanted ones, in the basis."""
         return np.asarray(basis.T @ compute_forces(basis @ place) - wanted)
 
     def derivative(place: Array) -> Array:

@@ -265,8 +265,12 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
 
     Args:
         bodies: Bodies.
-        body: Body.
-        bare: True to stop also at a body with an inertial.
+        body: Name of the first body.
+        bare: True to pass only bodies without an inertial: the search then also ends at a body with
+            an inertial.
+
+    Returns:
+        Name of the carrying body; pose of the first body in the frame of the carrying body.
     """
     placement = pin.SE3.Identity()
     while bodies.carried(body) and not (bare and bodies.inertia(body) is not None):

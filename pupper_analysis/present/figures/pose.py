@@ -108,11 +108,14 @@ def hull_corners(points: Iterable[Array]) -> Array:
 
 
 def _make_projection(elevation: float, azimuth: float) -> Array:
-    """Return the matrix of a parallel projection to right and up, shape (2, 3).
+    """Return the matrix of a parallel projection, shape (2, 3), from the world to the image.
+
+    The rows are the image's right and up directions in world axes.
 
     Args:
-        elevation: Elevation of the viewing position [deg].
-        azimuth: Azimuth of the viewing position [deg].
+        elevation: Angle of the viewing direction above the horizontal [deg].
+        azimuth: Horizontal angle of the viewer about z, counterclockwise from +x [deg]: at 0, the
+            viewer is on the +x side.
     """
     up, around = math.radians(elevation), math.radians(azimuth)
     return np.array(

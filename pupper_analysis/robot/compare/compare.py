@@ -76,8 +76,9 @@ CONTACT_HEIGHT_ATOL = 2e-4
 contain radii such as 0.02 for 19.95 mm."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""Maximum height of the end of a limb above the lowest end, relative to the height of the CoM above
-the lowest end, for a foot. Hands are higher."""
+"""A limb ends in a foot if its lowest point is at most this fraction of the CoM height higher than
+the lowest point of all limbs. Heights are measured at the initial pose; the CoM height is that
+above the lowest point. Hands are higher. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -572,7 +573,11 @@ def _add_places(
     urdf: UrdfFile,
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
-    """Yield the differences with locations, and with the names of the original formats."""
+    """Yield the differences with file and line of both elements added.
+
+    If a file was converted from another format, the messages contain the name of that format
+    instead of "the URDF" or "the MJCF".
+    """
     format_names = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))

@@ -200,8 +200,8 @@ _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
 rotation [rad]. A longer step has left the branch. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
-"""Stiffness of the spring that holds a sliding robot in its place, as creep does [weights per
-height]. Chosen, not tuned."""
+"""Stiffness of the horizontal spring at contacts without friction (``feet="sliding"``), in units of
+robot weight / height. The spring makes the horizontal position unique. Chosen, not tuned."""
 
 _FRICTION_PENALTY_RATIO = 4.0
 """Penalty parameter of the slip law [weights per height]. It does not change the solution. Chosen,
@@ -241,7 +241,11 @@ class EquilibriumScales:
 
     @property
     def slip_stiffness(self) -> float:
-        """Stiffness [N/m] that keeps a sliding robot in its place."""
+        """Stiffness [N/m] of a numerical spring on the horizontal displacement of each contact.
+
+        The spring is used only with ``feet="sliding"``: without friction, any horizontal position
+        is an equilibrium, and the spring makes the solution unique.
+        """
         return _SLIP_STIFFNESS_RATIO * self.weight / self.length
 
     @property

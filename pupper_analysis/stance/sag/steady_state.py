@@ -161,14 +161,16 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
 
 
 _MIN_SHARE_STEP = 1 / 64
-"""Smallest step of the removed share of the feed-forward. Chosen, not tuned."""
+"""Smallest step of the removed fraction (0 to 1) of the feed-forward. If no equilibrium is found
+with this step, the path ends. Chosen, not tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
-"""Largest step of the share after which the stability of the equilibrium is not checked: a longer
-step may end on another, unstable branch. Chosen, not tuned."""
+"""Largest step of the removed fraction of the feed-forward after which the stability of the
+equilibrium is not checked. A longer step may end on another, unstable branch. Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
-"""Tolerance of the share at which a contact changes: nanometres of motion."""
+"""Tolerance of the removed fraction of the feed-forward at which a contact changes. It corresponds
+to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Largest number of contact changes along a path; more are chatter. For robots with more than six
@@ -325,7 +327,7 @@ class HomotopyPath:
         return feet
 
     def _set_command(self, share: float) -> None:
-        """Command the servos with the remaining share of the feed-forward."""
+        """Command the servos with the fraction 1 - ``share`` of the feed-forward."""
         system = self.system
         full = system.stand.joint_positions(system.robot) + compute_command_lead(
             self.balance.joint_torques, system.kp
@@ -333,7 +335,10 @@ class HomotopyPath:
         system.command(full + share * (self.end - full))
 
     def _solve_at(self, share: float) -> Solution | None:
-        """Solve at a share with the present contacts; None without solution."""
+        """Solve the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
+
+        The set of touching contacts stays that of ``system``. None if no solution is found.
+        """
         self._set_command(share)
         return self.system.solve(self.solution)
 

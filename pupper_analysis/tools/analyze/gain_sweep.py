@@ -158,7 +158,13 @@ def sweep_gains(
 
 
 def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[float]:
-    """Return the passed gains, or the default multiples of the model's median gain."""
+    """Return the values of one gain (kp or kd) in the sweep.
+
+    Args:
+        given: Values that the caller passed; None for the default.
+        own: Gains of the model's servos, shape (nu,); required without ``given``. The default is
+            their median times ``GAIN_FACTORS``.
+    """
     if given is not None:
         return [float(value) for value in given]
     assert own is not None

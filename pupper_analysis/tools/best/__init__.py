@@ -1,3 +1,4 @@
 """Search for the best stance."""
 
 HEADING = "Stance"
+"""Section of ``--help`` that lists this tool."""

@@ -247,7 +247,11 @@ class Reader(Protocol):
 
 @cache
 def load_readers() -> tuple[Reader, ...]:
-    """Import all readers, first the readers of this package."""
+    """Import all reader modules: modules that read statements about joints from source files.
+
+    First are the modules in the folder ``readers`` of this package, sorted by name; then those that
+    other distributions register under `ENTRY_POINT_GROUP`.
+    """
     from importlib.metadata import entry_points
 
     folder = Path(__file__).parent / "readers"
@@ -286,7 +290,7 @@ class Node:
         return content if isinstance(content, dict) else {}
 
     def get(self, *keys: str) -> Node:
-        """Return the node at a path of keys; a node without value if a key is missing."""
+        """Return the node at a path of keys; a node with the value None if a key is missing."""
         node = self
         for key in keys:
             node = node.table.get(key, Node(None, node.place))
@@ -440,6 +444,9 @@ def parse_scalar(text: str, place: Place) -> Node:
 
 
 def count_decimals(text: str) -> int:
-    """Return the decimals of a written number, reduced by the exponent; 0 for other texts."""
+    """Return the number of decimals of a number as written; 0 for other texts.
+
+    The exponent counts: ``1.25e-3`` has 5 decimals, ``1.25e2`` has none.
+    """
     match = _DECIMALS_PATTERN.fullmatch(text.replace("_", ""))
     return 0 if match is None else max(0, len(match[1]) - int(match[2] or 0))

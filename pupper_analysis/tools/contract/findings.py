@@ -87,7 +87,7 @@ class Disagreement(Result):
 
     @property
     def message(self) -> str:
-        """Message with the effects, in a sentence."""
+        """Message of the disagreement and its effects on the robot, joined by semicolons."""
         return "; ".join(map(str, (self.diagnostic, *self.effects)))
 
 

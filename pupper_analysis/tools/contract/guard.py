@@ -12,7 +12,11 @@ from pupper_analysis.tools.contract.findings import Disagreement
 def guard(
     models: Sequence[Path], sources: Sequence[Path], names: Mapping[str, str]
 ) -> tuple[Disagreement, ...]:
-    """Compare sources with each other and with the models. No stand is computed.
+    """List the disagreements between controller files, and between these files and the robot model.
+
+    The sources are files of training, policy, deployment or motor drivers. Numbers per joint (for
+    example gains, limits, default positions), the order of the joints and the observations are
+    compared. No stand is computed.
 
     Args:
         models: URDF, MJCF, or both.

@@ -284,10 +284,11 @@ def is_pattern(text: str) -> bool:
 
 
 _REPEAT_PATTERN = re.compile(r"[+*{?]")
-"""Repetition in a regular expression."""
+"""Quantifier in a regular expression."""
 
 _MAX_REPEATS = 5
-"""Largest number of repetitions in an accepted pattern: a name of n letters needs about n^5 / 120
-attempts."""
+"""Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
+matched. With 5, a name of n letters needs about n^5 / 120 attempts."""
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
-"""Repetition of a repetition, or of a group with possible repetitions or alternatives."""
+"""Quantifier that follows a quantifier or a group. Such patterns are not matched, because their
+matching time may grow exponentially."""

@@ -24,9 +24,10 @@ _MAX_STEPS = 60
 tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
-"""Predicted decrease of the cost below which the iteration has converged, and by which an actual
-decrease may miss the acceptance test. A decrease d corresponds to a step of sqrt(d) standard
-deviations: 1e-4 is a hundredth. Chosen, not tuned."""
+"""Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged. An
+accepted step may also fall short of the required decrease by this amount. With this cost, a
+decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of a standard
+deviation. Chosen, not tuned."""
 
 _STALL_RTOL = 0.01
 """Predicted decrease, relative to the cost, above which a failed or vanishing step is an error: the

@@ -4,3 +4,4 @@ A server with a page per browser: sliders for a stance, a 3-D scene, and the loa
 """
 
 HEADING = "Look"
+"""Section of ``--help`` that lists this tool."""

@@ -188,7 +188,7 @@ class Controls:
         return state.having(swing=swing)
 
     def _apply_contacts(self, state: State) -> State:
-        """Return the state with the typed contacts."""
+        """Return the state with the contacts in the text field, one ``LINK=CONTACT`` per line."""
         lines = filter(str.strip, self.contacts.value.splitlines())
         return state.having(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 

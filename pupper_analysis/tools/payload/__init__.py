@@ -1,3 +1,4 @@
 """Find how much a stance carries, and what fails."""
 
 HEADING = "Stance"
+"""Section of ``--help`` that lists this tool."""

@@ -1,3 +1,4 @@
 """Find how hard a push it withstands, and where."""
 
 HEADING = "Stance"
+"""Section of ``--help`` that lists this tool."""

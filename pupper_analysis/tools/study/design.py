@@ -365,7 +365,11 @@ def is_stance_pattern(name: str) -> bool:
 
 
 def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
-    """Return the stand task with the stance variables of a design.
+    """Return a copy of a stand task with the stance variables of a design.
+
+    Args:
+        task: Stand task.
+        numbers: {variable: value [m, rad]}; variables that are not stance variables are ignored.
 
     Raises:
         ConfigurationError: If a value is out of range.

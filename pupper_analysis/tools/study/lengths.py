@@ -54,17 +54,26 @@ class Stretch:
     factor: float
 
     def matrix(self, rotation: Array) -> Array:
-        """Return A (3, 3) in a frame with the given rotation (3, 3) to the world."""
+        """Return the matrix A, shape (3, 3), of the stretch in the axes of a frame.
+
+        Args:
+            rotation: Rotation from the frame to the world, shape (3, 3).
+        """
         along = rotation.T @ self.along
         matrix: Array = np.eye(3) + (self.factor - 1.0) * np.outer(along, along)
         return matrix
 
     def local(self, rotation: Array, position: Array) -> tuple[Array, Array]:
-        """Return A (3, 3) and b (3,) [m] of p' = A p + b in a frame that does not move.
+        """Express the stretch p' = A p + b of points p in the coordinates of a given frame.
+
+        The frame itself is not stretched: p and p' are both coordinates in the same frame.
 
         Args:
-            rotation: Rotation (3, 3) of the frame in the world.
-            position: Origin (3,) of the frame in the world [m].
+            rotation: Rotation from the frame to the world, shape (3, 3).
+            position: Origin of the frame in the world, shape (3,) [m].
+
+        Returns:
+            A, shape (3, 3); b, shape (3,) [m].
         """
         matrix = self.matrix(rotation)
         return matrix, (np.eye(3) - matrix) @ rotation.T @ (self.origin - position)
@@ -107,7 +116,7 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
 
 
 def _link_pose(config: Configuration, link: str) -> pin.SE3:
-    """Return the pose of a link in the world."""
+    """Return the pose of a link's frame in the world."""
     return pin.SE3(config.frame_rotation(link), config.frame_position(link))
 
 

@@ -221,7 +221,17 @@ def _add_offsets(
 def _scale_value(
     tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot
 ) -> None:
-    """Scale one number of a joint, or of a link with all fixed links, in one file."""
+    """Scale one number in one file, in place.
+
+    Args:
+        tree: Tree of the URDF or the MJCF.
+        link: Link whose mass or inertia is scaled, with all links fixed to it; used only for the
+            kinds ``BODY_KINDS``.
+        kind: Kind of the number: one of ``BODY_KINDS``, or the kind of a joint number.
+        joint: Joint whose number is scaled, for all other kinds.
+        factor: Factor.
+        robot: Robot of the files, for error messages.
+    """
     if kind not in BODY_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
         return

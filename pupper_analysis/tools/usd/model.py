@@ -234,7 +234,10 @@ def _read_numbers(
 def _read_gains(
     prim: Any, axis_word: str, is_hinge: bool, units: StageUnits
 ) -> tuple[float, float] | None:
-    """Return stiffness and damping of a joint's drive; see `Edge.gains`."""
+    """Return stiffness and damping of a joint's position drive [N m/rad, N m s/rad; N/m, N s/m].
+
+    None without a force drive of positive stiffness.
+    """
     prefix = f"drive:{axis_word}:physics"
     stiffness = read_number(prim, f"{prefix}:stiffness", 0.0)
     if (
@@ -398,7 +401,10 @@ class UsdModel(RobotModel):
 
     @property
     def gains(self) -> dict[str, tuple[float, float]]:
-        """{joint: stiffness and damping of its servo}; see `Edge.gains`."""
+        """{joint: stiffness and damping of its servo} [N m/rad, N m s/rad; N/m, N s/m for slides].
+
+        Joints without a force drive of positive stiffness are left out.
+        """
         stated = {name: edge.gains for name, edge in self.edges.items()}
         return {name: gains for name, gains in stated.items() if gains is not None}
 
@@ -731,16 +737,19 @@ class PrimPlacement:
 
 
 def read_value(prim: Any, name: str, kind: str) -> Any:
-    """Return the value of an attribute; None if there is none.
+    """Return the value of an attribute as the Python object of pxr; None if there is no value.
 
     Args:
         prim: Prim.
         name: Attribute name.
-        kind: ``"number"``, ``"vector"`` of three numbers, ``"point"`` (finite vector),
-            ``"quaternion"`` (finite), ``"text"`` or ``"list"``.
+        kind: Required kind: ``"number"`` (bool, int or float), ``"vector"`` (Gf.Vec3, components
+            may
+            be infinite), ``"point"`` (Gf.Vec3 with finite components), ``"quaternion"`` (Gf.Quat
+            with finite components: GetReal() is w, GetImaginary() is x, y, z), ``"text"`` (str), or
+            ``"list"`` (Vt array or list).
 
     Raises:
-        ModelError: If the value is of another kind, since a file may declare any type.
+        ModelError: If the value is not of this kind; a file may declare any type.
     """
     value = prim.GetAttribute(name).Get()
     has_kind = (
@@ -765,7 +774,7 @@ def read_value(prim: Any, name: str, kind: str) -> Any:
 
 
 def read_number(prim: Any, name: str, default: float = math.nan) -> float:
-    """Return the number of an attribute, as written; the default if there is none."""
+    """Return the number of an attribute in the unit of the file; ``default`` without a value."""
     value = read_value(prim, name, "number")
     return default if value is None else float(recover_decimals(value))
 

@@ -126,7 +126,13 @@ class Stage:
         return float(self.model.opt.timestep)
 
     def case(self, command: Array, seed: int = 0) -> Case:
-        """Return a run of the unchanged robot."""
+        """Create the definition of a run with the robot as in its files; nothing is simulated.
+
+        Args:
+            command: Commanded forward speed, speed to the left [m/s] and turning rate [rad/s],
+                shape (3,).
+            seed: Seed of the random initial state; 0 for the default pose at rest.
+        """
         return Case(self.model, command, self.policy.contract.latency, seed)
 
 
@@ -394,7 +400,7 @@ def _make_start_state(stage: Stage, case: Case) -> Array:
 
 
 def _compute_controls(stage: Stage, actions: Array) -> Array:
-    """Return the controls (runs, model.nu) of actions (runs, n)."""
+    """Convert actions of the policy, shape (runs, n), to controls, shape (runs, model.nu)."""
     contract = stage.policy.contract
     targets = contract.default + contract.action_scale * actions
     targets = contract.signs * np.clip(targets, contract.lower, contract.upper)

@@ -157,7 +157,10 @@ def _masses_agree(first: Link, second: Link) -> bool:
 
 @rule
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the positions of joints, or of fixed links; report one pair per chain."""
+    """Compare the positions of left and right joints, or of fixed links; tolerance 1 mm.
+
+    Only the first pair of each chain is reported.
+    """
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
@@ -179,7 +182,7 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare masses; tolerance 1 %."""
+    """Compare the masses of left and right links; tolerance 1 %."""
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
             message = diagnose(
@@ -193,7 +196,10 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare CoM positions; tolerance 1 mm plus 1 % of the distance to the base origin."""
+    """Compare left and right CoM positions; tolerance 1 mm plus 1 % of the base distance.
+
+    The base distance is the distance of the CoM from the origin of the base.
+    """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
         com = second.pose.point(second_inertial.com)
@@ -257,7 +263,7 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 
 @rule
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the directions of axes without sign; tolerance 1 degree."""
+    """Compare the axis directions of left and right joints, without sign; tolerance 1 degree."""
     for mirror, first, second in list_joint_pairs(robot):
         if first.axis.any() and second.axis.any():
             cosine = abs(_compute_axis_sense(mirror, first, second))
@@ -311,7 +317,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare damping, dry friction, armature and spring terms; see `find_unlike_pairs`."""
+    """Compare damping, dry friction, armature and spring terms of left and right joints."""
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
@@ -341,7 +347,7 @@ differently."""
 
 @rule
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare collision shapes: presence, and extent in the base axes."""
+    """Compare the collision shapes of left and right links: presence, and extent in base axes."""
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
         if not any(pair):
@@ -373,9 +379,11 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Compare the contact parameters that MuJoCo computes for shapes and ground.
+    """Compare the ground contact parameters of left and right links.
 
-    Without ground in the file, a ground with MuJoCo's defaults is assumed.
+    MuJoCo combines the parameters of each geom with those of the ground: condim, friction, solref,
+    solimp and margin. The combined values of both sides must be equal. If the file has no ground, a
+    ground with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:

@@ -162,7 +162,15 @@ def _parse_numbers(
 def _match_columns(
     source: str, header: Iterable[str], known: Sequence[Column]
 ) -> Iterator[tuple[str, Column, float]]:
-    """Yield name, column definition and unit in SI units for each column."""
+    """Match the header of each column of a file with the known columns.
+
+    Yields:
+        Name without the unit; definition of the column; factor from the unit of the file to the SI
+        unit (1 without a unit).
+
+    Raises:
+        MeasurementError: If a column is unknown or repeated, or its unit is unknown.
+    """
     names = set()
     for text in header:
         match = _HEADER_PATTERN.fullmatch(text)

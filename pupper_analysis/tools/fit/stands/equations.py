@@ -733,12 +733,16 @@ class StandEquations:
         return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
-        """Return the rows of every stand, at its current own unknowns."""
+        """Evaluate the residuals of every stand and their derivatives at parameters x, shape (n,).
+
+        The own unknowns of a stand (tilt and height of the base, contact forces) keep their current
+        values.
+        """
         values = self._make_values(x)
         return [self._evaluate_stand(stand, values) for stand in range(len(self._readings))]
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
-        """Return the rows of one stand, at its current own unknowns."""
+        """Evaluate the residuals of one stand, at the current values of its own unknowns."""
         (base, forces), reading = self._unknowns[stand], self._readings[stand]
         return StandRows(
             self.table,
