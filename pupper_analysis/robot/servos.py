@@ -228,20 +228,23 @@ def _narrow_force_ranges(
 ) -> None:
     """Bound the actuators of a model by the efforts of the joints, in place.
 
-    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. An
-    existing force range is replaced, at both ends, if the new range is narrower at one end or both.
-    A range with an infinite bound, or for a gear of 0, is not written.
+    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. Each
+    end of an existing force range is replaced if the new end is narrower. A range with an infinite
+    bound, or for a gear of 0, is not written.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)
     free = ~model.actuator_forcelimited[actuators].astype(bool)
-    now = np.where(free[:, None], (-np.inf, np.inf), model.actuator_forcerange[actuators])
-    # Ranges that are equal up to rounding stay unchanged.
+    present = np.where(free[:, None], (-np.inf, np.inf), model.actuator_forcerange[actuators])
+    # Ends that are equal up to rounding stay unchanged.
     slack = 1 + 1e-12
-    narrower = (wanted[:, 0] > now[:, 0] / slack) | (wanted[:, 1] < now[:, 1] / slack)
-    chosen = narrower & (gear != 0) & np.isfinite(wanted).all(axis=1)
+    narrower = np.column_stack(
+        [wanted[:, 0] > present[:, 0] / slack, wanted[:, 1] < present[:, 1] / slack]
+    )
+    narrowed = np.where(narrower, wanted, present)
+    chosen = narrower.any(axis=1) & (gear != 0) & np.isfinite(narrowed).all(axis=1)
     model.actuator_forcelimited[actuators[chosen]] = 1
-    model.actuator_forcerange[actuators[chosen]] = wanted[chosen]
+    model.actuator_forcerange[actuators[chosen]] = narrowed[chosen]
 
 
 MAX_GAIN = 1e9

@@ -251,3 +251,18 @@ def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
         system = SagEquilibrium(robot, stand, 50.0, "pinned")
         away = np.r_[stand.qpos[:7], system.target - sign * 1.0]
         np.testing.assert_allclose(system.torques(away), sign * 0.9 * np.abs(GEARS), rtol=1e-12)
+
+
+def test_force_ranges_are_narrowed_at_each_end_alone() -> None:
+    """An effort of -5 to 20 N m beside a forcerange of -10 to 10 allows -5 to 10 N m."""
+    from pupper_analysis.robot.servos import _narrow_force_ranges
+
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody><actuator>'
+        '<position joint="j" kp="1" forcerange="-10 10"/><position joint="j" kp="1"/>'
+        "</actuator></mujoco>"
+    )
+    efforts = np.array([[-5.0, 20.0], [-3.0, 4.0]])
+    _narrow_force_ranges(model, np.array([0, 1]), np.array([1.0, -2.0]), efforts)
+    np.testing.assert_allclose(model.actuator_forcerange, [[-5.0, 10.0], [-2.0, 1.5]])
+    assert model.actuator_forcelimited.all()
