@@ -49,7 +49,6 @@ without a push is added. Chosen, not tuned."""
 _REST_DURATION = 0.5
 """Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
-
 _MIN_CHECK_INTERVAL = 0.5
 """Simulated time between two tests whether a simulation can end early [s]. Measured on v3-long-leg:
 with half of the value, slow phases of a fall pass for rest, and its limits must be searched
@@ -60,9 +59,9 @@ _SLOW_DURATION = 0.1
 tuned."""
 
 _REST_SPEED = 0.02
-"""Largest speed of a coordinate in that time [m/s, rad/s]. A robot that almost tips is as slow for
-a
-while: its spectrum distinguishes the robot from one that stands. Chosen, not tuned."""
+"""Largest speed of a coordinate during ``_SLOW_DURATION`` [m/s or rad/s]. A robot that almost tips
+is as slow for a while; only the spectrum distinguishes this robot from a robot that stands. Chosen,
+not tuned."""
 
 _SAMPLE_TIME = 0.004
 """Time between the states whose contacts are evaluated [s]. Chosen, not tuned."""
@@ -385,24 +384,25 @@ def simulate_push(
     feedforward: bool = True,
     integrator: str | None = None,
 ) -> PushTrial:
-    """Pushes a stand once; ``push_recovery`` finds the largest push from which it recovers.
+    """Simulate one push of a stand, and judge whether the robot recovers.
 
-    The push and what counts as recovery are those of ``push_recovery``; what does not stand without
-    a push recovers from none.
+    The push and the criteria of recovery are those of `push_recovery`, which searches for the
+    largest push. If the robot does not stand without a push, no push counts as recovered.
 
     Args:
-        robot: The robot.
-        stand: How it stands.
-        impulse: How hard it is pushed (N s).
-        direction: Where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
-        duration: Simulated time from the push on (s), at least 2.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        robot: Robot with a floating base.
+        stand: Stand.
+        impulse: Impulse [N s].
+        direction: Direction about the vertical [rad]: 0 is the base's forward, pi/2 its left; at
+            most 2 pi in magnitude.
+        duration: Simulated time from the start of the push [s], 2 to 600.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        integrator: MuJoCo's integrator; the model's own by default.
+        integrator: MuJoCo integrator. Default: the model's.
 
     Returns:
-        What comes of it, with the motion.
+        Outcome and motion, without frames that are not finite.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
@@ -432,16 +432,15 @@ def simulate_push(
     failure = bench.find_failure(states)
     if bench.unpushed:
         failure = diagnose("without-a-push", failures=bench.unpushed)
-    # What a run was before it broke down can still be looked at.
-    shown = states[:: max(1, round(_FRAME_TIME / bench.timestep))]
-    shown = shown[np.isfinite(shown).all(axis=1)]
+    frames = states[:: max(1, round(_FRAME_TIME / bench.timestep))]
+    frames = frames[np.isfinite(frames).all(axis=1)]  # after a divergence the rest can be drawn
     return PushTrial(
         recovered=failure is None,
         failure=failure,
         impulse=impulse,
         direction=direction,
         velocity_step=impulse / robot.total_mass,
-        motion_time=shown[:, 0].copy(),
-        motion=np.round(shown[:, 1 + robot.mj_convention.qpos_index], 6),
+        motion_time=frames[:, 0].copy(),
+        motion=np.round(frames[:, 1 + robot.mj_convention.qpos_index], 6),
         **bench.settings(),
     )

@@ -1,4 +1,4 @@
-"""``pupper-analysis push``: what makes robots fall."""
+"""``pupper-analysis push``: find the largest push from which each robot recovers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The document of pushes: how hard a stance can be pushed, each way."""
+"""Documents of pushes: the largest push of a stance in each direction, and a single push."""
 
 from __future__ import annotations
 
@@ -30,33 +30,33 @@ Array = NDArray[np.float64]
 
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
-    """Returns how hard a stance can be pushed, each way; see ``build``."""
+    """Make the document of the largest pushes in each direction; see `build_document`."""
     unpushed = pushed.recovery.unpushed
     return judged_document(
         text("pushes"),
         pushed,
         (
             view_block(robot, pushed.stand, None),
-            _table(pushed),
+            _make_push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        (*_weakest(pushed), task_text(pushed.stand.task)),
+        (*_describe_weakest_direction(pushed), task_text(pushed.stand.task)),
         details=(ground_text(pushed.stand.depths.values()),),
         failures=(text("it-does-not-stand-so"),) if unpushed else (),
         notes=robot_notes(robot),
     )
 
 
-def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Says which way it is the weakest, and how it fails then."""
+def _describe_weakest_direction(pushed: PushedStance) -> Iterable[doc.Words]:
+    """Yield the line with the weakest direction; the mass if the robot does not stand."""
     recovery = pushed.recovery
     if recovery.unpushed:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
         return
     if pushed.peak_torques is not None:
         names, peaks = pushed.joint_names, pushed.peak_torques
-        unknown = [names.index(name) for name in pushed.unknown_limits]
-        hardest = max(unknown, key=lambda joint: float(peaks[joint]))
+        indices = [names.index(name) for name in pushed.unknown_limits]
+        hardest = max(indices, key=lambda index: float(peaks[index]))
         yield text(
             "push-unknown",
             impulse=f"{recovery.weakest_impulse:.2f}",
@@ -76,7 +76,8 @@ def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
     )
 
 
-def _table(pushed: PushedStance) -> doc.Table:
+def _make_push_table(pushed: PushedStance) -> doc.Table:
+    """Make the table with the largest push and its failure for each direction."""
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -111,26 +112,29 @@ def _table(pushed: PushedStance) -> doc.Table:
 
 
 def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
-    """Returns the largest pushes by direction, of one robot or several.
+    """Make the plot of the largest pushes of several robots over the direction.
 
     Args:
-        pushed: {robot: what it survives}.
-        rigid: The robot whose tipping estimate is drawn too, where it has one.
+        pushed: {name of the robot: result}.
+        rigid: Name of the robot whose tipping estimate is also drawn, if the estimate is finite.
     """
     series = [
-        _around(
+        _make_closed_series(
             doc.Name(name),
-            one.directions,
-            one.impulses,
-            note=doc.Name(f"{one.weakest_impulse:.2f} N s"),
-            marked_index=int(np.argmin(np.abs(one.directions - one.weakest_direction))),
+            recovery.directions,
+            recovery.impulses,
+            note=doc.Name(f"{recovery.weakest_impulse:.2f} N s"),
+            marked_index=int(np.argmin(np.abs(recovery.directions - recovery.weakest_direction))),
         )
-        for name, one in pushed.items()
+        for name, recovery in pushed.items()
     ]
-    tips = pushed[rigid]
-    if np.isfinite(tips.tipping_estimate).all():
+    rigid_recovery = pushed[rigid]
+    if np.isfinite(rigid_recovery.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
-        series.append(_around(name, tips.directions, tips.tipping_estimate, reference=True))
+        estimate = rigid_recovery.tipping_estimate
+        series.append(
+            _make_closed_series(name, rigid_recovery.directions, estimate, reference=True)
+        )
     return doc.LinePlot(
         text("largest-push-that-the-stand-survives"),
         doc.Axis(text("direction"), "°", ".0f"),
@@ -140,28 +144,33 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     )
 
 
-def _around(name: doc.Words, directions: Array, values: Array, **more: Any) -> doc.Series:
-    """Returns values over all directions, from forward once around."""
+def _make_closed_series(
+    name: doc.Words, directions: Array, values: Array, **more: Any
+) -> doc.Series:
+    """Make a series over all directions, closed at 360 deg with the first value."""
     degrees = np.append(np.degrees(directions), 360.0)
     return doc.Series(name, degrees, np.append(values, values[0]), points=True, **more)
 
 
 @compare_results.register(PushedStance)
 def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.Block, ...]:
-    """Returns the largest pushes of several robots side by side, if they have the same directions.
+    """Make the table and plot of the largest pushes of several robots.
 
     Args:
-        first: One of them.
-        results: All of them.
+        first: Result of the first robot, whose tipping estimate is drawn.
+        results: Results of all robots.
+
+    Returns:
+        Table and plot; empty if the directions of the robots differ.
     """
     pushes = cast("Sequence[PushedStance]", results)
     directions = first.recovery.directions
-    if len({one.recovery.directions.tobytes() for one in pushes}) != 1:
+    if len({result.recovery.directions.tobytes() for result in pushes}) != 1:
         return ()
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.number_cell(math.degrees(angle), ".0f"),
-            *(doc.number_cell(one.recovery.impulses[index], ".2f") for one in pushes),
+            *(doc.number_cell(result.recovery.impulses[index], ".2f") for result in pushes),
         )
         for index, angle in enumerate(directions)
     ]
@@ -169,18 +178,18 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         text("largest-push-that-the-stand"),
         (
             doc.Column(text("direction"), "°"),
-            *(doc.Column(doc.Name(one.name), "N s") for one in pushes),
+            *(doc.Column(doc.Name(result.name), "N s") for result in pushes),
         ),
         tuple(rows),
         (text("push-directions"),),
     )
-    recoveries = {one.name: one.recovery for one in pushes}
+    recoveries = {result.name: result.recovery for result in pushes}
     return table, push_plot(recoveries, first.name)
 
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Returns what one push makes of a stand; see ``build``."""
+    """Make the document of a single push; see `build_document`."""
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),

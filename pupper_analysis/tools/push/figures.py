@@ -1,4 +1,4 @@
-"""The figure of how hard robots can be pushed: impulse over direction, seen from above."""
+"""Figure of the largest pushes: impulse over direction, seen from above."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pupper_analysis.tools.push.recovery import PushRecovery
 
 
 def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
-    """Draws the largest push that each robot survives over its direction, forward drawn upwards.
+    """Draw the largest push that each robot survives over its direction; forward is up.
 
     Args:
-        results: Per robot, named as it shall be in the legend, with the first one's tipping
-            estimate; five at most.
-        path: The PNG to write.
+        results: {name in the legend: result}, at most five. The tipping estimate of the first
+            robot is also drawn.
+        path: PNG file to write.
 
     Raises:
-        ConfigurationError: If there are too many robots.
+        ConfigurationError: If there are more than five robots.
         OutputError: If the file cannot be written.
     """
-    if len(results) >= NUM_SERIES_STYLES:  # one is of the estimate
+    if len(results) >= NUM_SERIES_STYLES:  # the tipping estimate needs a style as well
         raise ConfigurationError(
             "results", diagnose("too-many-to-tell-apart", most=NUM_SERIES_STYLES - 1)
         )

@@ -35,24 +35,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PushedStance(Result):
-    """A stance, and the largest pushes from which it recovers.
+    """Stance with the largest pushes from which the robot recovers.
 
     Attributes:
-        name: The robot's name.
-        joint_names: (nu,) in actuator order.
-        stand: What is pushed: the stand with its feet sunk into MuJoCo's soft ground; the one on
-            rigid ground where that is out of reach.
-        recovery: The largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, since a
-            motor with an unknown limit gives any torque there.
-        impulse: The smallest of the largest pushes (N s); not a number if a motor that carries the
-            robot has an unknown torque limit.
-        code: ``unknown`` if a motor that carries the robot has an unknown torque limit, ``zero`` if
-            a motor has no torque, else ``stated``.
-        unknown_limits: The motors that carry the robot and whose torque limit no file states.
-        peak_torques: (nu,) the largest |torque| of each motor during the weakest push of
-            ``recovery`` (N m); None if all limits are known, or the robot does not stand.
-        verdict: Whether it holds unpushed, with feed-forward: that of ``study_stance``. What stands
-            and does not hold (another robot's torques, say) is pushed all the same.
+        name: Name of the robot.
+        joint_names: (nu,) names of the joints in actuator order.
+        stand: Pushed stand, with the feet sunk into MuJoCo's soft ground; the stand on rigid ground
+            if the stand on soft ground cannot be solved.
+        recovery: Largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, because the
+            simulated torque of a motor with an unknown limit is not limited.
+        impulse: Largest push in the weakest direction (N s); not a number if ``code`` is
+            ``unknown``.
+        code: ``unknown`` if ``unknown_limits`` has an entry, otherwise ``zero`` if a motor has no
+            torque, otherwise ``stated``.
+        unknown_limits: Joints that carry a foot or are coupled, and whose torque limit no file
+            states.
+        peak_torques: (nu,) largest torque magnitude of each motor during the weakest push of
+            ``recovery`` (N m); None if ``code`` is not ``unknown``, or the robot does not stand.
+        verdict: Verdict of the stance without a push, with feed-forward. A robot that stands, but
+            not as predicted, is pushed nevertheless.
     """
 
     name: str
@@ -67,7 +68,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it holds unpushed, by its verdict."""
+        """True if the verdict without a push is a success."""
         return self.verdict.passed
 
 
@@ -80,39 +81,44 @@ def study_pushes(
     directions: int = 12,
     resolution: float = 0.02,
 ) -> dict[str, PushedStance]:
-    """Finds out how hard robots can be pushed in a stance (some three seconds each).
+    """Find the largest pushes that robots withstand in a stance (about three seconds per robot).
+
+    All stands are solved before the first push is simulated.
 
     Args:
-        robots: The robots, of different names; all are solved before the first is pushed.
-        task: The stance of each.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
-        directions: How many, evenly spaced, the first one forward; 3 to 360.
-        resolution: Of the impulses (N s).
+        robots: Robots with different names.
+        task: Stand task of all robots.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
+        resolution: Resolution of the impulses [N s].
+
+    Returns:
+        {name of the robot: result}.
 
     Raises:
-        StanceUnreachableError: If the stance is out of reach.
-        StaticsInfeasibleError: If it is reached, but slides or tips.
-        ConfigurationError: If the task, or another argument, makes no sense for a robot.
+        StanceUnreachableError: If the stance is out of reach of a robot.
+        StaticsInfeasibleError: If no contact forces balance the stance of a robot.
+        ConfigurationError: If the task or another argument is invalid for a robot.
         ModelError: If a robot has no position servos, and kp and kd are not both given.
     """
     stands = [solve_stand(robot, task) for robot in robots]
-    found = {}
+    results = {}
     for robot, stand in zip(robots, stands, strict=True):
-        held = solve_stand_as_simulated(robot, stand)
-        fed = verify_stand(robot, held, kp=kp, kd=kd, duration=HOLD_DURATION)
+        sunk_stand = solve_stand_as_simulated(robot, stand)
+        verification = verify_stand(robot, sunk_stand, kp=kp, kd=kd, duration=HOLD_DURATION)
         recovery = push_recovery(
             robot,
-            held,
+            sunk_stand,
             kp=kp,
             kd=kd,
             directions=directions,
             resolution=resolution,
-            verification=fed,
+            verification=verification,
         )
-        statics = stand_statics(robot, held)
+        statics = stand_statics(robot, sunk_stand)
         verdict = judge_simulation(
-            robot, stand, fed, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
+            robot, stand, verification, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
         )
         unknown = unknown_push_limits(robot)
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
@@ -122,32 +128,39 @@ def study_pushes(
             code, impulse = EffortCode.UNKNOWN, math.nan
             if not recovery.unpushed:
                 angle = np.array([recovery.weakest_direction])
-                length = recovery.duration
                 bench = make_push_bench(
                     robot,
-                    held,
+                    sunk_stand,
                     angle,
-                    duration=length,
+                    duration=recovery.duration,
                     kp=kp,
                     kd=kd,
                     feedforward=True,
                     integrator=None,
-                    verification=fed,
+                    verification=verification,
                 )
                 peaks = bench.peak_torques(0, recovery.weakest_impulse)
-        found[robot.name] = PushedStance(
-            robot.name, robot.joint_names, held, recovery, impulse, code, unknown, peaks, verdict
+        results[robot.name] = PushedStance(
+            name=robot.name,
+            joint_names=robot.joint_names,
+            stand=sunk_stand,
+            recovery=recovery,
+            impulse=impulse,
+            code=code,
+            unknown_limits=unknown,
+            peak_torques=peaks,
+            verdict=verdict,
         )
-    return found
+    return results
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that carry a foot and whose torque limit no file states."""
-    aside = free_joints(robot)
+    """Return the joints that carry a foot or are coupled, and whose torque limit no file states."""
+    free = free_joints(robot)
     unknown = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )
-    return tuple(name for name in unknown if name not in aside)
+    return tuple(name for name in unknown if name not in free)
 
 
 CHECKED_LEVELS = 8
@@ -167,7 +180,8 @@ class PushRecovery(PushSettings, Tabular):
         velocity_steps: (n,) impulse / mass (m/s).
         failures: (n,) failure of the larger push.
         bisected: (n,) result of the bisection (N s), before the check of smaller pushes; larger
-            than ``impulses`` if a smaller push failed.
+            than ``impulses`` if a smaller push failed, or the push failed when it was simulated to
+            the end.
         tipping_estimate: (n,) impulse that tips the robot over if it were rigid (N s).
         weakest_direction: Direction with the smallest impulse (rad).
         weakest_impulse: Smallest impulse (N s).
@@ -232,11 +246,11 @@ def push_recovery(
 
     A stand that ``verify_stand`` finds not to stay on its feet withstands no push.
 
-    The robot recovers if, at the end, its base tilts by less than 0.5 rad, is not lower than half
-    of its height, and is at rest, and only its feet touched the ground. The robot may slide or turn
-    about the vertical. A simulation ends early once another body touches the ground, or the robot
-    is at rest and no mode grows (``step_stability``); the returned limits were simulated to the
-    end.
+    The robot recovers if only its feet touched the ground, and if at the end its base tilts by less
+    than 0.5 rad, has kept at least half of its height (measured at the CoM of the stand), and is at
+    rest. The robot may slide or turn about the vertical. A simulation ends early once another body
+    touches the ground, or the robot is at rest and no mode grows (``step_stability``); the returned
+    limits were simulated to the end.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
@@ -248,7 +262,7 @@ def push_recovery(
         robot: The robot.
         stand: The stand.
         directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
-        duration: Simulated time from the push on [s], at least 2.
+        duration: Simulated time from the start of the push [s], 2 to 600.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
@@ -349,7 +363,7 @@ def tipping_impulses(
     for first, second in pairwise(corners):
         pivot = np.append(first, ground[:, 2].mean())
         hinge = np.append(second - first, 0.0) / np.linalg.norm(second - first)
-        # Turning about it moves the com up, and outwards.
+        # A rotation about the hinge moves the CoM up and outwards.
         hinge *= math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
         lever = com - pivot - radius * UP
         rise = np.linalg.norm(np.cross(hinge, lever)) - lever[2]
@@ -398,7 +412,14 @@ def _find_push_limits(
 
 @dataclass(frozen=True, eq=False)
 class _LimitSearch:
-    """Largest survived push and smallest failed push of each direction, with the failure."""
+    """Largest survived push and smallest failed push of each direction, with the failure.
+
+    Attributes:
+        bench: Simulations.
+        survived: Shape (n,) [N s].
+        failed: Shape (n,) [N s]; infinite before the first failure.
+        failures: {index of the direction: failure of the push ``failed``}.
+    """
 
     bench: PushBench
     survived: Array
