@@ -138,7 +138,12 @@ class NamedModel:
         return bool(self.model.opt.disableflags & bit.value)
 
     def holds(self, object_type: mujoco.mjtObj, index: int) -> bool:
-        """Return True if an element is on a tree of the robot; False for the id -1."""
+        """Return True if an element is part of the robot's kinematic tree.
+
+        Args:
+            object_type: Type of the element, for example a body or joint.
+            index: Id of the element; False is returned for -1.
+        """
         return index >= 0 and not self._trees.isdisjoint(
             np.ravel(self._trees_of[object_type][index])
         )

@@ -72,7 +72,14 @@ class RobotJoints:
         return tuple(sorted(list_depth_first(self.model), key=lambda name: len(ancestors[name])))
 
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
-        """Return {name in a source: joint}: passed by the user, equal, or equal without affixes."""
+        """Match names in a source to the joints of the robot.
+
+        A name matches the joint that the user assigned to it, the joint with the same name, or a
+        joint with the same name except for prefixes and suffixes.
+
+        Returns:
+            {name in the source: joint}, without the names that match no joint.
+        """
         pairs = {
             name: self.user_names[name] for name in names if self.user_names.get(name) in self.order
         }
@@ -113,7 +120,7 @@ def list_depth_first(model: RobotModel) -> tuple[str, ...]:
 
 
 def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
-    """Assign the statements of a source to joints of the robot.
+    """Assign the statements of a source, for example a driver or a policy, to robot joints.
 
     Args:
         source: Source.
@@ -179,7 +186,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
 
 
 def list_observations(source: Source) -> list[str]:
-    """List the observations of a policy, in order, by common names."""
+    """List the observations of a policy in their order; aliases have one common name."""
     return [OBSERVATION_ALIASES.get(name, name) for name, _, _ in source.observations]
 
 
@@ -249,7 +256,15 @@ def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: Robo
 
 
 def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
-    """Return True if two numbers are mirror images, or if a number or the sign is unknown."""
+    """Return True if first = sign x second, to a relative tolerance of 1e-3.
+
+    Also True if a number is None or the sign is 0, since nothing can be compared.
+
+    Args:
+        first: Number of the joint on one side.
+        second: Number of the joint on the other side.
+        sign: Sign between mirrored numbers: 1, -1, or 0 if unknown.
+    """
     if first is None or second is None or not sign:
         return True
     return abs(first - sign * second) <= 1e-3 * abs(first) + 1e-9

@@ -106,7 +106,7 @@ class NewMjcf(MjcfXml):
                 self.root.remove(node)
 
     def set_options(self, values: Mapping[str, Number]) -> None:
-        """Set attributes of ``<option>``."""
+        """Set attributes of ``<option>``, for example ``{"timestep": 0.002}``."""
         option = self.root.find("option")
         if option is None:
             option = etree.Element("option")
@@ -149,7 +149,14 @@ class NewMjcf(MjcfXml):
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Add a position servo with the name of its joint."""
+        """Add a position servo with the name of its joint.
+
+        Args:
+            joint: Joint.
+            kp: Stiffness [N m/rad, N/m].
+            kd: Damping [N m s/rad, N s/m].
+            limits: Lower and upper bound of the torque or force [N m, N]; none by default.
+        """
         add_element(
             self.section("actuator"),
             "position",
@@ -179,7 +186,15 @@ class NewMjcf(MjcfXml):
         place: ArrayLike,
         like: str | None = None,  # noqa: ARG002 - a URDF states nothing of contacts
     ) -> None:
-        """Add a collision sphere without mass to a body."""
+        """Add a collision sphere without mass to a body.
+
+        Args:
+            name: Name of the sphere.
+            body: Body of the sphere.
+            radius: Radius [m].
+            place: Centre, shape (3,) [m], in the frame of the body.
+            like: Unused; a new MJCF has one collision class.
+        """
         add_element(
             self.body(body),
             "geom",
@@ -197,7 +212,12 @@ class NewMjcf(MjcfXml):
         return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Add the keyframe `HOME_KEYFRAME`."""
+        """Add the keyframe `HOME_KEYFRAME`.
+
+        Args:
+            qpos: Configuration in MuJoCo's order.
+            ctrl: Commands of the actuators; omitted if empty.
+        """
         key = add_element(
             self.section("keyframe"), "key", name=HOME_KEYFRAME, qpos=write_numbers(qpos)
         )

@@ -113,7 +113,7 @@ def _find_mover(robot: Robot, model: pin.Model, joint: int) -> str:
 
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:
-    """Combine bodies that are expressed in the same frame."""
+    """Sum mass, CoM and inertia of bodies that are expressed in one frame, as one rigid body."""
     return body_from_moments(sum((compute_moments(body) for body in bodies), start=np.zeros(10)))
 
 
@@ -300,7 +300,10 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 
 
 def find_exchanged(case: PatternCase) -> PatternFindings:
-    """Find pairs of limbs whose names are exchanged."""
+    """Find pairs of limbs whose names are exchanged in one of the two files.
+
+    A pair is a finding if most of its differences disappear when the joint names are exchanged.
+    """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}
     concerned = {
@@ -575,7 +578,10 @@ _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
-    """Find inertial differences of bodies whose mass MuJoCo computes from geoms."""
+    """Explain inertial differences by bodies whose mass MuJoCo computes from geoms.
+
+    Such bodies have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules it.
+    """
     geom_links = {
         mover: [link.name for link in links if link.name in case.from_geoms]
         for mover, links in case.mjcf.items()
@@ -628,7 +634,10 @@ class _LinkSlip:
 
 
 def find_link_slips(case: PatternCase) -> PatternFindings:
-    """Find missing links, and links with masses that differ by a factor."""
+    """Explain inertial differences of bodies by single links.
+
+    A link is missing in one file, or its mass differs by a factor.
+    """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
         return

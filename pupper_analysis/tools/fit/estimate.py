@@ -153,7 +153,7 @@ class Posterior:
 
     @staticmethod
     def from_prior(table: ParameterTable) -> Posterior:
-        """Return the distribution without measurements."""
+        """Return the prior distribution of the parameters, as if there were no measurements."""
         information, width = np.zeros((len(table), len(table))), table.width
         covariance = width[:, None] * np.linalg.inv(table.precision) * width
         remaining = information, table.precision, 0.0, np.zeros(len(table)), 0

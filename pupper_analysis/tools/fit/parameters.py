@@ -291,7 +291,12 @@ class ParameterTable:
         return self._indices.get((kind, subject, component))
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
-        """Return a copy in which the prior widths of a kind are multiplied by a factor."""
+        """Return a copy in which the prior widths of one kind of parameter are scaled.
+
+        Args:
+            kind: Key of ``KINDS``.
+            factor: Factor on the prior standard deviations.
+        """
         scaled = copy(self)
         scaled.parameters = tuple(
             replace(parameter, width=factor * parameter.width)

@@ -78,12 +78,15 @@ class ReachLoad(Tabular):
 
 @check_arguments
 def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
-    """Finds what motors hold over the reach of a tool, in random postures.
+    """Compute the motor utilisation at rest in random postures, over the reach of a tool.
 
     Args:
-        robot: A robot whose base is held.
-        posture: One of its postures.
-        tool: Its tool.
+        robot: Robot with a fixed base.
+        posture: Posture of the robot, with closed loops.
+        tool: Tool whose position is recorded.
+
+    Returns:
+        Tool position and largest motor utilisation (torque / limit) of each posture.
     """
     found = []
     for qpos in JointMotions(robot, posture).random(_POSTURES):
@@ -151,17 +154,18 @@ def tool_payload(
     *,
     kp: ArrayLike | None = None,
 ) -> ToolPayload:
-    """Finds the greatest point masses that the motors hold at a tool.
+    """Compute the largest point masses that the motors hold at a tool, at rest.
 
-    In a posture torques are linear in the mass, and the limit is in closed form. Over all postures
-    a mass M is lowered to what the worst postures for M hold, until these hold M.
+    In one posture, torques are linear in the mass, so the limit has a closed form. Over all
+    postures, an upper bound of the mass is lowered: the worst postures for a mass M are searched,
+    and M is reduced to the largest mass that the motors hold there.
 
     Args:
-        robot: A robot whose base is held.
-        posture: The posture.
-        tool: Where the mass is.
-        worst: The worst postures without it.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        robot: Robot with a fixed base.
+        posture: Posture.
+        tool: Point at which the mass is attached.
+        worst: Worst postures without the mass.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -244,7 +248,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
 def servo_payload(
     robot: Robot, posture: Posture, tool: Tool, kp: ArrayLike | None = None
 ) -> tuple[float, str]:
-    """Compute the greatest mass [kg] at a tool that servos hold in a posture.
+    """Compute the largest mass [kg] at a tool that servos hold in a posture.
 
     The stiffness of servos and gravity together, in the velocities W that couplings allow, is
     W^T (K + G_0 + m G_1) W, linear in the mass; it loses definiteness at the least m > 0 of a
@@ -357,7 +361,7 @@ class Hold(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Whether it holds, by its verdict."""
+        """Whether the verdict on the held posture is positive."""
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -380,23 +384,26 @@ def hold_posture(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Hold:
-    """Finds out what a posture of a robot whose base is held costs, and whether it holds.
+    """Analyse a static posture of a robot with a fixed base, and simulate whether it holds.
+
+    The result contains motor torques, sag on the servos, worst postures, and the payload and push
+    force that the tool can bear.
 
     Args:
-        robot: A robot whose base is held: an arm, a hand, or one that is loaded with
+        robot: Robot with a fixed base: an arm, a hand, or a robot that was loaded with
             ``fixed_base=True``.
-        joints: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}.
-        keyframe: The MJCF's keyframe for the other joints; by default ``home`` or the first if
-            there is one, else they are in the middle of their ranges.
-        tool: A link of the URDF, or a site, body or geom of the MJCF; by default the end of the
-            longest chain of joints.
-        payload: Mass at the tool (kg), which all that follows is of.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}.
+        keyframe: Keyframe of the MJCF for the other joints. Default: ``home``, or the first
+            keyframe; without keyframes, the middle of the joint ranges.
+        tool: Link of the URDF, or site, body or geom of the MJCF. Default: the end of the longest
+            chain of joints.
+        payload: Mass [kg] that is attached to the tool in the whole analysis.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
 
     Raises:
-        ConfigurationError: If the base is free, or an argument makes no sense for the robot.
-        UnknownNameError: If a joint, the keyframe or the tool is not there.
+        ConfigurationError: If the base is free, or an argument is invalid for the robot.
+        UnknownNameError: If there is no such joint, keyframe or tool.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)

@@ -37,10 +37,10 @@ NO_TITLE = doc.Name("")
 def stance_document(
     answer: Answer, sag: SteadyState | Diagnostic | None, judged: Verdict | None
 ) -> doc.Document:
-    """Create the document of a stance.
+    """Create the report of a stance for the live page: stand, sag, torques and contact forces.
 
     Args:
-        answer: Solved state.
+        answer: State of the page, with its stand if there is one.
         sag: Predicted equilibrium, or the reason why there is none; None until it is computed.
         judged: Verdict; None if the stance is out of reach or not in balance.
     """
@@ -86,10 +86,10 @@ def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block
 def refusal_document(
     answer: Answer, error: StanceUnreachableError | None, *, pending: bool
 ) -> doc.Document:
-    """Create the document of a stance that is out of reach.
+    """Create the report of a stance that is out of reach, for the live page.
 
     Args:
-        answer: Unreachable state.
+        answer: State of the page whose stance is out of reach.
         error: Explained refusal; None if the stance is reachable after all.
         pending: True until the refusal is explained; ``error`` is then None.
     """
@@ -111,7 +111,10 @@ def refusal_document(
 
 
 def simulation_document(stance: Stance) -> doc.Document:
-    """Create the document of a simulated stance without feed-forward, with the prediction."""
+    """Create the report of a stance simulated without feed-forward, for the live page.
+
+    The report compares the simulated base height with the predicted one.
+    """
     run = stance.sagging
     expected = None if stance.settled is None else stance.settled.base_height
     title = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")
@@ -137,13 +140,13 @@ _SIMULATION_NOTE = doc.Lines((text("orange-as-simulated"),))
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:
-    """Create the document of an error of this package."""
+    """Create the report that shows an error message of this package on the live page."""
     messages = (doc.diagnostic_text(error.diagnostic),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)
 
 
 def unexpected_document(error: Exception) -> doc.Document:
-    """Create the document of an unexpected error."""
+    """Create the report of an unexpected error for the live page, without folder names."""
     description = strip_folders(f"{type(error).__name__}: {error}".rstrip(": "))
     messages = (text("unexpected", what=description),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)

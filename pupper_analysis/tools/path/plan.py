@@ -323,7 +323,13 @@ def stance_path(
 def divide_by_limits(values: Array, limits: Array) -> Array:
     """Compute |values| / limits, shape (n, nu).
 
-    For a limit of zero: 0 if the value is rounding, else infinity. NaN for an unknown limit.
+    Args:
+        values: Torques or velocities of the joints, shape (n, nu).
+        limits: Limits in the same unit, shape (nu,); infinite for an unknown limit.
+
+    Returns:
+        Utilisation: NaN for an unknown limit; for a limit of zero, 0 if the value is rounding, else
+        infinity.
     """
     sizes = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):

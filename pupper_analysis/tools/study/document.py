@@ -42,7 +42,11 @@ tuned."""
 
 @build_document.register(StudyOutcome)
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
-    """Create the document of a study; see ``build_document``."""
+    """Create the report of a study of robot designs.
+
+    The report contains tables of metrics, failures, best designs, effects and designs. It is
+    registered with `build_document` for this kind of result.
+    """
     failed = sum(group.designs for group in outcome.failures)
     count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     if outcome.failures:
@@ -273,7 +277,10 @@ def metrics_document() -> doc.Document:
 
 
 def written_document(written: WrittenDesign) -> doc.Document:
-    """Create the document of a written design: its files, and its metrics before and after."""
+    """Create the report of a design that was written to files.
+
+    A table compares the metrics that the study measured with those of the written files.
+    """
     rows = tuple(
         (
             doc.Name(format_column_label(name)),

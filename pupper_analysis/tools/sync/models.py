@@ -323,7 +323,10 @@ _JOINT_KINDS: Final = (
 
 
 def format_owner_name(difference: Difference) -> str:
-    """Return the owner of a difference, for example ``link FL_hip`` or ``frame FL_foot``."""
+    """Return kind and name of the element that differs between URDF and MJCF.
+
+    Examples: ``link FL_hip``, ``joint FL_knee``, ``frame FL_foot``.
+    """
     if difference.kind in _BODY_KINDS:
         return f"link {find_subject_link(difference)}"
     if difference.kind in _JOINT_KINDS:
@@ -334,7 +337,11 @@ def format_owner_name(difference: Difference) -> str:
 
 
 def find_subject_link(difference: Difference) -> str:
-    """Return the link of a difference; its element for any other owner."""
+    """Return the name of the link with a difference; for other elements, the element's name.
+
+    Args:
+        difference: Difference between URDF and MJCF.
+    """
     subject = difference.diagnostic.subject
     return subject.name if subject is not None and subject.kind == "link" else difference.element
 

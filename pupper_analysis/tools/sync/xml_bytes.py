@@ -49,25 +49,25 @@ class Element:
     renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
-        """Return the value of an attribute, after changes."""
+        """Return the value of an attribute, including changes; None if it is not stated."""
         return self.changes.get(name, self.attributes.get(name))
 
     def set(self, name: str, value: str) -> None:
-        """Change an attribute."""
+        """Change or add an attribute. The file is unchanged until the document is written."""
         self.changes[name] = value
 
     def rename_or_set(self, old: str, name: str, value: str) -> None:
-        """Set an attribute; if the element has the old attribute, rename that one."""
+        """Set the attribute ``name``; an existing attribute ``old`` is renamed to ``name``."""
         if name != old and old in self.attributes:
             self.renamed[old] = name
         self.set(name, value)
 
     def findall(self, tag: str) -> list[Element]:
-        """Return the children with a tag."""
+        """Return the direct children with a tag, without deeper descendants."""
         return [child for child in self.children if child.tag == tag]
 
     def find(self, tag: str) -> Element | None:
-        """Return the first child with a tag."""
+        """Return the first child element with a tag; None without such a child."""
         return next(iter(self.findall(tag)), None)
 
     def ensure(self, tag: str) -> Element:
@@ -109,7 +109,7 @@ class XmlDocument:
     elements: list[Element]
 
     def render(self) -> bytes:
-        """Return the bytes with all changes applied."""
+        """Return the bytes of the file with all changes of its elements applied."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
             splices += _splice_attributes(self.data, element)

@@ -109,7 +109,14 @@ class StandReading:
 
 
 def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading]:
-    """Yield the measurements of each stand."""
+    """Yield the measurements of each stand, in the order of the rows.
+
+    All contact points of a foot carry load, unless the foot is in ``swing``.
+
+    Args:
+        robot: Robot.
+        stands: Measurements, joints in actuator order.
+    """
     for row in range(len(stands)):
         yield StandReading(
             command=stands.command[row],
@@ -233,7 +240,7 @@ class StandRows:
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Set the noise. Only the noise covariance depends on it."""
+        """Set the standard deviations of the noise. The residuals do not depend on them."""
         normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
         last_std = _LAST_MOTION_FRACTION * np.repeat([noise.friction, noise.moment], 6)
@@ -256,7 +263,15 @@ class StandRows:
         return covariance + np.diag(self.deviation**2)
 
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
-        """Return the whitened residuals without own unknowns, and the step of the own unknowns."""
+        """Eliminate the own unknowns of this stand: base tilt, base height and contact forces.
+
+        The residuals are whitened, and projected onto combinations that these unknowns do not
+        affect.
+
+        Returns:
+            Projected residuals with their derivative by the parameters, as sums; and the
+            Gauss-Newton step of the own unknowns, shape (3 + 3 p,), for p contact points.
+        """
         projected, log_noise, step = self._project_out_unknowns(
             np.column_stack([self.residual, self.by_x])
         )
@@ -535,7 +550,12 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return the values for one stand, with its known masses and heading."""
+        """Return a copy for one stand, with the masses attached to the robot and its heading.
+
+        Args:
+            reading: Measurements of the stand.
+            table: Parameters, for corrections of the attached masses and their positions.
+        """
         if not reading.added and not reading.heading:
             return self
         robot, loads = self.robot, []
@@ -696,10 +716,19 @@ class StandEquations:
     def linearise(
         self, x: Array, noise_point: Array, evaluations: int = _UNKNOWN_STEPS
     ) -> LinearisedResiduals:
-        """Return the whitened residuals of all stands; see ``estimate_parameters``.
+        """Linearise the whitened residuals of all stands, for ``estimate_parameters``.
 
-        The own unknowns are updated only if ``x`` is ``noise_point``: otherwise ``x`` is a trial.
-        ``chi2`` is infinite if the equations cannot be evaluated.
+        Base tilt, base height and contact forces of each stand (its own unknowns) are solved for
+        and eliminated. Their values are kept only if ``x`` is ``noise_point``: otherwise ``x`` is a
+        trial.
+
+        Args:
+            x: Parameters, shape (n,).
+            noise_point: Parameters at which the noise is evaluated, shape (n,).
+            evaluations: Newton steps of the own unknowns.
+
+        Returns:
+            Sums over the residuals. ``chi2`` is infinite if the equations cannot be evaluated.
         """
         total, previous_unknowns = LinearisedResiduals.empty(len(x)), list(self._unknowns)
         try:
@@ -713,10 +742,14 @@ class StandEquations:
         return total
 
     def set_noise_point(self, x: Array) -> None:
-        """Take the kp, mass and dead band with which the noise is scaled from a parameter vector.
+        """Set servo stiffness, mass and dead band that scale the noise from a parameter vector.
 
-        Before, the stated values are used. The values do not follow each step, since steps would
-        then lead to parameters with large noise.
+        Until the first call, the stated stiffness and mass and a dead band of zero are used. The
+        values are constant during a fit, since the fit would otherwise prefer parameters with large
+        noise.
+
+        Args:
+            x: Parameters, shape (n,).
         """
         names = self.robot.joint_names
         self._noise_kp = self.table.get_values(x, "kp", names, self._kp)
@@ -726,7 +759,16 @@ class StandEquations:
     def linearise_stand(
         self, stand: int, values: StandValues, evaluations: int = _UNKNOWN_STEPS
     ) -> LinearisedResiduals:
-        """Return the whitened residuals of one stand; eliminate and update its own unknowns."""
+        """Linearise the whitened residuals of one stand, without its own unknowns.
+
+        Base tilt, base height and contact forces are the own unknowns of a stand. They are solved
+        for by Newton steps, stored, and eliminated.
+
+        Args:
+            stand: Index of the stand.
+            values: Values of the robot for a parameter vector.
+            evaluations: Number of Newton steps.
+        """
         for _ in range(evaluations):
             linearised, step = self._evaluate_stand(stand, values).eliminate_own_unknowns()
             self._apply_step(stand, step)
@@ -819,7 +861,14 @@ class StandEquations:
         return compute_level_base(robot, reading.position, points), forces
 
     def compute_informations(self, x: Array) -> list[Array]:
-        """Return the information of each stand, shape (n, n), in units of the prior widths."""
+        """Return the Fisher information about the parameters that each stand provides.
+
+        Args:
+            x: Parameters, shape (n,).
+
+        Returns:
+            For each stand, shape (n, n); dimensionless, in units of the prior widths.
+        """
         values, width = self._make_values(x), self.table.width
         informations = [
             self.linearise_stand(stand, values).information for stand in range(len(self._readings))
@@ -827,7 +876,13 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Return the normal force [N] on each foot that carries in a stand."""
+        """Return {foot: total normal force [N] on its contact points} of the loaded feet.
+
+        The forces are those of the last evaluation of the stand.
+
+        Args:
+            stand: Index of the stand.
+        """
         forces = dict(zip(self._readings[stand].points, self._unknowns[stand][1], strict=True))
         return {
             foot: float(sum(forces[point][2] for point in points if point in forces))
@@ -867,7 +922,11 @@ class StandEquations:
         return heights_by_foot
 
     def compute_rms_residuals(self, x: Array) -> list[float]:
-        """Return the RMS whitened residual of each stand."""
+        """Return the root mean square of the whitened residuals of each stand; 1 is expected.
+
+        Args:
+            x: Parameters, shape (n,).
+        """
         values = self._make_values(x)
         linearised = [self.linearise_stand(stand, values) for stand in range(len(self._readings))]
         return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]

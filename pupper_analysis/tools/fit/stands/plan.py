@@ -436,9 +436,13 @@ class RandomStands:
         self._refusal_counts: Counter[str] = Counter()
 
     def draw_stands(self, count: int) -> list[tuple[Stand, SteadyState]]:
-        """Return stands, and the steady states to which the servos let them sag.
+        """Draw random stands that the servos hold.
 
-        Fewer than ``count`` are returned if the tries do not suffice.
+        Args:
+            count: Number of stands. Fewer are returned if too many random tasks have no stand.
+
+        Returns:
+            Pairs of a stand and the steady state to which it sags on its servos.
         """
         stands: list[tuple[Stand, SteadyState]] = []
         for num_tries in range(_TRIES_PER_STAND * count):
