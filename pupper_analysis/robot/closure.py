@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CLOSED_ATOL = 1e-10
-"""Maximum residual of a closed loop [m, rad]."""
+"""Residual of the independent loop equations [m, rad] below which Newton's method has closed a
+loop. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
 """Maximum opening of a loop [m, rad] beyond the static deflection. A configuration with larger
@@ -44,21 +45,24 @@ _RANK_RTOL = 1e-7
 a planar loop has up to 1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
-"""Maximum number of Newton iterations."""
+"""Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
 
 _MAX_NEWTON_STEP = 0.3
-"""Maximum displacement of a joint [rad, m] per Newton step; longer steps are shortened."""
+"""Upper bound of the displacement of a joint [rad, m] in a Newton step that closes a loop; longer
+steps are scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
 """Maximum opening [m, rad] of the loops at the initial configuration of the file. Loops in qpos0
 are closed to rounding, in keyframes to a millimetre."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of central differences [rad, m]. Constraint stiffness varies within a millimetre."""
+"""Step of the central differences of the loop springs by the joints [rad, m]. It is small, because
+the stiffness of a constraint varies within a millimetre of opening. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
-"""Maximum opening relative to the static deflection at maximum compliance. The forces differ from
-those of the closed loop, from which a search starts."""
+"""Safety factor of the accepted opening of a loop: opening / static deflection at maximum
+compliance. The deflection is computed with the forces of the closed loop, which differ from those
+of the opened loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
 """Mobility of joints that place feet, relative to other joints, while a loop is closed. The

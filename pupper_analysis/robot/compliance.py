@@ -12,17 +12,20 @@ from pupper_analysis.robot.impedance import clip_solimp, solimp_impedance
 from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200
-"""Maximum number of iterations for a depth. Usually 5 are sufficient; bisection needs more."""
+"""Maximum number of bracketed iterations of `GroundLaw.depth`. Usually 5 are sufficient; bisection
+needs more. Chosen, not tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
-"""Maximum number of Newton steps from a given nearby depth; usually two are sufficient."""
+"""Maximum number of Newton steps of `GroundLaw.depth` from a given initial guess. Usually two are
+sufficient. Chosen, not tuned."""
 
 _STEP_RTOL = 1e-9
-"""Relative length of a Newton step after which the iteration ends. The remaining error is of the
-order of its square."""
+"""Length of a Newton step, relative to the penetration plus margin, at which `GroundLaw.depth`
+ends. The remaining relative error is of the order of its square. Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
-"""Relative distance of the bounds of a depth at which the iteration ends: rounding error."""
+"""Distance between lower and upper bound of a penetration, relative to the penetration, at which
+`GroundLaw.depth` ends: about two units of double precision."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class GroundLaw:
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
-        """Return d and its derivative [1/m] at a penetration [m]."""
+        """Return the impedance d and its derivative [1/m] at a penetration [m]."""
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
@@ -177,6 +180,6 @@ class GroundLaw:
         return force, self.stiffness * (slope_term + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
-        """Return c [N s/m], tangential force per creep velocity, at a penetration [m]."""
+        """Return the viscosity c [N s/m] (tangential force per creep speed) at a depth [m]."""
         d = self.impedance(depth)
         return self.damping * d / ((1 - d) * self.tangential)

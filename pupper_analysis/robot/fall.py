@@ -48,12 +48,13 @@ MAX_KEYFRAME_DURATION = 5.0
 and slow failures have become visible (a knee without torque: 2 cm/s after 2 s)."""
 
 _MAX_KEYFRAME_STEPS = 5000
-"""Number of steps of such a run above which the simulated time is shortened, but not below
-`_MIN_KEYFRAME_DURATION`."""
+"""Number of time steps of a run from a keyframe above which the simulated time is shortened, but
+not below `_MIN_KEYFRAME_DURATION`. It bounds the computing time of files with short time steps.
+Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
-"""Lower bound of the simulated time [s]: a robot that falls from its own height lies on the ground
-by then."""
+"""Lower bound of the simulated time of a run from a keyframe [s]: a robot that falls over from its
+own height lies on the ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
 """Horizontal travel of the CoM, relative to its height, above which a robot has left its place. On
@@ -68,13 +69,16 @@ MAX_CLEARANCE = 5.0
 a free fall over 5 m takes 1 s."""
 
 _SEARCH_MARGIN = 0.05
-"""Longest step (m) of that search, and contact margin with which it is made."""
+"""Longest downward step of the search for the ground below a robot, and contact margin of the
+collision queries in this search (m). Chosen, not tuned."""
 
 _CONTACT_DISTANCE = 1e-6
-"""Distance from the ground (m) at which that search ends."""
+"""Distance between robot and ground (m) below which the search for the ground below a robot ends.
+Chosen, not tuned."""
 
 _MIN_UPWARD_NORMAL = 0.1
-"""Least vertical component of the unit normal of a contact with the ground; a wall has less."""
+"""Lower bound of the vertical component of a contact's unit normal, for the contact to count as
+ground in the search below a robot. A wall has less. Chosen, not tuned."""
 
 
 _RESET_WARNINGS = (
@@ -82,7 +86,8 @@ _RESET_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQVEL.value,
     mujoco.mjtWarning.mjWARN_BADQACC.value,
 )
-"""Warnings with which MuJoCo resets a state."""
+"""MuJoCo's warnings about numbers that are not finite or too large, after which it resets the
+state."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:

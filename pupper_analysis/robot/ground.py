@@ -212,7 +212,10 @@ def _check_slope(name: str, value: float) -> float:
 
 
 _BAR_LENGTH_FACTOR = 3.0
-"""Half length of a bar, relative to the half width of the box for the same contact."""
+"""Half length of the cylinder that represents a bar, relative to the half width of the box that
+represents a plane under the same foot. Chosen, not tuned: a foot must not reach the end of the
+bar."""
 
 STEP_HALF_WIDTH = 0.03
-"""Distance [m] by which the box of a step extends beyond the contact points of the foot."""
+"""Distance [m] by which the box of a step extends horizontally beyond the contact points of its
+foot, so that the foot stays on the box if it slips a little. Chosen, not tuned."""

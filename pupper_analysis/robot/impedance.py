@@ -24,13 +24,16 @@ _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
 
 _NUM_BISECTIONS = 60
-"""Number of bisections of the bounds of an opening; sufficient for double precision."""
+"""Number of bisections of the opening of a constraint that stiffens. Derived: 60 halvings reach
+double precision."""
 
 _MAX_ITERATIONS = 1000
-"""Maximum number of fixed-point iterations, which increase to the smallest solution."""
+"""Maximum number of fixed-point iterations for the opening of a constraint that softens. Chosen,
+not tuned."""
 
 _OPENING_RTOL = 1e-14
-"""Relative change of an opening at which the fixed-point iteration ends."""
+"""Relative change of the opening per iteration at which the fixed-point iteration ends: rounding
+level. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
@@ -108,7 +111,7 @@ class EqualityCompliance:
         return self._compliance.copy()
 
     def most(self) -> Array:
-        """Return the largest compliance of each equation (m,) over all openings."""
+        """Return the largest compliance of each equation over all openings, (m,) [SI units]."""
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:
             compliance[rows] *= max(

@@ -228,9 +228,9 @@ def _narrow_force_ranges(
 ) -> None:
     """Bound the actuators of a model by the efforts of the joints, in place.
 
-    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. Each
-    end of an existing force range is replaced if the new end is narrower. A range with an infinite
-    bound, or for a gear of 0, is not written.
+    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had.
+    Each end of an existing force range is replaced if the new end is narrower. A range with an
+    infinite bound, or for a gear of 0, is not written.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)

@@ -61,8 +61,8 @@ _MAX_DAMPING = 1e3
 """Upper bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""
 
 _CONVERGED_STEP = 1e-4
-"""Largest joint step [rad or m] of a start at which the start has converged; PlaCo continues from
-there."""
+"""Largest joint displacement [rad or m] in an iteration below which the iterations from an initial
+guess end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,19 +45,23 @@ DEMANDS = tuple(_FIELDS_BY_DEMAND)
 """Attributes of a task that can make a stance unreachable. Fields of the ground form one demand."""
 
 _MAX_RELAXATION = 3.0
-"""Upper bound of the relaxation of a length [stand heights]: no leg reaches further."""
+"""Upper bound of the change of a length by relaxation [stand heights]. Chosen, not tuned: no leg
+reaches further."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Smallest part of a positive quantity that remains after relaxation."""
+"""Lower bound of a quantity that must stay positive (an open interval) after relaxation, relative
+to its requested value. Chosen, not tuned."""
 
 _ROUNDING = 1e-12
-"""Distance from the requested value [m, rad] up to which a value counts as requested."""
+"""Difference from the requested value [m, rad] below which a relaxed value is set to the requested
+value: rounding error."""
 
 _ROUNDING_SHARE = 0.005
-"""Largest rounding, in parts of the distance from the nominal value."""
+"""Largest change by rounding of a reported value, relative to its difference from the nominal
+value. It determines the number of decimals. Chosen, not tuned."""
 
 _MAX_DIGITS = 12
-"""Largest number of decimals of a rounded value [mm, deg]."""
+"""Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
 
 
 class DemandValue(NamedTuple):
@@ -219,7 +223,10 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Return lower and upper bound of a number [m, rad]; see `DemandVector`."""
+    """Return the lower and upper bound of a number of a task under relaxation [m, rad].
+
+    Margins, lifts, slopes and steps may only decrease; other numbers may change in both directions.
+    """
     far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _MIN_HEIGHT_RATIO * value if field.open else min(0.0, value)

@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 
 
 _MIN_SUPPORT_WIDTH = 1e-3
-"""Extent of the support region [m] below which the contacts count as collinear: such a stand would
-tip. Chosen, not tuned."""
+"""Extent of the support region [m] below which the contacts count as collinear, and the task is
+rejected: such a stand would tip. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
@@ -45,14 +45,17 @@ of two points may rotate about itself."""
 
 
 _NUM_RANDOM_POSES = 3
-"""Number of random poses at which the mobility of the CoM is tested; the first may be singular."""
+"""Number of random poses at which the mobility of the CoM is tested; a single pose may be singular.
+Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
-"""Smallest CoM displacement per joint displacement that counts as mobility [m/rad]."""
+"""Smallest horizontal CoM displacement per joint displacement [m/rad], with planted feet, above
+which the robot can move its CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Smallest ratio of CoM mobility between the two horizontal directions that counts: soles that are
-a microradian off level permit less."""
+"""Smallest CoM mobility in a horizontal direction, relative to the direction of largest mobility,
+above which the robot can move its CoM in this direction. Soles that are a microradian off level
+permit less. Chosen, not tuned."""
 
 
 def has_spare_joints(robot: Robot) -> bool:

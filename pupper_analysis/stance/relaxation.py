@@ -37,29 +37,33 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _DEAD_POINT_RATIO = 1e-2
-"""Ratio of a foot's mobility with and without closed loops below which a dead point is assumed. A
-thousandth of a radian from a dead point the ratio is about 1e-3."""
+"""Upper bound of the ratio between the foot mobilities (singular values of the foot Jacobian) with
+and without closed loops, below which a dead point of the loops is reported. 1 mrad from a dead
+point the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] below which, at a dead point, the error is due to the tolerance of the search."""
+"""Foot error [m] below which a foot is not reported as missing its target, if the loops are at a
+dead point: the error is then due to the tolerance of the search. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
-"""Shares by which demands are relaxed further if the rounded task has no stand: at the limit of
-reach, a search from scratch may fail."""
+"""Factors by which a relaxation is increased, in order, until the rounded task has a stand. A
+search without an initial guess may fail at the limit of reach. Chosen, not tuned."""
 
 _NONZERO_DEMANDS = ("swing", "com_margin")
 """Demands whose value cannot be close to zero: a foot that is not lifted carries load, and without
 a margin a CoM with an offset may be outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Value of such a demand that counts as zero [stand heights]."""
+"""Value [stand heights] of a demand in `_NONZERO_DEMANDS` below which it counts as zero, and the
+relaxation is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Shares by which a relaxation is reduced, in order, as long as a stand exists: v3's slope ended at
 two edges, 6 % and 1 % before the result of the program."""
 
 _MIN_RELAXATION = 1e-6
-"""Relaxation below which a demand counts as unchanged [stand heights, rad]."""
+"""Relaxation [stand heights, rad] up to which a demand counts as unchanged and is not reported.
+Chosen, not tuned."""
 
 
 def explain_refusal(

@@ -39,10 +39,12 @@ from pupper_analysis.stance.solver import SearchContext, SolverResult
 Array = NDArray[np.float64]
 
 _MAX_COMBINATIONS = 256
-"""Upper bound of branch combinations per CoM place: four legs with four branches each."""
+"""Upper bound of combinations of IK branches that are tried as initial guesses in a round of
+`_BRANCH_ROUNDS`: those of four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
-"""Upper bound of searches for branches. A new search starts if the foot error has halved."""
+"""Upper bound of rounds in which the IK branches are determined. A further round starts if the
+smallest foot error has at least halved. Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] below which configurations with a displaced base are tried as initial guesses.
@@ -405,10 +407,11 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
 
 
 _MAX_SOLE_ERROR = 5e-5
-"""Error of an underactuated sole [m] that is accepted: a tenth of the penetration of feet."""
+"""Upper bound of the foot error [m] with which a sole on a leg of fewer than six joints is accepted
+as in place: a tenth of the penetration of feet."""
 
 _NUM_POSE_JOINTS = 6
-"""Number of joints of a leg that can give its sole any pose."""
+"""Number of joints with which a leg can give its sole any position and orientation."""
 
 
 def has_underactuated_feet(robot: Robot) -> bool:
@@ -473,7 +476,8 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
 
 NEAR_MISS = 1e-3
-"""Foot error [m] below which the feet may be in reach after a small CoM displacement."""
+"""Foot error [m] below which a configuration is refined, because the feet may be in reach after a
+small displacement of the CoM. Chosen, not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a
@@ -485,8 +489,9 @@ apart for Pupper: the displacement that frees a thigh that penetrates the ground
 with 5, a stand was missed."""
 
 _MAX_TRIED_COMBINATIONS = 64
-"""Upper bound of evaluated branch combinations per base position. With 16, the combination by which
-a Mini Cheetah stands on 62 degrees was missed."""
+"""Upper bound of the combinations of IK branches that are evaluated per displaced base position.
+Measured: with 16, the combination with which a Mini Cheetah stands on a slope of 62 deg was
+    missed."""
 
 _SEEDS_PER_PLACE = 4
 """Number of initial guesses per displaced base position, those with the smallest violations.

@@ -26,14 +26,17 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 BISECTION_RTOL = 1e-3
-"""Tolerance of an end of an interval, relative to the first step."""
+"""Accuracy of the ends of a reachable interval, relative to the first step of the search
+(`_FIRST_STEPS`). Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
-"""Step, relative to the first, above which a failure from the last stand is followed by a full
-search."""
+"""Step of the outward search, relative to the first step, above which a failed IK from the last
+stand is followed by a full search from all initial guesses. With shorter steps the full search is
+used only before an end is accepted. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
-"""Step, relative to the first, after a full search has found more than the last stand leads to."""
+"""Step of the outward search, relative to the first step, with which the search continues after a
+full search has found a stand that IK from the last stand missed. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
 """Distance, relative to the first step, beyond an unreachable stand at which another stand is
@@ -43,7 +46,8 @@ DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
 """{direction: first step [m or rad]}. Chosen, not tuned."""
 _MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
-"""{angle: largest absolute value [rad]}."""
+"""{angle: largest absolute value that is searched [rad]}: larger angles describe equal
+rotations."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,10 @@ def find_interval(
     *,
     usual_starts_only: bool = False,
 ) -> Interval:
-    """Find the reachable interval in one direction; see `base_workspace`.
+    """Find the reachable interval of one base coordinate, with the feet planted.
+
+    The search moves outward from the stand in both directions, to the first unreachable stand.
+    `base_workspace` describes which other quantities stay constant.
 
     Args:
         robot: Robot.
@@ -186,7 +193,7 @@ def _get_coordinate(robot: Robot, start: Stand, direction: str) -> float:
 
 
 def _base_offset(robot: Robot, start: Stand) -> Array:
-    """Return the base position from the centre of the feet, shape (2,) [m]."""
+    """Return the base position relative to the centre of the feet, world x and y, (2,) [m]."""
     offset: Array = start.qpos[:2] - start.centre(robot)[:2]
     return offset
 
@@ -199,7 +206,10 @@ def _solve_at(
     near: Stand | None,
     usual_starts_only: bool,
 ) -> Stand | None:
-    """Return the stand at a value; None if unreachable or with too small a CoM margin."""
+    """Solve the stand at a value [m or rad] of one base coordinate.
+
+    None if the stand is unreachable, or its CoM margin is too small.
+    """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})
     except ConfigurationError:
@@ -217,7 +227,7 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return the task of a value in a direction."""
+    """Return the task of a stand with another value [m or rad] of one base coordinate."""
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()

@@ -193,7 +193,7 @@ class ContactKinematics:
 Array = NDArray[np.float64]
 
 GROUND_NORMAL = (0.0, 0.0, 1.0)
-"""Ground normal in the ground frame."""
+"""Unit normal of the ground in the ground frame, whose z axis is the normal."""
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
 """Upper bound of a base displacement in a Newton step [heights], and `_MAX_STEP_ANGLE` of a
@@ -280,16 +280,21 @@ class EquilibriumScales:
 
 Feet = Literal["pinned", "sliding"]
 RESIDUAL_TOLERANCE = 3e-12
-"""Largest residual of a solution [weights, weights x heights, heights]."""
+"""Upper bound of the residual of an accepted equilibrium, in units of robot weight (forces), weight
+x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Residual at rounding level, in the same units as `RESIDUAL_TOLERANCE`."""
+"""Rounding level of the residual, in units of robot weight, weight x height and height. Newton's
+method reuses a derivative if the predicted next residual is at most this value."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""Penetration up to which a contact does not count as touching [heights]: 1e-6 N for v3."""
+"""Penetration, in units of the CoM height, up to which a contact does not count as touching: a
+force of 1e-6 N for v3. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
-"""Factors of the sole compliance, in order, of the solves after a failure of Newton's method."""
+"""Factors of the tangential compliance at the points of soles with which the equilibrium is solved,
+in order, after Newton's method has failed. Each solution is the initial guess of the next. Chosen,
+not tuned."""
 
 _MAX_ITERATIONS = 16
 """Upper bound of Newton iterations. All of 5,148 measured solutions took 12 or fewer."""
