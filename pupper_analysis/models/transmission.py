@@ -51,7 +51,10 @@ def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint: its actuators} of all driven joints; see ``list_joint_actuators``."""
+    """Return {joint id: ids of its actuators} for all hinges and slides with an actuator.
+
+    Only actuators with transmission ``joint`` or ``jointinparent`` at this one joint count.
+    """
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
         if is_at_one_joint(model, actuator):

@@ -497,7 +497,10 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 
 
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
-    """Return the joints of a URDF without limits; see ``states_no_limits``."""
+    """Return the revolute joints of a URDF whose ``<limit>`` specifies no range.
+
+    `states_no_limits` defines this: limits are missing, or all zero together with the effort.
+    """
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 

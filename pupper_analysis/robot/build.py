@@ -156,7 +156,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to its MJCF; see ``rebuild_robot``."""
+    """Build a robot with additions to its MJCF; keep nominal stand, notes and published file."""
     description = robot.description.given(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 

@@ -273,7 +273,11 @@ class Stability(Result):
         return min((mode.damping_ratio for mode in swinging), default=1.0)
 
     def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
-        """Return the modes that leave the state within a duration [s]; see `Mode.grows_within`."""
+        """Return the unstable modes that leave the state within a duration [s].
+
+        `Mode.grows_within` decides. If MuJoCo's no-slip solver is active (``sticks``), friction
+        holds buckling modes, so only growing oscillations are returned.
+        """
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
         return tuple(mode for mode in growing if mode.shakes or not self.sticks)
 

@@ -151,7 +151,11 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
 
 def split_place(point: Any) -> tuple[str, Any]:
-    """Return the frame of a place ("" for the base), and the coordinates; see ``find_place``."""
+    """Split a place into the name of its frame ("" for the base) and its coordinates.
+
+    Args:
+        point: (frame, x, y, z) [m], or coordinates (x, y, z) [m] in the base frame.
+    """
     if (
         isinstance(point, Sequence)
         and len(point) == _NUM_FRAMED_VALUES

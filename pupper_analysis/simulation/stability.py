@@ -126,7 +126,14 @@ def evaluate_final_stability(
 def evaluate_stability(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge the stability of a state under a command; see ``judge_stability``."""
+    """Judge the stability of a simulated state under a constant command.
+
+    Args:
+        drive: MuJoCo model with servos.
+        state: MuJoCo state, mjSTATE_FULLPHYSICS.
+        ctrl: Command of the actuators.
+        settle: Time for which the state is simulated first [s].
+    """
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl
@@ -134,7 +141,13 @@ def evaluate_stability(
 
 
 def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
-    """Compute the spectrum at a state (mjSTATE_FULLPHYSICS) under a command; see ``Stability``."""
+    """Compute the modes of MuJoCo's simulation step at a state under a constant command.
+
+    Args:
+        drive: MuJoCo model with servos.
+        state: MuJoCo state, mjSTATE_FULLPHYSICS.
+        ctrl: Command of the actuators.
+    """
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl

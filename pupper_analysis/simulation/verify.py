@@ -515,7 +515,14 @@ def _find_standing_failures(
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Return the torque by which deviations are divided [N m]; see ``TORQUE_SCALE_LEVER``."""
+    """Return the torque [N m] by which torque deviations are divided.
+
+    The largest magnitude of ``torques``, and at least the weight times `TORQUE_SCALE_LEVER`.
+
+    Args:
+        robot: Robot.
+        torques: Predicted joint torques, shape (nu,) [N m].
+    """
     return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
 

@@ -142,7 +142,10 @@ class Stand(Tabular):
         return found
 
     def centre(self, robot: Robot) -> Array:
-        """Return the centre of the stance feet, shape (3,) [m]; see `Goal.centre`."""
+        """Return the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
+
+        Hands and steep planes are left out, unless nothing remains (`Goal.centre`).
+        """
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
     def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:

@@ -329,10 +329,11 @@ def _build_goal(
 def feet_centre(
     robot: Robot, ground: Ground, contact_by_foot: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> Array:
-    """Compute the centre of the stance feet, shape (3,) [m]; see `Goal.centre`.
+    """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-    Welded feet count as contacts. For an arm, the point below the base of the home pose; if all
-    feet are lifted, the mean of their targets.
+    Hands and steep planes are left out, unless nothing remains (`Goal.centre`). Welded feet count
+    as contacts. For an arm, the point below the base of the home pose; if all feet are lifted, the
+    mean of their targets.
     """
     if robot.welds:
         if len(robot.hands) == len(robot.feet):

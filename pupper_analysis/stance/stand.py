@@ -72,7 +72,12 @@ def solve_stand(
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
-    """Solve a goal; see `solve_stand`.
+    """Search for the stand of a goal.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal.
+        explain: Whether the error states which demands to relax, and how far; takes longer.
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.

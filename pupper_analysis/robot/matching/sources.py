@@ -125,7 +125,13 @@ class MjcfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location of a value: see `UrdfSources.place`."""
+        """Return the location of a value in the MJCF; the file without line if it has none.
+
+        Args:
+            kind: Kind of the value, as in a `Difference`.
+            element: Name in the comparison: joint, body (joint that moves the body, or base), frame
+                or other element.
+        """
         file, body = self.file, self.bodies.get(element, "")
         if kind in _MJCF_SECTIONS:
             has_name = not element.startswith("#")
@@ -154,7 +160,10 @@ class MjcfSources:
         return _find_stated(file, kind, candidates)
 
     def members(self, mover: str) -> list[tuple[str, float]]:
-        """Return (body, mass [kg]) of the bodies that move with a joint: see `UrdfSources`."""
+        """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
+
+        The first body is the one that the joint moves; others are listed if they have mass.
+        """
         model = self.model
         first_body = model.body(self.bodies[mover]).id
         welded = np.flatnonzero(model.body_weldid == model.body_weldid[first_body]).tolist()

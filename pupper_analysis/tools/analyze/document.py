@@ -50,7 +50,14 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 @build_document.register(Analysis)
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
-    """Create the document of an analysis; see ``build_document``."""
+    """Create the report of an analysis: stand, loads, simulations and their verdict.
+
+    `build_document` calls this function for an `Analysis`.
+
+    Args:
+        analysis: Result.
+        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+    """
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
     blocks: list[doc.Block] = [

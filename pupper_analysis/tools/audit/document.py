@@ -31,7 +31,10 @@ MAX_SHOWN_GROUPS = 40
 
 @build_document.register(Audit)
 def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
-    """Build the document of an audit; see ``build_document``."""
+    """Create the report of an audit: grouped findings, the most severe first, and their number.
+
+    `build_document` calls this function for an `Audit`.
+    """
     counts = [
         text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
         for severity, count in audit.counts.items()

@@ -27,7 +27,10 @@ from pupper_analysis.tools.check.remarks import Remark, count_findings
 
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
-    """Build the document of a check; see ``build_document``."""
+    """Create the report of the check of a repository: groups of findings, and the pairs of files.
+
+    `build_document` calls this function for a `RepositoryCheck`.
+    """
     groups = group_findings(check.remarks)
     blocks: list[doc.Block] = [_describe_group(group) for group in groups if not group[0].known]
     if known := tuple(_describe_known_group(group) for group in groups if group[0].known):
@@ -60,7 +63,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Combine remarks with the same cause, or with the same values; see `Remark.finding`."""
+    """Group remarks with the same cause, or with the same values at several elements."""
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)

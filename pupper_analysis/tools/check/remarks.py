@@ -462,7 +462,7 @@ def mark_known_remarks(
 
 
 def count_findings(remarks: Iterable[Remark]) -> int:
-    """Count the findings; see `Remark.finding`."""
+    """Count findings: remarks with the same cause or the same values count as one finding."""
     return len({remark.finding for remark in remarks})
 
 

@@ -30,7 +30,10 @@ MAX_SHOWN_FINDINGS = 25
 
 @build_document.register(Contract)
 def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
-    """Build the document of a contract; see ``build_document``."""
+    """Create the report of a contract: disagreements of model, policy and drivers, and their facts.
+
+    `build_document` calls this function for a `Contract`.
+    """
     message = text(
         "contract-count",
         findings=len(contract.findings),

@@ -14,7 +14,10 @@ from pupper_analysis.tools.convert.model import Conversion
 
 @build_document.register(Conversion)
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
-    """Create the document of a conversion; see ``build_document``."""
+    """Create the report of a conversion: verdict of the checks, and what was not converted.
+
+    `build_document` calls this function for a `Conversion`.
+    """
     blocks = []
     if conversion.not_converted:
         left = tuple(map(doc.diagnostic_text, conversion.not_converted))

@@ -149,7 +149,10 @@ MAX_NAMED_ELEMENTS = 4
 
 @build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
-    """Build the document of a comparison; see ``build_document``."""
+    """Create the report of the comparison of a URDF and an MJCF: differences and their causes.
+
+    `build_document` calls this function for a `Comparison`.
+    """
     agree, same = comparison.agree, comparison.same_robot
     messages = (*list_matching_notes(comparison), *comparison.check.notes)
     notes: list[doc.Words] = list(map(doc.diagnostic_text, messages))

@@ -22,7 +22,10 @@ _MIN_RELATIVE_CHANGE = 1e-3
 
 @build_document.register(ModelDiff)
 def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
-    """Build the document of a diff; see ``build_document``."""
+    """Create the report of the changes between two versions of a model.
+
+    `build_document` calls this function for a `ModelDiff`.
+    """
     count = len(diff.changes)
     changes = text("1-change") if count == 1 else text("count-changes", count=count)
     return doc.Document(

@@ -99,7 +99,10 @@ def _estimate_table(
 
 @build_document.register(MotionFit)
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
-    """Create the document of a fit of motions; see ``build_document``."""
+    """Create the report of a fit of model parameters to measured motions.
+
+    `build_document` calls this function for the result of the fit.
+    """
     findings = (
         *_describe_errors(fit),
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
@@ -137,7 +140,10 @@ def _joint_error_plot(fit: MotionFit) -> doc.BarPlot:
 
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
-    """Create the document of a fit of stands; see ``build_document``."""
+    """Create the report of a fit of model parameters to measured stands.
+
+    `build_document` calls this function for the result of the fit.
+    """
     findings = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
         _describe_total_mass(fit.total_mass),
@@ -267,7 +273,10 @@ def _stand_table(plan: StandPlan) -> doc.Table:
 
 @build_document.register(Recording)
 def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
-    """Create the document of a recording; see ``build_document``."""
+    """Create the report of a recording of stands: recorded, existing and missing stands.
+
+    `build_document` calls this function for a `Recording`.
+    """
     counts = {"taken": len(recording.taken), "had": len(recording.had), "left": len(recording.left)}
     values = {name: str(count) for name, count in counts.items()}
     message = "stands-taken" if recording.left else "all-stands-taken"

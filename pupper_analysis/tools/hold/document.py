@@ -35,7 +35,14 @@ _RINGS = 12
 
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
-    """Returns what a posture that is held costs, and whether it holds; see ``build``."""
+    """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
+
+    `build_document` calls this function for a `Hold`.
+
+    Args:
+        hold: Result.
+        robot: Robot of the result, for notes; None if it is not available.
+    """
     limits, run = hold.limits.tolist(), hold.verification
     return judged_document(
         text("held-posture"),

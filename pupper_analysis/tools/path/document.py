@@ -17,7 +17,10 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 @build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a path, with an animated 3-D view; see ``build_document``."""
+    """Create the report of a path and its simulation, with an animated 3-D view.
+
+    `build_document` calls this function for a `PathThere`.
+    """
     path, tracking = there.path, there.tracking
     used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)

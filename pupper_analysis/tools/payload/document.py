@@ -23,7 +23,14 @@ from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTria
 
 @build_document.register(PayloadLimit)
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
-    """Returns what a stance can carry; see ``build``."""
+    """Create the report of the largest payload of a stance: mass, bounds and simulations.
+
+    `build_document` calls this function for a `PayloadLimit`.
+
+    Args:
+        limit: Result.
+        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+    """
     found = () if limit.trial is None else (_trial(limit.trial),)
     return judged_document(
         text("payload-title"),

@@ -21,7 +21,14 @@ Array = NDArray[np.float64]
 
 @build_document.register(Walk)
 def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
-    """Create the document of the gaits of a policy; see ``build_document``."""
+    """Create the report of the gaits of a policy: view, motor table, runs and torques.
+
+    `build_document` calls this function for a `Walk`.
+
+    Args:
+        walk: Result.
+        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+    """
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
     word = "walk-follows" if walk.passed else "walk-falls" if fallen else "walk-does-not-follow"
     return doc.Document(
@@ -218,7 +225,10 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
 
 @build_document.register(TrackedIntervals)
 def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
-    """Create the document of tracked intervals; see ``build_document``."""
+    """Create the report of the command intervals that a policy tracks.
+
+    `build_document` calls this function for `TrackedIntervals`.
+    """
     outside = [interval for interval in result.intervals if interval.inside is False]
     if not result.seeds:
         word = "walk-does-not-follow"
@@ -319,7 +329,10 @@ def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]
 
 @build_document.register(Orders)
 def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a ranking of readings; see ``build_document``."""
+    """Create the report of a ranking of joint orders, signs, scales and histories of a policy.
+
+    `build_document` calls this function for `Orders`.
+    """
     best, stated = result.candidates[0], result.candidates[result.stated]
     if not best.tracked:
         word, line = "walk-of-none", text("walk-none-tracks", count=len(result.candidates))

@@ -15,7 +15,10 @@ from pupper_analysis.stance.workspace import BaseWorkspace
 
 @build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a workspace; see ``build_document``."""
+    """Create the report of a base workspace: reachable range of each direction [mm, deg].
+
+    `build_document` calls this function for a `BaseWorkspace`.
+    """
     rows: list[tuple[doc.Cell, ...]] = []
     ranges = []
     for direction, interval in workspace.intervals.items():

@@ -93,7 +93,7 @@ def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]
 
 @rule
 def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Report mesh files with errors, each file once; see `find_mesh_problem`."""
+    """Find mesh files of a URDF that `find_mesh_problem` cannot read, each file once."""
     seen: set[Path] = set()
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):

@@ -40,7 +40,12 @@ def is_bag(path: Path) -> bool:
 def read_bag(
     path: Path, topics: Mapping[str, str], joints: Sequence[str]
 ) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Read joint positions and commands from a bag; see ``read_log``.
+    """Read joint positions and commands from a ROS bag, resampled to a common clock.
+
+    Args:
+        path: Bag.
+        topics: {kind of value: topic}, chosen by the user.
+        joints: Names of the joints.
 
     Returns:
         Times from the first sample on, shape (n,) [s], and {kind: {joint: values, shape (n,) [rad,

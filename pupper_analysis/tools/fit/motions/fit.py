@@ -405,7 +405,7 @@ class MotionResiduals:
         self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
 
     def linearise(self, moments: Array, noise_point: Array) -> LinearisedResiduals:
-        """Return whitened residuals as sums; see ``estimate_parameters``.
+        """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
 
         The noise is estimated from the residuals if ``moments`` is ``noise_point``; derivatives are
         then evaluated again if the parameters have moved far.
