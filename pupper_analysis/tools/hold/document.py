@@ -115,10 +115,10 @@ def _tool(hold: Hold) -> doc.Table:
 
 
 def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Returns what positions (nu,) are multiplied by to be in degrees, or mm where they slide.
+    """Return factors, shape (nu,), that convert joint positions to the displayed units.
 
     Args:
-        units: (nu,) those that they have: rad or m.
+        units: Unit of each joint position: rad (displayed in degrees) or m (displayed in mm).
     """
     return np.array([READ_IN[unit][0] for unit in units])
 
@@ -251,11 +251,13 @@ def _posture(hold: Hold) -> doc.Words:
 
 
 def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
-    """Says which motor is closest to its limit, if one has any.
+    """Yield a sentence that names the motor with the largest utilisation.
+
+    Nothing is yielded if no motor has a limit, or if a motor has no torque.
 
     Args:
-        statics: What the motors hold.
-        limits: (nu,) theirs (N m).
+        statics: Torques of the motors.
+        limits: Effort limits, shape (nu,) [N m].
     """
     used = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(used)

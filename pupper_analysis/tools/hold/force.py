@@ -68,12 +68,15 @@ class ToolForce(Tabular):
 
 @check_arguments
 def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
-    """Finds how hard a tool can be pushed in a posture, each way, before a motor gives in.
+    """Compute the largest external forces on a tool that the motors withstand in a posture.
+
+    The forces are computed along the axes of the world frame, over three sections, and in the
+    weakest direction. Each is added to the load of gravity.
 
     Args:
-        robot: A robot whose base is held.
-        posture: The posture.
-        tool: Where it is pushed.
+        robot: Robot with a fixed base.
+        posture: Posture.
+        tool: Point on which the force acts.
     """
     rows, room = force_polytope(robot, posture, tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
@@ -102,15 +105,17 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
 def force_limits_along(
     rows: Array, room: Array, directions: Array
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Returns the greatest forces (n,) of a polytope along directions (n, 3), unit vectors.
+    """Compute the largest forces in a polytope rows f <= room along given directions.
 
     Args:
-        rows: (2 nu, 3) see ``force_polytope``.
-        room: (2 nu,) likewise.
-        directions: (n, 3).
+        rows: Normals of the faces, shape (2 nu, 3), from `force_polytope`.
+        room: Right-hand side, shape (2 nu,) [N m], from `force_polytope`.
+        directions: Unit vectors, shape (n, 3), in the world frame.
 
     Returns:
-        The forces (N), and whose motor is at its limit then (its number; -1: none).
+        Forces, shape (n,) [N]: infinite if no motor bears the force, NaN if a motor that bears it
+        has an unknown limit, 0 if a motor is overloaded without the force; and the index of the
+        motor at its limit, shape (n,), -1 for infinity and NaN.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -124,7 +129,20 @@ def force_limits_along(
 
 
 def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
-    """Returns rows (2 nu, 3) and room (2 nu,) of the forces f withstood: rows f <= room."""
+    """Return the polytope of external forces f on a tool that the motors withstand at rest.
+
+    With the load l of the motors and the Jacobian J of the tool, |l - J^T f| <= limits is written
+    as rows f <= room.
+
+    Args:
+        robot: Robot with a fixed base.
+        posture: Posture.
+        tool: Point on which the force acts.
+
+    Returns:
+        rows, shape (2 nu, 3) [m], and room, shape (2 nu,) [N m], for f in world axes [N]; the lower
+        limits of all motors, then the upper limits.
+    """
     config, limits = Configuration(robot, posture.qpos), robot.effort_limits
     load = config.by_motors(config.load())
     rows = config.by_motors(tool.jacobian(config).T)

@@ -39,23 +39,27 @@ _BEYOND = 1e-6
 
 
 class JointMotions:
-    """The ways in which a robot's joints move: those that follow others, with them.
+    """Independent joint motions of a robot with a fixed base, including coupled joints.
+
+    A motion is that of one independent (leading) joint, and of the joints that loops and couplings
+    make follow it.
 
     Args:
-        robot: A robot whose base is held.
-        posture: One of its postures.
+        robot: Robot with a fixed base.
+        posture: Posture.
 
     Attributes:
-        origin: (nu,) the posture.
-        free: Numbers of the joints that lead ways: those that follow none.
-        steps: (nu, n) how all joints move with each, near the posture.
-        moved: Numbers of the joints that move with each.
-        bent: (n,) whether joints follow it otherwise than in proportion: in a loop.
-        ranges: (nu, 2) of the joints (rad, m); of those that turn freely, a turn.
-        shares: (nu, nu) what motors hold of each joint's load, in the posture.
-        constant: (nu,) whether that is the same in every posture.
-        slides: (nu,) whether a joint slides.
-        endless: Whether one does so without limits.
+        origin: Joint positions of the posture, shape (nu,) [rad, m].
+        free: Indices of the n independent joints, one for each motion.
+        steps: Movement of all joints per movement of the leading joint, near the posture, shape
+            (nu, n).
+        moved: For each motion, the indices of the joints that move.
+        bent: Whether joints follow the motion nonlinearly (in a closed loop), shape (n,).
+        ranges: Limits of the joints, shape (nu, 2) [rad, m]; one turn for joints without limits.
+        shares: Fraction of each joint's load that each motor holds in the posture, shape (nu, nu).
+        constant: Whether these fractions are equal in all postures, shape (nu,).
+        slides: Whether the joint is a slide, shape (nu,).
+        endless: Whether a slide has no limits.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:
@@ -78,7 +82,13 @@ class JointMotions:
             self._bind(self._closure)
 
     def random(self, count: int) -> list[Array]:
-        """Returns so many random postures (nu,), their loops closed: the same ones each time."""
+        """Return random postures, shape (nu,) [rad, m] each, with closed loops.
+
+        The seed of the generator is fixed, so that each call returns the same postures.
+
+        Args:
+            count: Number of postures.
+        """
         random, found = np.random.default_rng(0), []
         for _ in range(count):
             qpos = self.origin.copy()
@@ -93,7 +103,15 @@ class JointMotions:
         return found
 
     def span(self, qpos: Array, way: int) -> tuple[float, float]:
-        """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
+        """Return the range of a motion from a posture, within the joint limits.
+
+        Args:
+            qpos: Posture, shape (nu,) [rad, m].
+            way: Index of the motion.
+
+        Returns:
+            Smallest and largest displacement of the leading joint [rad, m].
+        """
         moving, lead = self.moved[way], self.free[way]
         if self.bent[way]:  # closing the loop shows how far the joints that follow let it go
             low, high = self.ranges[lead] - qpos[lead]
@@ -103,15 +121,22 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def places(self, way: int) -> int:
-        """Returns at how many places a way is looked at; loops are closed once for all at these."""
+        """Return the number of samples along a motion. Loops are closed once at each sample."""
         if not self.bent[way]:
             return _SAMPLES
         return _PLACES if len(np.intersect1d(self._loop[way], self.free)) == 1 else _FEWER
 
     def along(self, qpos: Array, way: int, length: float) -> Array | None:
-        """Returns the posture (nu,) that is so far along a way (rad, m), its loop closed.
+        """Return the posture after a displacement along a motion, with closed loops.
 
-        None if that does not close there, or takes others beyond their ranges.
+        Args:
+            qpos: Posture, shape (nu,) [rad, m].
+            way: Index of the motion.
+            length: Displacement of the leading joint [rad, m].
+
+        Returns:
+            Posture, shape (nu,). None if the loop cannot be closed, or if closing the loop moves
+            other joints beyond their ranges.
         """
         if not self.bent[way]:
             moved: Array = qpos + length * self.steps[:, way]
@@ -169,7 +194,15 @@ class JointMotions:
 
 
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
-    """Returns the joints that loops and couplings bind to each other near a posture, by sets."""
+    """Return groups of joints that loops and couplings connect near a posture.
+
+    Args:
+        closure: Loops and couplings of the robot.
+        qpos: Posture, shape (nu,) [rad, m].
+
+    Returns:
+        Sorted joint indices of each group.
+    """
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]
     binds = np.any([np.abs(closure.rows(one)) > _UNMOVED for one in near], axis=0)

@@ -67,9 +67,17 @@ class TorqueSearch:
         self._matters = carried | carried.T | (not self._waves)
 
     def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
-        """Returns the most that a motor holds with a sign (N m, N), and where, from some postures.
+        """Search the largest torque of a motor in one direction from several postures.
 
-        No other is begun from if several end alike.
+        The search ends early if several start postures lead to the same torque.
+
+        Args:
+            joint: Index of the joint.
+            sign: Direction of the torque, 1 or -1.
+            starts: Start postures, shape (nu,) [rad, m] each.
+
+        Returns:
+            sign x torque [N m, N], and the posture, shape (nu,).
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
@@ -84,7 +92,17 @@ class TorqueSearch:
     def climb(
         self, joint: int, sign: float, qpos: Array, *, fine: bool = False
     ) -> tuple[float, Array]:
-        """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
+        """Search the largest torque of a motor in one direction, motion by motion from a posture.
+
+        Args:
+            joint: Index of the joint.
+            sign: Direction of the torque, 1 or -1.
+            qpos: Start posture, shape (nu,) [rad, m].
+            fine: Refine maxima between the samples of closed loops.
+
+        Returns:
+            sign x torque [N m, N], and the posture, shape (nu,).
+        """
         best = self._torque(joint, sign, qpos)
         loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
         matter = self._matters[loads].any(axis=0)
@@ -256,21 +274,22 @@ def worst_postures(
     near: WorstPostures | None = None,
     bearing: NDArray[np.bool_] | None = None,
 ) -> WorstPostures:
-    """Finds for each motor the posture in which gravity, and springs of joints, ask most of it.
+    """Search for each motor the posture in which gravity and joint springs load it most.
 
-    A torque is a + b cos q + c sin q of each joint's angle q with the others where they are
-    (a + b q of a slide; a spring at the joint adds k q), so that three looks give its greatest
-    along a joint in closed form. A search goes from joint to joint until that gains nothing, from
-    random postures until several end alike. That is no proof: there may be a posture that asks for
-    more, though none of 20,000 random ones did of seven arms and hands.
+    As a function of one joint angle q, a torque is a + b cos q + c sin q (a + b q for a slide; a
+    spring at the joint adds k q). Three samples therefore give the maximum over one joint in closed
+    form. A search maximises over one joint after another until the torque no longer increases. It
+    is repeated from random postures until several searches agree. The result is no proof: another
+    posture may have a larger torque. None of 20,000 random postures of seven arms and hands did.
 
     Args:
-        robot: A robot whose base is held.
-        posture: Where joints are that do not matter.
-        tool: Where the payload is.
-        payload: A mass at the tool (kg).
-        near: The worst postures for another payload: searches begin there.
-        bearing: (nu,) which motors bear the payload, if that is known: all else is as ``near``.
+        robot: Robot with a fixed base.
+        posture: Posture; supplies the positions of joints that do not affect a torque.
+        tool: Point at which the payload is attached.
+        payload: Mass at the tool [kg].
+        near: Worst postures for another payload, as additional start.
+        bearing: Motors that bear the payload, shape (nu,). With ``near``, only these are searched;
+            the results of other motors are copied.
     """
     motions = JointMotions(robot, posture)
     starts = motions.random(_STARTS)

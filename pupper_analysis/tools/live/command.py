@@ -169,7 +169,7 @@ def read_stance(path: Path) -> State:
     )
 
     def typed(**_: object) -> None:
-        """Takes the options of a stance."""
+        """Accept the options of a stance; click parses them."""
 
     options = add_options((stance_option,), PAYLOAD_OPTIONS, GAIN_OPTIONS, make_options())
     parameters = (

@@ -170,7 +170,7 @@ class NumberPanel:
 
     @property
     def content(self) -> str:
-        """What it shows."""
+        """HTML of the panel."""
         return str(self._panel_html.content)
 
     @content.setter

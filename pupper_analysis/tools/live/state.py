@@ -122,7 +122,11 @@ class State:
         )
 
     def payload_point(self) -> tuple[str | float, ...]:
-        """Return the position of the payload [m]; see `robot.tool.find_place`."""
+        """Return the position of the payload in SI units.
+
+        Returns:
+            (x, y, z) [m] in the base frame, or (frame, x, y, z).
+        """
         place: tuple[str | float, ...] = convert_to_si(SLIDER_FIELDS["payload_at"], self.payload_at)
         return place
 

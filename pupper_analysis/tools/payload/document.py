@@ -67,7 +67,7 @@ def _word(limit: PayloadLimit) -> doc.Words:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """Returns the greatest mass, where it is, and what gives way beyond it."""
+    """Return a sentence with the largest payload, its position, and the failure above it."""
     if limit.unknown_limits and limit.at_most > 0:
         return _unknown_text(limit)
     return text(
@@ -96,7 +96,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Returns what each bound lets it carry, and what gives way there, the least first."""
+    """Return a table of the payload bounds: mass and failure above it, the smallest first."""
     rows: list[tuple[doc.Cell, ...]] = [
         (text(_BOUNDS[name]), mass_text(bound.mass), _then(bound))
         for name, bound in limit.bounds.items()

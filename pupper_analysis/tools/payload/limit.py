@@ -551,10 +551,11 @@ class _PayloadSearch:
         return _bisect_mass(self.servos, low, high, cause, SIMULATION_RTOL * low)
 
     def spectrum(self, mass: float) -> FailureCause:
-        """Return why servos do not hold a mass [kg], by the spectrum only; see ``servos``.
+        """Return why the servos do not hold a mass [kg], from the linearised dynamics only.
 
-        Modes that dry friction hides are omitted, and modes that depend on the finite-difference
-        step: only a simulation decides on both.
+        The reasons are those of ``servos``, without simulation. Modes that dry friction hides are
+        omitted, and modes that depend on the finite-difference step: only a simulation decides on
+        both.
         """
         return self.servos(mass, simulated=False)
 

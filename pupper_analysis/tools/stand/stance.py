@@ -82,14 +82,14 @@ class Stance(Tabular):
         }
 
     def to_csv(self, path: str | Path, *, force: bool = False) -> None:
-        """Writes the table of joints, with a header line that names the units.
+        """Write positions, torques and limits of the joints as CSV, with units in the header.
 
         Args:
-            path: The file.
-            force: Replace what is no such table, too.
+            path: Output file.
+            force: Also replace an existing file that is not such a table.
 
         Raises:
-            OutputError: If the file cannot be written, or is no such table.
+            OutputError: If the file cannot be written, or must not be replaced.
         """
         units = ("", " (rad)", " (N m)", " (N m)", "", " (N m)")
         columns = self._columns()
@@ -100,12 +100,12 @@ class Stance(Tabular):
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors above their limits with the contact forces that last, without any payload."""
+        """Motors above their limits, with minimum tangential contact forces."""
         return self.verdict.overloaded
 
     @property
     def passed(self) -> bool:
-        """Whether it holds, by its verdict."""
+        """Whether the verdict on the stance is positive."""
         return self.verdict.passed
 
 
@@ -117,19 +117,19 @@ def study_stance(
     kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
-    """Solves a stance, and finds out what it costs and whether it holds.
+    """Solve a stance, compute its torques and contact forces, and simulate whether it holds.
 
     Args:
-        robot: The robot.
-        stance: The stance, or a stand, which is taken as it is.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
-        stiffness: Also find the minimum stiffness of the servos (a second or two).
+        robot: Robot.
+        stance: Stance to be solved, or a stand that is already solved.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        stiffness: Also search the minimum stiffness of the servos (a second or two).
 
     Raises:
-        StanceUnreachableError: If it is out of reach.
-        StaticsInfeasibleError: If it is reached, but slides or tips.
-        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        StanceUnreachableError: If the stance is out of reach.
+        StaticsInfeasibleError: If the stance is reachable, but slides or tips.
+        ConfigurationError: If the task, or another argument, is invalid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
@@ -178,14 +178,18 @@ class LargestPress(Result):
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
-    """Finds how hard each hand can press in a stand: of forces in all cones the largest.
+    """Compute the largest normal force with which each hand can press in a stand.
 
-    All contacts and motors share in it by one cone programme; a stated force does not count. A hand
-    that nothing limits, or beside which motors are too weak to stand, has none.
+    One cone program per hand maximises the force under balance, friction cones and effort limits. A
+    force that the task states is ignored. A hand is left out if its force is unlimited, or if the
+    motors are too weak to stand.
 
     Args:
-        robot: The robot.
-        stand: The stand; of one that is welded nothing is found, as what it is welded to limits it.
+        robot: Robot.
+        stand: Stand.
+
+    Returns:
+        Result of each hand; empty if a part of the robot is welded.
     """
     robot = stand.check(robot)
     carrying = replace(stand_contacts(robot, stand), stated=None)
@@ -233,11 +237,19 @@ class Preparation(Result):
 def explain_loading(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Preparation, Robot]:
-    """Makes two files a robot, and tells how.
+    """Build a robot from a URDF and an MJCF, and report the preparation passes.
+
+    Args:
+        urdf: URDF.
+        mjcf: MJCF of the same robot.
+        request: Options of the user.
+
+    Returns:
+        Report of the passes, and the robot.
 
     Raises:
-        ModelError: If no robot can be made of them.
-        UnknownNameError: If a foot, joint or keyframe is not there.
+        ModelError: If no robot can be built from the files.
+        UnknownNameError: If a requested foot, joint or keyframe does not exist.
     """
     robot, runs = prepare_robot(urdf, mjcf, request)
     message = Preparation(

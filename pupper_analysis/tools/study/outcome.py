@@ -167,7 +167,10 @@ def study_outcome(
 
 
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the assumptions of the stands of a robot; see `StudyOutcome.rests_on`."""
+    """Return the assumptions on which the simulated stands of a robot depend.
+
+    These are the behaviour of the published file from its keyframe, and servos that were added.
+    """
     messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
         servos = find_servos_used(robot)

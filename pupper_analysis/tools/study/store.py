@@ -135,7 +135,7 @@ class Store:
             pq.write_table(table, file)
 
     def designs(self) -> NDArray[np.uint64]:
-        """Return the sorted keys (n,) of all stored designs; see `make_design_keys`.
+        """Return the sorted 64-bit keys (`make_design_keys`), shape (n,), of all stored designs.
 
         Raises:
             StudyError: If a shard cannot be read.

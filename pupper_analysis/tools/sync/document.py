@@ -21,7 +21,9 @@ def sync_document(
     chosen: bool = True,
     dry_run: bool = False,
 ) -> doc.Document:
-    """Create the document of a sync; see ``build_document``.
+    """Create the report of a sync: changed numbers of URDF and MJCF, remaining differences.
+
+    `build_document` calls this function for a `Sync`.
 
     Args:
         sync: Result.

@@ -82,7 +82,13 @@ class PrimPlaces:
     usd: UsdFile | None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Find a prim; see `UsdFile.place`."""
+        """Return the location of the USD prim of an element.
+
+        Args:
+            kind: Kind of the element, such as link or joint.
+            name: Name of the element.
+            child: Child element to locate instead. Default: the element itself.
+        """
         assert self.usd is not None
         return self.usd.place(kind, name, child)
 
