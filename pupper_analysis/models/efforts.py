@@ -80,7 +80,16 @@ class EffortStatement(Result):
         stated: Sequence[float],
         factor: float = 1.0,
     ) -> EffortStatement:
-        """Create a statement with the range at the joint."""
+        """Create a statement, and compute the torque range at the joint: ``factor`` x ``stated``.
+
+        Args:
+            file: ``URDF`` or ``MJCF``.
+            element: ``joint`` or ``actuator``.
+            name: Name of the element.
+            attribute: Attribute with the range.
+            stated: Lower and upper end in the file.
+            factor: Torque at the joint per unit of ``stated``.
+        """
         low, high = (float(end) for end in stated)
         ends = sorted((factor * low, factor * high))
         return EffortStatement(file, element, name, attribute, (low, high), factor, *ends)
@@ -89,7 +98,15 @@ class EffortStatement(Result):
     def empty(
         file: str, element: str, name: str, attribute: str, stated: Sequence[float]
     ) -> EffortStatement:
-        """Return the statement of a range from zero to zero, or of an inverted one: no torque."""
+        """Create the statement of an empty range (0 to 0, or inverted): zero torque at the joint.
+
+        Args:
+            file: ``URDF`` or ``MJCF``.
+            element: ``joint`` or ``actuator``.
+            name: Name of the element.
+            attribute: Attribute with the range.
+            stated: Lower and upper end in the file.
+        """
         low, high = (float(end) + 0.0 for end in stated)  # + 0.0: no -0.0
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
@@ -281,7 +298,15 @@ def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement
 
 
 def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
-    """Return the largest force or torque of the actuators of a joint; inf if unlimited."""
+    """Return the largest torque or force [N m, N] that the actuators of a joint can exert.
+
+    Args:
+        model: MuJoCo model.
+        joint: Id of the joint.
+
+    Returns:
+        The larger magnitude of both directions; infinite without a limit.
+    """
     limit = resolve_effort_limit(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
 

@@ -402,7 +402,12 @@ class SpecTree:
                 geom.contype = geom.conaffinity = 0
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Replace all keyframes by a single keyframe."""
+        """Replace all keyframes by the single keyframe `HOME_KEYFRAME`.
+
+        Args:
+            qpos: Configuration in MuJoCo's order.
+            ctrl: Commands of the actuators; zero if empty.
+        """
         for key in list(self.spec.keys):
             self.spec.delete(key)
         self.spec.add_key(name=HOME_KEYFRAME, qpos=qpos, **({"ctrl": ctrl} if len(ctrl) else {}))

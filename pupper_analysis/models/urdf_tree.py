@@ -186,7 +186,12 @@ class UrdfJoint(UrdfElement):
         return None if element is None else element.get(attribute.urdf[1])
 
     def state(self, attribute: JointAttribute, value: float) -> None:
-        """Set a joint parameter, which URDF must support."""
+        """Write a joint parameter that URDF can express into the XML element of the joint.
+
+        Args:
+            attribute: Parameter, for example damping.
+            value: Value in SI units.
+        """
         assert attribute.urdf is not None, f"a URDF has no words for {attribute.kind}"
         tag, word = attribute.urdf
         element = self.element.find(tag)

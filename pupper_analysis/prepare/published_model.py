@@ -348,7 +348,13 @@ def place_at_state(
 
 
 def place_fixed_base(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData:
-    """Return the data of a published model with a fixed base, at joint positions of shape (nu,)."""
+    """Return MuJoCo data of a published model with a fixed base, at given joint positions.
+
+    Args:
+        published: Published model with a fixed base.
+        robot: Robot that was loaded from the same file.
+        qpos: Joint positions, shape (nu,) [rad, m], in the robot's order.
+    """
     data = mujoco.MjData(published.model)
     for name, angle in zip(robot.joint_names, qpos.tolist(), strict=True):
         data.qpos[published.model.jnt_qposadr[published.model.joint(name).id]] = angle

@@ -217,7 +217,17 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
 
 
 def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
-    """Return the inertia at each joint, (nu,) [kg m^2], with all others free and loops closed."""
+    """Compute the effective inertia at each joint: torque per acceleration of this joint alone.
+
+    All other joints and a free base move without torque; loops stay closed.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration, shape (nq,).
+
+    Returns:
+        Shape (nu,) [kg m^2, kg].
+    """
     mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
     if robot.closure is None:
         inverse = np.linalg.inv(mass)

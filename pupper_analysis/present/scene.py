@@ -209,10 +209,10 @@ def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
 
 
 def compute_polygon_corners(points: Array) -> Array:
-    """Compute the corners of the support polygon, shape (m, 3) [m].
+    """Compute the corners of the support polygon, shape (m, 3) [m], from contact positions.
 
-    Each corner has the height of the point nearest in x and y. Points on one line give its two
-    ends.
+    ``points``, shape (n, 3) [m], and the corners are expressed in the world frame. Each corner has
+    the height of the point nearest in x and y. Points on one line give its two ends.
     """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # and no line, nor a point

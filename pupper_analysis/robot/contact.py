@@ -239,7 +239,15 @@ def foot_geoms(
 def ground_contacts(
     model: mujoco.MjModel, geoms: Mapping[str, tuple[int, float]]
 ) -> Mapping[str, ContactParameters]:
-    """Return {contact point: parameters of its contact with the ground}; empty without ground."""
+    """Return MuJoCo's contact parameters between each contact point and the ground.
+
+    Args:
+        model: MuJoCo model.
+        geoms: {contact point: (id of its geom, radius [m])}.
+
+    Returns:
+        {contact point: parameters}; empty if the model has no ground.
+    """
     ground = ground_geom(model)
     if ground is None:
         return MappingProxyType({})

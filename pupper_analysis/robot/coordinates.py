@@ -88,14 +88,25 @@ class PinocchioConvention:
         return 6 if self.floating else 0
 
     def q(self, qpos: Array) -> Array:
-        """Return Pinocchio's q (model.nq,) for a public qpos; the quaternion is normalised."""
+        """Convert a public qpos to Pinocchio's q, shape (model.nq,), with normalised quaternion.
+
+        Args:
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z).
+        """
         q = self.unit_q(qpos)
         if self.floating:
             q[3:7] /= math.hypot(*q[3:7].tolist())
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Return Pinocchio's q (model.nq,) for a public qpos with a normalised quaternion."""
+        """Convert a public qpos, whose quaternion is normalised already, to Pinocchio's q.
+
+        Args:
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z).
+
+        Returns:
+            Shape (model.nq,); a continuous joint has the entries cos and sin.
+        """
         if self._qpos_address_of_q is not None:
             q: Array = qpos.take(self._qpos_address_of_q)
             return q
@@ -121,7 +132,12 @@ class PinocchioConvention:
         return None if self._qpos_address_of_q is None else np.argsort(self._qpos_address_of_q)
 
     def with_joints(self, q: Array, joints: Array) -> Array:
-        """Return a copy of Pinocchio's q (model.nq,) with other joint positions (n,)."""
+        """Return a copy of Pinocchio's q with other joint positions.
+
+        Args:
+            q: Pinocchio's configuration, shape (model.nq,).
+            joints: Joint positions in public order, shape (n,) [rad, m].
+        """
         result = q.copy()
         unbounded = self.unbounded
         result[self.q_index[~unbounded]] = joints[~unbounded]
@@ -130,7 +146,13 @@ class PinocchioConvention:
         return result
 
     def qpos(self, q: Array) -> Array:
-        """Return the public qpos for Pinocchio's q; continuous joints are in (-pi, pi]."""
+        """Convert Pinocchio's q to the public qpos, shape (nq,), quaternion (w, x, y, z).
+
+        Continuous joints are between -pi and pi.
+
+        Args:
+            q: Pinocchio's configuration, shape (model.nq,).
+        """
         if self._q_address_of_qpos is not None:
             qpos: Array = q.take(self._q_address_of_qpos)
             return qpos
@@ -187,6 +209,12 @@ class MujocoConvention:
         )
 
     def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
-        """Write a public state to MuJoCo's data without computing anything; default qvel is 0."""
+        """Write a state in public order to MuJoCo's data, without computing anything.
+
+        Args:
+            data: MuJoCo data; modified.
+            qpos: Configuration, shape (nq,).
+            qvel: Velocity, shape (nv,). Default: zero.
+        """
         data.qpos[self.qpos_index] = qpos
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel

@@ -174,7 +174,12 @@ class Ground:
         return self.touched(foot, centre), reach
 
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
-        """Return the height [m] of the plane, or of a foot's step, at coordinates (x, y)."""
+        """Return the height [m] of the sloped ground at a horizontal position.
+
+        Args:
+            place: Position (x, y) or (x, y, z) [m], in the world frame.
+            foot: Foot whose step is added to the height. Default: no step.
+        """
         rise = math.tan(self.slope)
         along = place[0] * math.cos(self.uphill) + place[1] * math.sin(self.uphill)
         return float(rise * along) + (0.0 if foot is None else self.heights.get(foot, 0.0))

@@ -257,11 +257,19 @@ MIN_STIFFNESS = 1e-9
 def resolve_servo_gains(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> Gains:
-    """Return the gains of `model_with_servos`, without a model.
+    """Return the servo gains of the joints, without building a model with servos.
+
+    Args:
+        robot: Robot.
+        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: that of the MJCF's servos.
+        kd: Damping [N m s/rad], scalar or shape (nu,). Default: that of the MJCF's servos.
+
+    Returns:
+        Gains of each joint; 0 for the dependent joints of closed loops.
 
     Raises:
-        ConfigurationError: As for `model_with_servos`.
-        ModelError: As for `model_with_servos`.
+        ConfigurationError: If a gain is invalid or the stiffness too small.
+        ModelError: If a joint has no actuator, or is no servo and kp or kd is None.
     """
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)

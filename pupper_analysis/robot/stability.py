@@ -328,10 +328,11 @@ def step_stability(
 def judge_settled(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Return the result of `step_stability`, and the state to which it applies.
+    """Simulate a state for a settling time, and compute the stability where it settled.
 
-    This is the state after settling. It is the initial state if the simulation diverges, or if the
-    initial state has a mode that is fast enough to throw off the robot while it settles.
+    The result is that of `step_stability`, with the state to which it applies. This is the state
+    after settling. It is the initial state if the simulation diverges, or if the initial state has
+    a mode that is fast enough to throw off the robot while it settles.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)

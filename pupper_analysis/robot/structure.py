@@ -142,7 +142,7 @@ class Structure:
         return com
 
     def columns(self, jacobian: Array) -> Array:
-        """Return the model's Jacobian (n, nv) with columns in public order."""
+        """Sort the columns of a Pinocchio Jacobian, shape (n, nv), into the order of qvel."""
         if self.nv == 1:  # Pinocchio returns a vector
             jacobian = jacobian.reshape(-1, 1)
         return (
@@ -170,7 +170,7 @@ class Structure:
         return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)
 
     def velocity(self, qvel: Array) -> Array:
-        """Return a public velocity or force (nv,) in the order of the model."""
+        """Sort a velocity or force, shape (nv,), from public order into Pinocchio's order."""
         if self._public_to_model is None:
             return qvel
         result = np.empty(self.nv)
@@ -261,7 +261,10 @@ class Kinematics:
         self._com = np.zeros(0)
 
     def move(self, qpos: ArrayLike) -> None:
-        """Compute CoM, feet and links at a configuration (nq,); its quaternion is normalised.
+        """Compute the positions of CoM, feet and links in the world frame at a configuration.
+
+        Args:
+            qpos: Configuration, shape (nq,); its quaternion is normalised in a copy.
 
         Raises:
             ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is

@@ -55,7 +55,7 @@ class Tool(Result):
     chain: tuple[str, ...]
 
     def moved(self, way: ArrayLike) -> Tool:
-        """Return the point translated by a vector (3,) [m], in the axes of the link."""
+        """Return a copy of the tool, translated by a vector, shape (3,) [m], in link axes."""
         return replace(self, offset=self.offset + check_point(way))
 
     def position(self, config: Configuration) -> Array:

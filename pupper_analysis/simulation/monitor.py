@@ -227,7 +227,12 @@ class ContactSampler:
         self.data = mujoco.MjData(model)
 
     def sample(self, state: Array, ctrl: Array) -> ContactSample:
-        """Evaluate all contact forces at a state (mjSTATE_FULLPHYSICS) under a command."""
+        """Compute the ground forces on the feet, and the other bodies on the ground, at a state.
+
+        Args:
+            state: MuJoCo state, mjSTATE_FULLPHYSICS.
+            ctrl: Command of the actuators.
+        """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         self.data.ctrl[:] = ctrl
         mujoco.mj_forward(self._model, self.data)
@@ -235,7 +240,13 @@ class ContactSampler:
         return ContactSample(float(self.data.time), forces, bodies)
 
     def find_ground_bodies(self, state: Array) -> set[str]:
-        """Return the bodies other than feet that touch the ground; faster than ``sample``."""
+        """Return the names of bodies that touch the ground with other geoms than those of feet.
+
+        Faster than ``sample``, since no forces are computed.
+
+        Args:
+            state: MuJoCo state, mjSTATE_FULLPHYSICS.
+        """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         mujoco.mj_kinematics(self._model, self.data)
         mujoco.mj_collision(self._model, self.data)
@@ -309,13 +320,23 @@ def has_diverged(states: Array, timestep: float) -> bool:
 
 
 def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
-    """Describe the divergence of a rollout."""
+    """Return the message that a simulation diverged.
+
+    Args:
+        integrator: MuJoCo integrator.
+        timestep: Time step [s].
+    """
     step = Quantity(timestep, "s")
     return diagnose("simulation-diverged", integrator=integrator, timestep=step)
 
 
 def describe_fall(tilt_angle: float, height: float) -> Diagnostic:
-    """Describe a fall, with the tilt of the base [rad] and the height of the base [m]."""
+    """Return the message that the robot fell.
+
+    Args:
+        tilt_angle: Tilt of the base [rad].
+        height: Height of the base [m].
+    """
     tilt, remaining_height = Quantity(tilt_angle, "rad"), Quantity(height, "m")
     return diagnose("fell-over", tilt=tilt, height=remaining_height, time=None)
 
@@ -465,7 +486,16 @@ def record_contacts(
 def find_pushing_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Return the pairs of bodies, the world included, with a normal force above a minimum [N]."""
+    """Return the pairs of bodies that press on each other.
+
+    Args:
+        model: MuJoCo model.
+        data: Data with evaluated contacts.
+        min_force: Normal force [N] of one contact above which a pair counts.
+
+    Returns:
+        Alphabetically sorted pairs of body names; the ground belongs to the body "world".
+    """
     pairs, force = set(), np.zeros(6)
     for number, bodies in enumerate(model.geom_bodyid[data.contact.geom].tolist()):
         mujoco.mj_contactForce(model, data, number, force)

@@ -112,6 +112,7 @@ def evaluate_final_stability(
 ) -> Stability:
     """Judge the stability of the final state of a simulation, or of its initial state.
 
+    ``start`` and ``end`` are MuJoCo states (mjSTATE_FULLPHYSICS).
     The initial state is judged if the simulation has failed (``has_fallen``), since the modes that
     upset the robot grow there, or if the final state is not at rest.
     """

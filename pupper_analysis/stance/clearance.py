@@ -118,7 +118,11 @@ class ClearanceShapes:
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
     def move_to(self, qpos: ArrayLike) -> Kinematics:
-        """Move ``kinematics`` to a configuration (nq,), and return it."""
+        """Evaluate the kinematics of the robot at a configuration, shape (nq,).
+
+        Returns:
+            ``kinematics``, which the next call overwrites.
+        """
         self.kinematics.move(qpos)
         return self.kinematics
 
@@ -148,14 +152,29 @@ class ClearanceShapes:
         return _to_index_pairs(pair for pair in checked if links[pair] not in never)
 
     def closest_links(self, qpos: Array) -> Clearance | None:
-        """Return the smallest distance of links that are not neighbours; None without pairs."""
+        """Return the smallest distance between collision shapes of links that are not neighbours.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+
+        Returns:
+            Distance [m] and both links; None if there are no such pairs.
+        """
         for pair in self.nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link
             return Clearance(pair.distance, links)
         return None
 
     def nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
-        """Return up to ``most`` pairs of shapes on links that are not neighbours, nearest first."""
+        """Return the nearest pairs of collision shapes on links that are not neighbours.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            most: Maximum number of pairs.
+
+        Returns:
+            Pairs with their distance [m], the nearest first.
+        """
         return self._find_nearest(qpos, self._pairs, most)
 
     def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
@@ -192,7 +211,15 @@ class ClearanceShapes:
         ]
 
     def distance_jacobian(self, at: Configuration, most: int) -> Array:
-        """Return the derivative of the distances of `nearest_pairs`, shape (n, nv)."""
+        """Return the derivative of the distances of `nearest_pairs` by steps along qvel.
+
+        Args:
+            at: Configuration.
+            most: Maximum number of pairs.
+
+        Returns:
+            Shape (n, nv) [m per m or rad], for n pairs.
+        """
         found = self.nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
         for row, (one, other, near) in zip(rates, found, strict=True):
@@ -209,7 +236,17 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Return the height of the lowest part above the ground; None without parts or ground."""
+        """Return the height [m] of the lowest of ``parts`` above the ground, and its link.
+
+        Args:
+            at: Kinematics of the configuration.
+            ground: Ground.
+            places: {contact point: target of its centre, shape (3,) [m]}, which locates the steps.
+            depths: {contact point: penetration of the ground [m]}.
+
+        Returns:
+            Clearance; None without parts or ground.
+        """
         heights = self.part_heights(at, ground, places, depths)
         if not heights:
             return None
@@ -251,7 +288,7 @@ class ClearanceShapes:
     def height_jacobian(
         self, at: Configuration, ground: Ground, places: Mapping[str, Array]
     ) -> Array:
-        """Return the derivative of `part_heights`, shape (n, nv).
+        """Return the derivative of `part_heights` by steps along qvel, shape (n, nv), for n parts.
 
         The nearest point of a part is treated as fixed to its link.
         """

@@ -705,7 +705,14 @@ def raise_feet(
 
 
 def move_rigidly(before: Array, after: Array) -> Array:
-    """Move points (n, 3) as a rigid body to the least-squares fit of other points (n, 3).
+    """Move points as a rigid body, so that they fit other points by least squares.
+
+    Args:
+        before: Points to be moved, shape (n, 3) [m].
+        after: Points to be fitted, shape (n, 3) [m], in the same order and frame.
+
+    Returns:
+        Moved points, shape (n, 3) [m].
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """

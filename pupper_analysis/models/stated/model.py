@@ -48,7 +48,13 @@ class Inertial:
 
     @staticmethod
     def of(inertia: pin.Inertia, *, stated: bool, rounding: float = 0.0) -> Inertial:
-        """Return the values of a spatial inertia."""
+        """Create the record of a spatial inertia [kg, m, kg m^2] in the frame of the body.
+
+        Args:
+            inertia: Spatial inertia.
+            stated: Whether the file specifies the values.
+            rounding: Upper bound [kg m^2] of half a unit of the last digit of the entries.
+        """
         com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)
 

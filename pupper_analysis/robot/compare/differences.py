@@ -299,7 +299,16 @@ class RelativeError:
         return max(float(np.abs(values).max()), lower_bound)
 
     def relative(self, name: str, first: Array, second: Array) -> float:
-        """Return the largest deviation relative to the scale; infinite for NaN."""
+        """Return the largest deviation between two arrays of a quantity, divided by its ``scale``.
+
+        Args:
+            name: Quantity.
+            first: Values of one model.
+            second: Values of the other model, same shape.
+
+        Returns:
+            Relative deviation; infinite if a value is NaN.
+        """
         with np.errstate(all="ignore"):
             deviation = float(np.abs(first - second).max())
 
@@ -377,7 +386,10 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return both numbers as values of a diagnostic."""
+    """Return two numbers of a message as ``one`` and ``two``, with their unit.
+
+    An infinite number is replaced by the term "unlimited".
+    """
     return {"one": describe_bound(first, unit), "two": describe_bound(second, unit)}
 
 
@@ -386,7 +398,17 @@ MIN_FACTOR = 10.0
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Return a description of the ratio, or a probable mistake; None if a value is zero."""
+    """Describe how the number of the MJCF differs from that of the URDF, for a message.
+
+    Ratios of 1000, 10, 1/10, 1/1000 and -1 are described as probable mistakes.
+
+    Args:
+        urdf: Number of the URDF.
+        mjcf: Number of the MJCF, in the same unit.
+
+    Returns:
+        Description; None if a number is zero.
+    """
     if urdf == 0 or mjcf == 0:
         return None
     ratio = mjcf / urdf

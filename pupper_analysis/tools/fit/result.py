@@ -40,7 +40,11 @@ at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned."""
 
 
 def classify_determination(variance_ratio: float) -> Determined:
-    """Classify an estimate by its ratio of posterior to prior variance."""
+    """Classify whether the data or the prior determine an estimate.
+
+    Args:
+        variance_ratio: Posterior variance / prior variance of the parameter.
+    """
     if variance_ratio < _MAX_DATA_RATIO:
         return Determined.DATA
     return Determined.PARTLY if variance_ratio < _MIN_PRIOR_RATIO else Determined.PRIOR
@@ -133,7 +137,14 @@ def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
 def describe_parameter(
     parameter: Parameter, mean: float, std: float, determined: Determined
 ) -> Estimate:
-    """Return the estimate of a parameter."""
+    """Create the estimate of a parameter, with its 95 % interval.
+
+    Args:
+        parameter: Parameter.
+        mean: Most probable value, in the parameter's unit.
+        std: Standard deviation, in the parameter's unit.
+        determined: Whether data or prior determine the value.
+    """
     stated = {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
     low, high = mean - HALF_WIDTH_95 * std, mean + HALF_WIDTH_95 * std
     return Estimate(**stated, mean=mean, std=std, low=low, high=high, determined=determined)

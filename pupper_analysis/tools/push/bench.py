@@ -133,9 +133,10 @@ class PushBench:
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes until each outcome is decided; return as ``simulate_fully``.
+        """Simulate pushes until each outcome is decided.
 
-        A simulation ends early if it diverges, a body other than a foot touches the ground, or the
+        The result has the form of ``simulate_fully``: a failure or None for each push. A simulation
+        ends early if it diverges, a body other than a foot touches the ground, or the
         robot is at rest without a growing mode.
         """
         count = len(directions)

@@ -311,7 +311,10 @@ class DesignBuilder:
         )
 
     def design(self, numbers: Mapping[str, float]) -> Design:
-        """Build the design with the given variable values.
+        """Build the robot of a design and solve its stance, for given values of the variables.
+
+        Args:
+            numbers: {variable: value in its own unit}.
 
         Raises:
             PupperAnalysisError: If the robot cannot be built or the stance cannot be solved; see

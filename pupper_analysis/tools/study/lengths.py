@@ -80,7 +80,14 @@ class Stretch:
 
 
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
-    """Return the stretch of the link that a joint moves.
+    """Return the stretch of the link that a joint moves, along the line to the link's end.
+
+    The end is the next joint or the foot.
+
+    Args:
+        robot: Robot.
+        joint: Joint that moves the link.
+        factor: Factor on the length of the link.
 
     Raises:
         ConfigurationError: If the joint is ``""`` (the base), the link does not end at exactly one

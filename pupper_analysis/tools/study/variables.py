@@ -109,7 +109,7 @@ def linspace(low: float, high: float, count: int) -> Variable:
 
 
 def values(numbers: Sequence[float]) -> Variable:
-    """Create a variable from a list of values.
+    """Create a variable of a study that takes the values of a list.
 
     Raises:
         ConfigurationError: If the list is empty or too long, or a value is not finite or occurs
@@ -126,7 +126,7 @@ def values(numbers: Sequence[float]) -> Variable:
 
 
 def uniform(low: float, high: float) -> Variable:
-    """Create a variable with a uniform distribution.
+    """Create a variable of a study that is distributed uniformly between two bounds.
 
     Raises:
         ConfigurationError: If the interval is empty.
@@ -135,7 +135,7 @@ def uniform(low: float, high: float) -> Variable:
 
 
 def log_uniform(low: float, high: float) -> Variable:
-    """Create a variable whose logarithm is distributed uniformly.
+    """Create a variable of a study whose logarithm is distributed uniformly between two bounds.
 
     Raises:
         ConfigurationError: If the interval is empty, or its lower bound is not positive.

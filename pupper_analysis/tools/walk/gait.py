@@ -282,7 +282,13 @@ def joint_torques(stage: Stage, run: Run) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Mean velocity and turning rate of a run, and tracking of the command; see `Gait`."""
+    """Mean velocity and turning rate of a run, and whether it tracks the command.
+
+    Attributes:
+        velocity: Mean velocity forward and to the left, shape (2,) [m/s].
+        turning: Mean turning rate about the vertical [rad/s].
+        tracks: Whether the robot does not fall, and both errors are within the tolerances.
+    """
 
     velocity: Array
     turning: float
@@ -290,7 +296,18 @@ class Tracking:
 
 
 def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
-    """Evaluate mean speed, turning rate and tracking of a run after the warm-up [s]."""
+    """Compute mean velocity and turning rate of a run after the warm-up, and whether it tracks.
+
+    The run tracks if the robot does not fall, and both errors are within the tolerances.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        run: Simulated run with its command.
+        warm_up: Time that is ignored at the start [s].
+
+    Returns:
+        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking.
+    """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
     states = run.states[start:]
@@ -322,7 +339,13 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
 
 
 def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
-    """Evaluate a run after the warm-up [s]."""
+    """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        run: Simulated run with its command.
+        warm_up: Time that is ignored at the start [s].
+    """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
     is_finite = np.asarray(np.isfinite(run.states).all(axis=1))

@@ -55,7 +55,7 @@ class Quantity:
     apply: Change | None
 
     def between(self, first: float, second: float) -> float:
-        """Return the mean of two values; for factors the geometric mean."""
+        """Return the arithmetic mean of two values; for a factor (unit "x"), the geometric mean."""
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
 
@@ -226,7 +226,15 @@ class TrackedIntervals(Result):
 
 
 def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
-    """Return a run in which one quantity has the given value."""
+    """Create the case of a walking simulation in which one quantity is changed.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        name: Key of `QUANTITIES`.
+        value: Value of the quantity in its unit; of a push, the velocity change [m/s].
+        command: Command, shape (3,) [m/s, m/s, rad/s].
+        seed: Seed of the case.
+    """
     quantity, latency = QUANTITIES[name], stage.policy.contract.latency
     if name in _PUSH_DIRECTIONS:
         impulse = value * stage.robot.total_mass

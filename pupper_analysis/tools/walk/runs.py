@@ -314,7 +314,11 @@ class Lockstep:
         return states, control, broken
 
     def keep_runs(self, is_kept: NDArray[np.bool_]) -> None:
-        """Continue with a subset of the active runs only."""
+        """Continue the simulation with a subset of the active runs.
+
+        Args:
+            is_kept: Mask of the active runs that continue.
+        """
         self.active, self.current = self.active[is_kept], self.current[is_kept]
         self._memory = tuple(states[is_kept] for states in self._memory)
 
