@@ -216,7 +216,10 @@ def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
 
 
 def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot position servos with suggested gains; see ``add_suggested_servos``."""
+    """Add position servos with suggested gains to a robot, and return notes about these servos.
+
+    If the robot has no nominal stand, the gains are those for a fixed base.
+    """
     stand = start.solve_nominal_stand(robot)
     if stand is None:
         return add_fixed_base_servos(robot, mjcf)
@@ -246,7 +249,7 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
 
 
 def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot whose base is held position servos; see ``add_fixed_base_servos``."""
+    """Add position servos to a robot with a fixed base, and return notes about these servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))

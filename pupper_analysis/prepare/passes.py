@@ -296,7 +296,7 @@ def _name_elements(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
-    """Free the base; see `free_base`."""
+    """Add a free joint to the base if the robot has at least two limbs (`free_base`)."""
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
@@ -309,7 +309,7 @@ def _place_base_frame(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("finds whose joint is whose"), _applies_always)
 def _match(draft: Draft) -> PassOutput:
-    """Match the joints of both files; see `match_models`."""
+    """Match the joints of URDF and MJCF by `match_models`, and note guessed pairs."""
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     name = draft.request.name or draft.spec.modelname
@@ -320,7 +320,7 @@ def _match(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("couples joints that follow others"), _applies_always)
 def _couple_mimics(draft: Draft) -> PassOutput:
-    """Couple the dependent joints; see `couple_mimics`."""
+    """Add the ``<mimic>`` couplings of the URDF to the MJCF."""
     description, messages = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), messages
 
@@ -450,7 +450,7 @@ def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
 
 @_register_pass(Term("finds a pose in which it stands"), _stands_on_feet)
 def _start_pose(draft: Draft) -> PassOutput:
-    """Find the start pose; see `find_start_pose`."""
+    """Select the start pose of the robot: a keyframe, or a pose that is computed."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _make_rest_depth(draft))
     return replace(draft, built=robot), (*notes.report_planar_legs(robot), *pose)
@@ -495,7 +495,7 @@ def _keep_apart(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("chooses a solver that solves the equations of motion"), _may_be_altered)
 def _solve_exactly(draft: Draft) -> PassOutput:
-    """Choose a solver of sufficient accuracy; see `choose_exact_solver`."""
+    """Set dense matrices if MuJoCo's solver is accurate only with dense matrices."""
     robot, messages = choose_exact_solver(draft.robot)
     return replace(draft, built=robot), messages
 

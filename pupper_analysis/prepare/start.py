@@ -629,7 +629,7 @@ def find_start_pose(
     Args:
         robot: Robot with feet.
         known: {keyframe: {joint: position}}, in order of priority.
-        sunk: {keyframe: penetration of the feet [m]}; see ``compute_resting_depths``.
+        sunk: {keyframe: penetration of the feet [m] at rest} (``compute_resting_depths``).
         rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
             from a keyframe, or None if it falls. It is called only if needed.
 

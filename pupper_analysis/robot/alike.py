@@ -96,7 +96,12 @@ def limbs_of(robot: Robot) -> list[Limb]:
 
 
 def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
-    """Return {joint: joints in the same place of limbs that are alike}, of joints that have any."""
+    """Return {joint: corresponding joints of similar limbs}.
+
+    Limbs are similar if `Limb.like` holds, for example the legs of a quadruped. Corresponding
+    joints have the same position in the order of their limb. Joints without a similar limb are
+    omitted.
+    """
     model, limbs = robot.mj_model, limbs_of(robot)
     joints = [
         [int(joint) for body in limb.bodies for joint in np.flatnonzero(model.jnt_bodyid == body)]

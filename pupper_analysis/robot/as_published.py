@@ -170,7 +170,10 @@ class OwnRun(BodyMotion):
 
     @property
     def left(self) -> bool:
-        """Whether a joint of a robot with fixed base has left its posture without such command."""
+        """True if a joint of a robot with a fixed base has left its posture without a command.
+
+        The displacement exceeds ``MIN_POSTURE_DEVIATION``, and is not `JointOff.commanded_away`.
+        """
         worst = None if self.standing else self.worst
         return (
             worst is not None
@@ -180,7 +183,7 @@ class OwnRun(BodyMotion):
 
     @property
     def lifted(self) -> bool:
-        """Whether the robot ends higher by ``MAX_HEIGHT_LOSS_RATIO`` of its height, and upright."""
+        """True if the robot ends upright, raised by ``MAX_HEIGHT_LOSS_RATIO`` of its CoM height."""
         gain = self.end_height - self.height
         upright = not self.diverged and self.lean <= FALLEN_TILT
         return self.standing and upright and gain > MAX_HEIGHT_LOSS_RATIO * self.height

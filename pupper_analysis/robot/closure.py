@@ -344,6 +344,7 @@ class Closure:
         return rows
 
     def _make_softness(self, qpos: Array) -> EqualityCompliance:
+        """Return the compliance of the constraints at a configuration, shape (nq,)."""
         return EqualityCompliance(self._model, self._evaluate_constraints(qpos))
 
     def _force_distribution(self, qpos: Array) -> Array:

@@ -142,6 +142,7 @@ class Configuration:
         return result
 
     def _frame_index(self, name: str) -> int:
+        """Return the Pinocchio index of a link; UnknownNameError if there is none."""
         index = self._structure.links.get(name)
         if index is None:
             links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]
@@ -180,6 +181,7 @@ class Configuration:
         return np.array(axis / np.linalg.norm(axis))
 
     def _joint_index(self, name: str) -> int:
+        """Return the Pinocchio index of a joint; UnknownNameError if there is none."""
         index = self._structure.joints.get(name)
         if index is None:
             raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
@@ -395,6 +397,7 @@ class Configuration:
 
     @property
     def _v(self) -> Array:
+        """Velocity in the order of the Pinocchio model, shape (nv,)."""
         return self._structure.velocity(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:

@@ -53,12 +53,12 @@ class Step(NamedTuple):
 
     @property
     def turn(self) -> Array:
-        """Rotation as a quaternion (w, x, y, z)."""
+        """Orientation of the step in the world as a quaternion (w, x, y, z)."""
         return quaternion_from_rotation(self.rotation)
 
     @property
     def top(self) -> Array:
-        """Centre (3,) [m] of the top."""
+        """Centre of the top face of the step, shape (3,) [m], in the world frame."""
         top: Array = self.centre + self.half[2] * self.rotation[:, 2]
         return top
 

@@ -116,6 +116,7 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 
 def _are_equal_efforts(first: float, second: float) -> bool:
+    """Return True if two effort limits are equal up to `_EFFORT_RTOL`."""
     return first == second or math.isclose(first, second, rel_tol=_EFFORT_RTOL)
 
 
@@ -430,7 +431,7 @@ class Robot:
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes of the moving bodies in MuJoCo, including feet; see `shapes_of`."""
+        """Collision shapes of the moving bodies in MuJoCo, including those of the feet."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,
@@ -499,7 +500,7 @@ class Robot:
     def effort_limits(self) -> Array:
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The smallest limit in both files; see ``efforts``.
+        The value is the smallest limit that the URDF and the MJCF state for the joint.
         """
         limits = np.array([limit.least for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -652,6 +653,7 @@ of the body."""
 
 
 def _check_bodies(robot: Robot) -> None:
+    """Evaluate `Robot.check_bodies`, without its cache."""
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)

@@ -400,7 +400,12 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
 def _evaluate_at_limits(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Stability:
-    """Evaluate a state, with joints at limits on both sides of these; the larger radius counts."""
+    """Evaluate the spectrum of a state in which joints may be at their limits.
+
+    Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of limits,
+    these limits are moved by this distance, once outward and once inward. The result with the
+    larger spectral radius is returned.
+    """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
     ends = angles + np.outer(model.jnt_margin, (-1.0, 1.0))  # limits at the present position

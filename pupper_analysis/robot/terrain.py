@@ -160,7 +160,15 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened:
 def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Tilt the floor, and add steps and planes to a spec; see ``build_on_ground``."""
+    """Tilt the floor, and add the steps and planes of feet to a spec, in place.
+
+    Args:
+        robot: Robot.
+        spec: MJCF of the robot, which is changed.
+        ground: Ground.
+        places: {contact point: centre of its sphere on rigid ground, shape (3,) [m]}, for the
+            steps.
+    """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
     rotate_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places)

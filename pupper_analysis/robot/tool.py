@@ -92,7 +92,7 @@ class Tool(Result):
 
 
 Place = Sequence[float] | Sequence[str | float] | Tool
-"""Point of a robot; see ``find_place``."""
+"""Point of a robot: (x, y, z) [m] in the base frame, (frame, x, y, z) [m], or a `Tool`."""
 
 
 @check_arguments

@@ -89,6 +89,7 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
+    """Convert a contact or weld of a foot or hand to the changes that it requires of a robot."""
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
         return Touching(offset=None if foot else contact.offset, welded=True)
@@ -103,6 +104,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
+    """Raise a ConfigurationError unless the part is a hand: ``arguments`` apply to hands only."""
     if not is_hand:
         raise ConfigurationError(
             "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)
@@ -111,6 +113,7 @@ def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
 
 @lru_cache(maxsize=_CACHE_SIZE)
 def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
+    """Build a robot with the hands, welds and grips of a task; cached for `_CACHE_SIZE` robots."""
     tools = {
         name: _find_frame(robot, name)
         for name, touching in properties.items()

@@ -272,9 +272,14 @@ def _wrap_angle(angle: Array) -> Array:
 
 
 class _Descent:
-    """Levenberg-Marquardt iterations from many starts, with a damping per start and limb.
+    """Levenberg-Marquardt iterations from many initial guesses, with a damping per guess and limb.
 
-    See `find_branches` for the arguments.
+    Args:
+        robot: Robot.
+        qpos: Configuration, shape (nq,), with the pose of the base.
+        targets: {contact point: target of its sphere centre, shape (3,) [m]}.
+        lower: Lower joint limits, shape (nu,) [rad, m].
+        upper: Upper joint limits, shape (nu,) [rad, m].
     """
 
     def __init__(

@@ -260,6 +260,7 @@ class _Search:
 
     @cached_property
     def _is_underactuated(self) -> bool:
+        """Whether a sole is on a leg with fewer than six joints."""
         return has_underactuated_feet(self.robot)
 
     def _have_seeds_converged(self) -> bool:

@@ -222,7 +222,7 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
 
 
 def _change_names(value: Value, change: Callable[[str], str]) -> Value:
-    """Return a value of a diagnostic with changed names; see ``Diagnostic.with_names``."""
+    """Apply a function to all names in a value of a diagnostic, also in nested diagnostics."""
     if isinstance(value, tuple):
         return tuple(_change_names(item, change) for item in value)
     if isinstance(value, Diagnostic):

@@ -390,7 +390,7 @@ def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
 
 
 def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
-    """Run git and return the output as text; see `_git_answer`."""
+    """Run git and return its output as text; undecodable bytes become surrogate escapes."""
     return _git_answer(given, *arguments, folder=folder).decode(errors="surrogateescape")
 
 

@@ -28,7 +28,13 @@ _JOIN_TIMEOUT = 1.0  # s, for all threads together to finish
 
 
 class ServeOptions(TypedDict, total=False):
-    """Options of the server; see `ServedPage`."""
+    """Options of the server.
+
+    Attributes:
+        language: ``"en"`` or ``"zh"``.
+        host: Address of the server; by default reachable from this machine only.
+        port: Port; by default any free port.
+    """
 
     language: str
     host: str

@@ -98,7 +98,8 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
 def make_home_data(robot: Robot) -> mujoco.MjData:
     """Return MuJoCo's data with joints and servo commands at the home pose.
 
-    A free base is raised above the ground; see `simulate_drop`.
+    A free base is raised until its lowest foot is `DROP_HEIGHT` above the ground, if this foot is
+    less than half of this height above the ground.
     """
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()

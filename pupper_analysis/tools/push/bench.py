@@ -306,7 +306,7 @@ def make_push_bench(
     integrator: str | None,
     verification: StandVerification | None = None,
 ) -> PushBench:
-    """Prepare a robot for pushes; see ``push_recovery``.
+    """Prepare the simulation of pushes on the base of a standing robot, as for ``push_recovery``.
 
     Args:
         robot: The robot.

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
-    """Make the document of the largest pushes in each direction; see `build_document`."""
+    """Build the document of the largest pushes in each direction that the robot survives."""
     unpushed = pushed.recovery.unpushed
     return judged_document(
         text("pushes"),
@@ -189,7 +189,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Make the document of a single push; see `build_document`."""
+    """Build the document of a single simulated push."""
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),

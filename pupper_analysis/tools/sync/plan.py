@@ -89,7 +89,14 @@ class Edit(Result):
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Two files and the options with which they are matched; see `sync_models`."""
+    """Two files and the options with which they are matched.
+
+    Attributes:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        names: {name in the URDF: name in the MJCF}, for names that differ.
+        packages: {package of ``package://``: folder}.
+    """
 
     urdf: Path
     mjcf: Path

@@ -269,7 +269,7 @@ def _permute_joints(
 
 
 def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Yield permutations of limbs; see `_MAX_PERMUTED_LIMBS`."""
+    """Yield all orders of up to `_MAX_PERMUTED_LIMBS` limbs; of more, exchanges of two limbs."""
     if count <= _MAX_PERMUTED_LIMBS:
         yield from permutations(range(count))
         return

@@ -83,7 +83,8 @@ class Run:
         targets: Applied controls of each step, shape (n, model.nu).
         fallen: True if the robot fell or the simulation diverged.
         lean: Largest tilt of the base after the warm-up [rad].
-        lost: Largest height loss of the reference point after the warm-up [m]; see `Upright`.
+        lost: Largest height loss of the reference point after the warm-up [m]; the point is
+            fixed to the base at the CoM of the default pose (`StandReference`).
     """
 
     case: Case
@@ -281,7 +282,8 @@ class Lockstep:
         """Simulate one action of the active runs.
 
         Args:
-            forces: Forces on the bodies during the action, shape (n, 6 nbody); see `FORCED`.
+            forces: Forces on the bodies during the action, shape (n, 6 nbody); see
+                `FORCED_CONTROL_SPEC`.
 
         Returns:
             States (n, substeps, size); applied controls (n, substeps, nu); True for each run that
@@ -428,8 +430,7 @@ def rotations_from_quaternions(quaternions: Array) -> Array:
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Return the tilt of the base [rad] and the height loss of its reference point [m].
 
-    The reference point is fixed to the base, at the centre of mass of the default pose; see
-    `Upright`.
+    The reference point is fixed to the base, at the CoM of the default pose (`StandReference`).
 
     Args:
         stage: Policy on its robot.

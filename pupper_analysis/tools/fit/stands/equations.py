@@ -932,9 +932,10 @@ class StandEquations:
         return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]
 
     def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
-        """Return each joint's reading error in each stand, and its standard deviation.
+        """Return the error of each joint reading in each stand, and its standard deviation.
 
-        Both have the shape (stands, nu) [rad]; see ``StandRows.find_contradictions``.
+        The error is the reading minus the position that agrees best with all other readings. Both
+        arrays have the shape (stands, nu) [rad].
         """
         contradictions = [
             rows.find_contradictions(posterior.covariance)
