@@ -88,10 +88,11 @@ def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
 def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) -> list[Diagnostic]:
     """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
-    Roll, pitch and height of a stand refer to the base frame with z up. A note is added instead
-    if the frame is tilted by more than 45 deg in the keyframe `home` (or the first keyframe, or
-    without keyframes in the initial state). The frame of the URDF is matched later, like other
-    differences of frames.
+    The frame is kept if it is tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs
+    do not hang below the CoM. Roll, pitch and height of a stand refer to the base frame with z up.
+    A note is added instead if the frame is tilted by more than 45 deg in the keyframe `home` (or
+    the first keyframe, or without keyframes in the initial state). The frame of the URDF is matched
+    later, like other differences of frames.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
