@@ -84,7 +84,7 @@ _XML_SECTIONS = {
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Return a cause with the line of its first element; unchanged if the code has no section."""
+    """Return a cause with the line of its first element; unchanged without section or element."""
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
     return replace(cause, line=mjcf.place(_XML_SECTIONS[cause.code], cause.elements[0]).line)
@@ -480,8 +480,8 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Return the changes on loading that cannot be switched off in the file.
 
-    These are bodies whose shapes were replaced by balls, and joints whose actuator is neither a
-    servo nor a torque motor.
+    These are bodies whose shapes were replaced by balls, and joints whose actuator has another
+    control law (`Drive.has_other_law`).
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)
