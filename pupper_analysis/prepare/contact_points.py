@@ -160,8 +160,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,).
 
     Returns:
-        Centre, shape (3,) [m], and radius [m], from the largest part that fits; the tip and 0 if
-        no part is a sphere.
+        Centre, shape (3,) [m], of the largest part that fits, and radius [m] along ``down`` from
+        the centre to the tip; the tip and 0 if no part is a sphere.
     """
     found = tip, 0.0
     for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]
@@ -230,10 +230,9 @@ class ContactPoint:
     Attributes:
         geom: Id of the geom.
         center: Centre, shape (3,) [m], expressed in the frame of the geom's body: of a sphere,
-            of the end of a capsule or lying cylinder, or of a fitted sphere; otherwise the
-            contact point itself.
-        radius: Radius of that sphere, capsule or cylinder [m]; 0 for a contact point of other
-            shapes.
+            of the end of a capsule or lying cylinder, of a fitted sphere, or of a small ball
+            (`BALL_RADIUS`); otherwise the contact point itself.
+        radius: Radius of that sphere, capsule, cylinder or ball [m]; otherwise 0.
     """
 
     geom: int
