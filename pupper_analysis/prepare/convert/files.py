@@ -37,7 +37,7 @@ class RobotFiles:
         """Return the arguments of ``load_robot``, with absolute paths.
 
         Raises:
-            ModelError: If a file or an installed description does not exist.
+            ModelError: If an installed description is not found. Paths are not checked.
         """
         from pupper_analysis.models.published import find_file
 
@@ -63,6 +63,7 @@ class RobotFiles:
         Raises:
             ConfigurationError: See ``load_robot``.
             ModelError: See ``load_robot``.
+            UnknownNameError: See ``load_robot``.
         """
         from pupper_analysis.prepare.convert.load import load_robot
 
