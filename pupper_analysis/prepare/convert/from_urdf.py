@@ -124,7 +124,7 @@ class MjcfXml:
 
     @property
     def used_meshes(self) -> set[str]:
-        """Names of the meshes of all geoms."""
+        """Names of the meshes of all geoms; "None" if a geom has no mesh."""
         return {str(geom.get("mesh")) for geom in self.geoms}
 
     def remove_visuals(self) -> None:
@@ -197,7 +197,8 @@ class UrdfBodies:
             free: True to add a free joint to the base.
 
         Raises:
-            ModelError: If a link cannot be a body of MuJoCo.
+            ModelError: If a link is named ``world`` and is not the fixed root, if a joint below the
+                base is floating or planar, or if a joint axis has length zero.
         """
         links, worldbody = self.tree.links, mjcf.section("worldbody")
         if WORLD_LINK in links and (self.root != WORLD_LINK or free):
@@ -429,7 +430,8 @@ class MjcfOptions:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
         fixed_base: True for a fixed base; None: a base with two limbs or more is free.
         armature: {joint: rotor inertia [kg m^2]}.
-        repair_inertia: True to repair invalid inertials of moving links.
+        repair_inertia: True to repair invalid inertials, and to give mass to moving links without
+            mass.
         copy_meshes: True to copy all meshes to a folder beside the MJCF.
     """
 
@@ -538,14 +540,16 @@ class ConvertedMjcf:
 def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    Invalid inertias become the nearest valid inertias; a link without mass gets 1 g. The notes
+    Invalid inertias become the nearest valid inertias; a moving link gets 1 g if it and the links
+    fixed to it have no mass. The notes
     of the MJCF report the repairs.
 
     Returns:
         URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
 
     Raises:
-        ModelError: If MuJoCo cannot represent the robot, or if no moving link has a mass.
+        ModelError: If MuJoCo cannot represent the robot, no joint moves, or no moving link has a
+            mass.
     """
     converted = ConvertedMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
     massless = {repair.link for repair in converted.repairs if not repair.mass > 0}
