@@ -55,7 +55,8 @@ class ModelPair:
         """Make the other model of a file, in memory.
 
         Raises:
-            ModelError: If the other format cannot represent the robot.
+            ModelError: If the other format cannot represent the robot, for example because no
+                joint moves.
         """
         if isinstance(file, UrdfFile):
             urdf, mjcf, imported = convert_urdf_in_memory(file)
@@ -63,7 +64,10 @@ class ModelPair:
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def mark(self, robot: Robot) -> Robot:
-        """Return the robot of these models, with a note and a record of the model that was made."""
+        """Return a robot with a note and a record of the model that was made.
+
+        The robot is returned unchanged if both models have files.
+        """
         if not self.converted:
             return robot
         description = replace(robot.description, converted=self.converted)
@@ -103,13 +107,17 @@ def read_pair(
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
-        body: Root body of the robot in an MJCF with several; without a URDF detected if
-            possible.
+        body: Root body of the robot in an MJCF with several, or any body of the robot; without a
+            URDF detected if possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
 
     Raises:
-        ConfigurationError: If there is no file, or if there are two of one format.
-        ModelError: If a file cannot be read, or the other format cannot represent the robot.
+        ConfigurationError: If there is no file, if there are two of one format, if ``take`` names a
+            format without a file, if ``body`` is given without an MJCF, or if a model is neither a
+            name nor a path.
+        ModelError: If a file cannot be read, the other format cannot represent the robot, or the
+            MJCF has several robots or none (see `with_one_robot`).
+        UnknownNameError: If the MJCF has no such body.
     """
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     for model in models:
@@ -172,24 +180,26 @@ def load_robot(
         body: Root body of the robot in an MJCF of several robots, or any body of the robot.
         feet: Frames of the feet, or {foot: frame}; a frame is a link of the URDF, or a geom,
             site or body of the MJCF, or a pair of both. By default the feet are the collision
-            geoms at the ends of the limbs that are lowest in the start pose; an empty list: no
-            feet.
+            geoms at the ends of the limbs that are lowest, in the keyframe with the most such
+            limbs, or at joint positions of zero; an empty list: no feet.
         fixed_base: Fix the base in the world, at the pose in the MJCF.
         name: Name of the robot; by default the name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which
             the robot stands.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
-        as_is: Add no servos, and change no collision shapes.
+        as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
+            shapes beside the feet. Balls replace soles nevertheless.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a model that was made.
 
     Raises:
-        ConfigurationError: If an argument has the wrong type, or no file is passed.
-        ModelError: If a file cannot be read, both files have no joint in common, or no feet are
-            found.
-        UnknownNameError: If a foot, joint or keyframe does not exist; the message lists valid
+        ConfigurationError: If an argument is invalid: for example, of the wrong type, no file, two
+            files of one format, or a foot that is named twice.
+        ModelError: If no robot can be made of the files: for example, a file cannot be read, both
+            files have no joint in common, no feet are found, or a joint has several motors.
+        UnknownNameError: If a foot, joint, keyframe or body does not exist; the message lists valid
             names.
     """
     pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
