@@ -28,7 +28,7 @@ _TRIANGLE_RTOL: Final = 1e-12
 """Relative tolerance of A + B >= C between principal moments: rounding of the eigenvalues."""
 
 _MIN_INERTIA: Final = 1e-14
-"""Lower bound of mass [kg] and principal moments [kg m^2] of a moving body: ten times MuJoCo's."""
+"""Lower bound of the principal moments [kg m^2] of a body with mass: ten times MuJoCo's."""
 
 ADDED_MASS: Final = 1e-3
 """Mass [kg] that a moving link without mass is given: common for helper links of exporters."""
@@ -136,13 +136,15 @@ def repair_inertials(
     """Make all inertials valid for MuJoCo, in place.
 
     An invalid inertial is moved to a body in its fixed group, over any number of links: the
-    motion is then the same. If no sum of both inertias is valid, the inertial is repaired.
+    motion is then the same. If no sum of both inertias is valid, the inertial is repaired. An
+    invalid inertial without mass remains if its body does not move, or is fixed to a mass. An
+    inertial of zeros is removed.
 
     Args:
         urdf: URDF as read.
         bodies: Bodies of the URDF.
-        repair: True to repair: moments become the nearest valid moments, and a moving body
-            without mass gets `ADDED_MASS`.
+        repair: True to repair: moments become the nearest valid moments, and a moving body gets
+            `ADDED_MASS` if it and the bodies fixed to it have no mass.
 
     Returns:
         Notes on moved inertials, and repairs.
@@ -199,8 +201,8 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
     The condition is A + B >= C for the largest moment C. The missing amount is distributed in
     equal parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
-    uses the mean of the moments instead, which is a larger change. If no moment is positive, the
-    moments are those of a radius of gyration of `_GYRATION_RADIUS`.
+    uses the mean of the moments instead, which is a larger change. If no moment exceeds
+    `_MIN_INERTIA`, the moments are those of a radius of gyration of `_GYRATION_RADIUS`.
 
     Args:
         moments: Principal moments, shape (3,) [kg m^2], the largest last.
