@@ -58,7 +58,8 @@ class UrdfLinks:
         model: Compiled model.
         tree: URDF.
         shapes: Converter of the shapes.
-        fix_balls: True to fix ball joints at their reference; False to refuse them.
+        fix_balls: True to fix a ball joint at its reference if it is the only joint of its body;
+            False to refuse ball joints.
         left: Notes on parts that a URDF cannot express.
         links: {body id: (name of its link, pose of the body's frame in the link's frame)}.
     """
@@ -83,8 +84,7 @@ class UrdfLinks:
             base: Id of the base body.
 
         Raises:
-            ModelError: If a descendant has a free joint, or a ball joint (unless `fix_balls` is
-                set).
+            ModelError: If a body has a ball joint (see `fix_balls`), or a descendant a free joint.
         """
         model = self.model
         name = self._make_link_name(base)
@@ -194,7 +194,10 @@ class UrdfLinks:
         self.shapes.add(link.element, body, inside)
 
     def add_sites(self) -> None:
-        """Add a link without mass for each site whose name is not that of a link."""
+        """Add a link without mass for each named site of a body that is a link.
+
+        A site with the name of a link is left out, with a note.
+        """
         model = self.model
         for site in range(model.nsite):
             name, body = str(model.site(site).name), int(model.site_bodyid[site])
@@ -262,7 +265,8 @@ class ConvertedUrdf:
             fix_balls: True to fix ball joints at their reference; False to refuse them.
 
         Raises:
-            ModelError: If a URDF cannot represent the robot.
+            ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
+                none.
         """
         spec = file.spec.copy()
         joined = join_free_base(spec)
@@ -491,8 +495,8 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
         body: Root body of the robot, or any body of the robot; None: see `find_root`.
 
     Raises:
-        ModelError: If there are several robots, or none, and ``body`` is None; or if the body
-            has no joints.
+        ModelError: If there are several robots, or none, and ``body`` is None; if the robot of the
+            body has no joints except free joints; or if MuJoCo refuses the result.
         UnknownNameError: If there is no such body.
     """
     model = file.model
