@@ -65,7 +65,10 @@ Chosen."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
-    """Return the indices of the dependent joints, and need no servo."""
+    """Return the indices (actuator order) of dependent joints, which need no servo.
+
+    The positions of these joints follow from closed loops or couplings.
+    """
     return [] if robot.closure is None else robot.closure.following.tolist()
 
 
@@ -92,8 +95,10 @@ def add_position_servos(
     """Add position servos to the joints without one, with gains that hold a stand.
 
     Candidates of gains and time step are tried in order. The first is chosen with which the
-    robot comes to rest in the stand, at rest agrees with the prediction, and with which its
-    published MJCF also comes to rest, with its own time step and shapes. If no candidate meets
+    robot comes to rest in the stand, at rest agrees with the prediction (unless both files
+    describe different robots), and with which its published MJCF also comes to rest, with its own
+    time step and shapes. The MJCF is not tested with a reduced time step, which is used only if no
+    candidate with the time step of the file agrees with the prediction. If no candidate meets
     all conditions, the first that agrees with the prediction is chosen; then the first that
     comes to rest with and without feed-forward; then the first that comes to rest with
     feed-forward alone; then the first candidate.
@@ -104,9 +109,9 @@ def add_position_servos(
         original: MJCF of the robot.
 
     Returns:
-        Robot with servos; stiffness, shape (nu,) [N m/rad], and damping, shape (nu,) [N m
-        s/rad], of all servos; number of modes in which the robot comes to rest: 2 with and
-        without feed-forward, 1 with feed-forward alone, 0.
+        Robot with servos; stiffness, shape (nu,) [N m/rad], and damping, shape (nu,) [N m s/rad],
+        of all servos, zero for dependent joints; number of modes in which the robot comes to rest:
+        2 with and without feed-forward, 1 with feed-forward alone, 0.
     """
     own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -233,7 +238,10 @@ def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagn
 
 
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
-    """Return kp and kd of `suggest_fixed_base_gains`, shape (nu,), in actuator order."""
+    """Return kp [N m/rad] and kd [N m s/rad] of `suggest_fixed_base_gains`, shape (nu,) each.
+
+    Joints are in actuator order.
+    """
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
     others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # joints with gains
@@ -330,7 +338,8 @@ def make_missing_servos(
 ) -> list[Addition]:
     """Return the additions that give each joint without a position servo one.
 
-    The force range is the motor's limit. The integrator becomes ``implicitfast``: explicit
+    Dependent joints get none. The force range is the motor's limit, if that is finite and not
+    empty. The integrator becomes ``implicitfast``: explicit
     damping makes light joints oscillate.
 
     Args:
