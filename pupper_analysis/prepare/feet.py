@@ -146,7 +146,8 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Raises:
-        ModelError: If no limb with collision geoms ends below the base, in one of the poses.
+        ModelError: If, in at least one of the poses, no limb with collision geoms ends below the
+            base.
     """
     return max((_find_lowest_limbs(robot, pose) for pose in poses), key=len)
 
@@ -296,6 +297,8 @@ def with_feet(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
     """Return the description of a robot with a frame at each contact point, in both files.
+
+    Shapes whose contact points are balls (`is_ball`) no longer collide; the balls replace them.
 
     Args:
         robot: Robot without feet.
