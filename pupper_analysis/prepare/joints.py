@@ -51,7 +51,8 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Return the description with the URDF's joint limits narrowed to the MJCF's, and notes.
 
-    The description is None if no limit changes. A stand at an angle beyond MuJoCo's limit would
+    The description is None if no limit changes. Limits are kept if both ranges do not overlap. A
+    stand at an angle beyond MuJoCo's limit would
     be pushed away by the first simulation step.
     """
     model, narrower = robot.mj_model, {}
@@ -83,8 +84,9 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
     """Return the description with the URDF's ``<mimic>`` couplings in the MJCF, and notes.
 
-    A joint remains uncoupled if it has an actuator in the MJCF, or if an equality of the MJCF,
-    active or not, refers to it.
+    A joint remains uncoupled if it has an actuator in the MJCF, if a joint equality of the MJCF,
+    active or not, refers to it, or if the MJCF lacks the joint or its leader. A joint that depends
+    on others already is skipped, without a note.
 
     Args:
         matched: Matched joints of both files.
