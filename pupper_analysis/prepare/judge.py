@@ -70,6 +70,7 @@ def judge_simulation(
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Raises:
+        ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     robot = stand.check(robot)
