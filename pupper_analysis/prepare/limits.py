@@ -15,7 +15,7 @@ from pupper_analysis.statics.equilibrium import MIN_TORQUE_PER_MASS, GravityComp
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
-    """Return the torque limits of the joints that have a motor or need one: no mimic followers."""
+    """Return the torque limits of all joints except dependent joints, which need no motor."""
     following = () if robot.closure is None else robot.closure.following.tolist()
     return [limit for index, limit in enumerate(robot.efforts) if index not in following]
 
@@ -24,7 +24,8 @@ def describe_null_efforts(robot: Robot) -> Diagnostic | None:
     """Describe the motors without torque, with the value of the other file or a sibling limb.
 
     Returns:
-        The description; None if each motor has torque, or an unknown limit.
+        The description; None if each motor has torque or an unknown limit, or if the first motor
+        without torque has a limit of unknown origin.
     """
     null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:
