@@ -84,8 +84,8 @@ def own_run(robot: Robot) -> OwnRun | None:
     """Return the run of the published file from its keyframe, computed once per loaded robot.
 
     Returns:
-        Run. None if the robot has no file, no feet, or a fixed base, or if the file fixes the base.
-        See ``simulate_model_from_keyframe`` for further cases.
+        Run. None if the robot has no feet or a fixed base, if ``get_published_model`` returns None,
+        or if the file fixes the base. See ``simulate_model_from_keyframe`` for further cases.
     """
     return as_loaded(robot).once(_simulate_from_keyframe)
 
@@ -186,8 +186,8 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
     """Simulate a published model, or a modified copy of it, from the keyframe.
 
     Returns:
-        Run. None if the model fixes the base. Without a keyframe, also None in the cases of
-        ``_simulate_nominal_stand``.
+        Run. None if the robot has no file, or the model fixes the base. Without the keyframe, also
+        None in the cases of ``_simulate_nominal_stand``.
     """
     if robot.published is None or not published.floating:
         return None
