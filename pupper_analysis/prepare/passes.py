@@ -82,7 +82,8 @@ class LoadRequest:
         name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
-        as_is: True to add no servos and to change no collision shapes.
+        as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
+            contacts of shapes beside the feet. Balls replace soles nevertheless.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -105,7 +106,7 @@ class PassRun(Result):
     Attributes:
         name: Name of the pass.
         does: Purpose of the pass.
-        done: Changes that the pass made, and findings; empty if the files needed no change.
+        done: Notes on changes and findings. Passes such as ``name-elements`` return no notes.
     """
 
     name: str
@@ -122,7 +123,8 @@ class Draft:
         mjcf: MJCF as read.
         request: Options of the user.
         spec: Spec of the MJCF, with changes.
-        keyframes: {name: {joint: position}} of the candidate keyframes, in order of priority.
+        keyframes: {name: {joint: position [rad, m]}} of the candidate keyframes, in order of
+            priority.
         found_match: Matched joints of both files; None before the pass ``match``.
         description: Both files with matched names; None before the pass ``match``.
         built: Robot; None before the passes ``build`` and ``build-held``.
@@ -628,6 +630,11 @@ def make_robot(
     """Prepare a robot from two files as read, in memory.
 
     The options are those of `load_robot`, which reads the files.
+
+    Raises:
+        ConfigurationError: See `parse_feet`.
+        ModelError: If no robot can be made of the files.
+        UnknownNameError: If a foot, joint or keyframe does not exist.
     """
     frames = None if feet is None else parse_feet(feet)
     request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is)
