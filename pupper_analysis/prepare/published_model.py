@@ -112,7 +112,10 @@ negative is meant to, so its file fails because of that servo (``Drive.bad``).""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
-    """Return True if most joints have a torque motor, a velocity servo or no actuator."""
+    """Return True if most joints have no actuator, or one that is not meant to hold a position.
+
+    For example, torque motors and velocity servos are not meant to.
+    """
     count = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
     return 2 * count > len(published.drives)
 
@@ -145,9 +148,11 @@ def with_requested_gains(
 ) -> tuple[PublishedModel, Robot]:
     """Return a published model, and its robot, whose joints have the requested servo gains.
 
-    An actuator of the file becomes a position servo by the rule of ``model_with_servos``. A joint
-    with a torque motor, or without actuator, is held by the external law of ``HoldCommands``. The
-    returned robot is for comparisons only: its MuJoCo model has gains that its description lacks.
+    The actuator of a joint becomes a position servo by the rule of ``model_with_servos``. A joint
+    is held by the external law of ``HoldCommands`` if it has no actuator, several actuators, or one
+    that is not meant to hold a position (for example, a torque motor). Joints with a stiffness of
+    zero follow others, and are unchanged. The returned robot is for comparisons only: its MuJoCo
+    model has gains that its description lacks.
 
     Args:
         published: Published model.
@@ -180,8 +185,9 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 
     Bodies and joints without a name are named if the model is compiled again, with these changes: a
     floor, if the robot has a free base and the world has neither a level plane nor a collidable
-    geom; and a fixed base, if the base of the robot is fixed and that of the file is free. Visual
-    geoms are kept, so that the geoms of a body have the same order as in the robot's model.
+    geom; and a fixed base without ground contacts, if the base of the robot is fixed and that of
+    the file is free. Visual geoms are kept, so that the geoms of a body have the same order as in
+    the robot's model.
 
     Args:
         mjcf: MJCF as read.
@@ -314,9 +320,9 @@ def place_at_state(
 ) -> mujoco.MjData | None:
     """Return the data of a published model in a state of the robot's own MuJoCo model.
 
-    Joints are matched by name and type; a joint that the robot's model lacks is at zero. The base
-    is placed such that the body of the first joint has the pose of the robot's model, raised by
-    `ground_height`.
+    Hinges and slides outside the base body are matched by name and type; those that the robot's
+    model lacks are at zero. Ball joints keep their reference. The base is placed such that the body
+    of the first joint has the pose of the robot's model, raised by `ground_height`.
 
     Args:
         published: Published model.
@@ -405,8 +411,8 @@ class HoldCommands:
     """Commands with which a published model holds a configuration.
 
     Attributes:
-        ctrl: Controls of the model's own position servos, shape (model.nu,); zero for other
-            actuators at joints of the robot.
+        ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
+            the robot; without force for position servos on tendons and sites; zero for others.
         act: States of the actuator filters, shape (model.na,).
         external: External position servos of joints without one: dof addresses, kp [N m/rad], kd [N
             m s/rad], target positions [rad], feed-forward torques [N m], each of shape (n,).
@@ -428,6 +434,8 @@ def compute_hold_commands(
     targets: Array,
 ) -> HoldCommands:
     """Compute the commands with which the joints hold target positions.
+
+    A joint with neither a position servo of the file nor an added servo gets no command.
 
     Args:
         published: Published model.
