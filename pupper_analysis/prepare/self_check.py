@@ -98,8 +98,9 @@ def compare_as_published(
 ) -> Published | None:
     """Compare the published file with the prediction for a stand.
 
-    The nominal stand of the robot as loaded is compared instead if the robot was changed since, or
-    if the ground is not level. If the caller passed gains, the published model gets these gains.
+    The nominal stand of the robot as loaded is compared instead if the robot was changed since, if
+    the task has welds, or if the ground is not level. If the caller passed gains, the published
+    model gets these gains.
 
     Args:
         robot: Prepared robot.
@@ -110,7 +111,7 @@ def compare_as_published(
 
     Returns:
         Comparison. None if the robot has no file, or if the file is what is simulated. See
-        ``_compare_in`` for further cases.
+        ``_compare_in`` and ``compare_nominal_stand`` for further cases.
     """
     if robot.published is None or robot.published.as_prepared:
         return None
@@ -130,7 +131,10 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
-    """Compare the published file with the nominal stand; None without a nominal stand."""
+    """Compare the published file with the nominal stand.
+
+    None without a nominal stand, and in the cases of ``_compare_in``.
+    """
     return _compare_nominal(robot, None)
 
 
@@ -250,9 +254,10 @@ class PredictedRest:
 
     Attributes:
         feedforward: True with feed-forward torques, False with position commands alone.
-        qpos: Configuration, shape (nq,), with the feet in the soft ground.
+        qpos: Configuration, shape (nq,), with the feet in the soft ground; with a fixed base, the
+            joint positions, shape (nu,).
         torques: Joint torques, shape (nu,) [N m].
-        targets: Commanded positions, shape (nu,) [rad].
+        targets: Commanded positions, shape (nu,) [rad, m].
     """
 
     feedforward: bool
@@ -375,7 +380,11 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 
 
 def explain_own_run(robot: Robot) -> OwnRun | None:
-    """Return the run of a robot's unmodified file, with a cause if it fails; cached per robot."""
+    """Return the run of a robot's unmodified file; cached per loaded robot.
+
+    If the run fails, it contains the causes that are found. Bad servos are reported elsewhere; a
+    file with such servos gets no causes.
+    """
     return as_loaded(robot).once(_own_run_explained)
 
 
@@ -411,7 +420,7 @@ def name_remaining_cause(
     """Name a cause of a failure that no other finding explains.
 
     Of the run from the keyframe this is too soft a servo, if the robot stands with stiffer ones.
-    Otherwise it is the joint that deviates most.
+    Otherwise it is the joint that deviates most, or the divergence of the simulation.
 
     Args:
         robot: Prepared robot.
@@ -419,7 +428,7 @@ def name_remaining_cause(
         published: Comparison with the published file.
 
     Returns:
-        Both, the failing one with a cause.
+        Both, the failing one with a cause; if both fail, the run alone.
     """
     if own is not None and own.fails:
         return replace(
