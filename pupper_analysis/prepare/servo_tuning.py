@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 Gains = tuple[Array, Array]
 
 DEFAULT_SAG = 0.02
-"""Default deflection of the most loaded joint of an arm [rad; m for a slide]. Chosen, not tuned."""
+"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. Chosen."""
 
 _MAX_STANDING_FREQUENCY = 1.5
 """Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. MuJoCo's
@@ -73,7 +73,8 @@ class ServoRequirement:
 
     Attributes:
         torques: Design torque for the stiffness [N m, N for slides].
-        own_torques: Part of the design torque that the joint holds itself; always met.
+        own_torques: Torque that the joint holds itself [N m, N]; met even above ``soft_limit``, but
+            not above ``max_stiffness``.
         inertia: Inertia at the joint with all other joints free [kg m^2, kg].
         min_stiffness: Minimum stiffness [N m/rad, N/m].
         soft_limit: Stiffness [N m/rad, N/m] that only ``own_torques`` and ``min_stiffness``
