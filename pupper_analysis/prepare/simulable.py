@@ -197,7 +197,7 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         robot: Robot with a free base.
 
     Returns:
-        Robot, and a note if dense matrices are set, or if these do not help.
+        Robot, and a note if dense matrices are set, or if the solver remains inaccurate.
     """
     residual = find_solver_error(robot)
     if residual is None:
