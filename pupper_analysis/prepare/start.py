@@ -72,8 +72,8 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
 
     In such a keyframe the feet are below the ground, as in the simulation at rest, and the
     height of the base is meaningful. In other keyframes, in which a robot would fall or be
-    thrown up, the height is ignored. Keyframes without ctrl, or with a tilted base, are
-    excluded.
+    thrown up, the height is ignored. Keyframes whose ctrl is absent or zero, or in which no axis of
+    the base is vertical, are excluded.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -245,7 +245,8 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Search a stand in the middle of the heights that the legs can reach.
 
-    The horizontal foot positions are those of one of the poses, or else beside the hips.
+    The horizontal foot positions are those of one of the poses; or else beside the hips; or else
+    those at which bent legs have level soles.
 
     Args:
         robot: Robot with feet.
@@ -535,7 +536,8 @@ def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    Distances between consecutive joints do not depend on the joint positions.
+    Distances between consecutive hinges do not depend on the joint positions; slides count at their
+    positions in ``qpos``, shape (nq,).
 
     Returns:
         Height [m].
@@ -578,7 +580,8 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 
     Returns:
         Largest penetration of a contact with the world at the end of the simulation. None if the
-        model collapses with the ctrl of the keyframe, or if it has not exactly one free joint.
+        model collapses with the ctrl of the keyframe, if it has no such keyframe, or if it has not
+        exactly one free joint.
     """
     names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
     free = free_joints(model)
@@ -623,8 +626,9 @@ def find_start_pose(
 
     A keyframe is taken if the feet are level, the joints within their limits, and the nominal stand
     exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
-    file stands is taken, with its joints clipped to the limits. Shapes beside the feet are ignored
-    here: see ``touching``.
+    file stands (``rest_depth``) is taken, with its joints clipped to the limits, if the nominal
+    stand exists. Otherwise a start pose is searched; if none is found, a note reports it. Shapes
+    beside the feet are ignored here: see ``touching``.
 
     Args:
         robot: Robot with feet.
