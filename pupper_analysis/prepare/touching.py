@@ -73,7 +73,9 @@ def find_carrying_hulls(
         feet: Feet, each with its contact points.
 
     Returns:
-        Feet, with hulls as contact points, and a note. None if no hull carries most of the load.
+        Feet, with hulls as contact points, and a note. None if the stand on soft ground is not
+        solved, if no hull touches, or if the hulls that touch carry, on average, less than half of
+        the load.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
