@@ -40,7 +40,11 @@ class PupperAnalysisError(Exception):
         super().__init__(str(self.diagnostic))
 
     def at(self, where: Problem) -> Self:
-        """Return a copy of the error whose message starts with the part of the computation."""
+        """Return a copy of the error whose message starts with the place of the failure.
+
+        Args:
+            where: Part of the computation, for example the time of a sample.
+        """
         message = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
         error = _restore_error(type(self), (str(message),), vars(self))
         error.diagnostic = message

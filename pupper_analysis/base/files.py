@@ -250,10 +250,10 @@ def _owns(kind: Kind, target: Path) -> bool:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise an error if a folder is not writable, or could not be created. Nothing is written.
+    """Check that files can be written to a folder. Nothing is written.
 
     Raises:
-        OutputError: If so.
+        OutputError: If the folder is not writable, or does not exist and cannot be created.
     """
     try:
         existing = _nearest_existing(folder)

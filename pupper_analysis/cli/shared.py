@@ -400,7 +400,7 @@ def is_millimetres(kind: str, value: float) -> bool:
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
-    """Return name and value of NAME=VALUE.
+    """Parse the text ``NAME=VALUE`` of an option into the name and the text of the value.
 
     Raises:
         ConfigurationError: If the text has another form; it names the option.
@@ -412,7 +412,7 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 
 
 def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
-    """Return name and number of NAME=NUMBER.
+    """Parse the text ``NAME=NUMBER`` of an option into the name and the number.
 
     Raises:
         ConfigurationError: If the text has another form; it names the option.

@@ -69,11 +69,17 @@ class MujocoTree:
         self.take(parameters)
 
     def fits(self, parameters: MultibodyTree) -> bool:
-        """Return True if a tree has the structure of the model."""
+        """Return True if a tree has the parents and joint types of this model.
+
+        Its parameters can then be set without compiling a new model.
+        """
         return self._structure == _structure_key(parameters)
 
     def take(self, parameters: MultibodyTree) -> None:
-        """Set the parameters of the model to those of a tree with the same structure."""
+        """Copy masses, inertias, joints, gravity and frames of a tree into the model, in place.
+
+        The tree must have the same structure (``fits``).
+        """
         model, previous = self.model, self._last_parameters
         bodies = _select_changed(parameters.bodies, previous.bodies)
         if bodies:

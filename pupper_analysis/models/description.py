@@ -67,7 +67,7 @@ class Description:
     converted: str = ""
 
     def given(self, *additions: Addition) -> Description:
-        """Return a description whose MJCF has further additions."""
+        """Return a copy whose MJCF has further additions, for example a floor or servos."""
         spec = self.mjcf.copy()
         apply_additions(additions, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *additions))

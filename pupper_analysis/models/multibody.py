@@ -99,7 +99,7 @@ class TreeJoint:
         return pin.SE3(self.rotation, self.position)
 
     def placed(self, placement: pin.SE3) -> TreeJoint:
-        """Return the joint with another pose of the body."""
+        """Return a copy of the joint, with another pose of its body in the frame of the parent."""
         position, rotation = np.array(placement.translation), np.array(placement.rotation)
         return replace(self, position=position, rotation=rotation)
 

@@ -147,7 +147,11 @@ class Shape:
         return self.read()
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Return the shape, expressed in the frame in which its body has a pose."""
+        """Express the shape in the outer frame of its body.
+
+        Args:
+            pose: Pose of the body in the outer frame.
+        """
         return replace(self, pose=pose * self.pose)
 
     @property

@@ -99,7 +99,10 @@ class ActuatorLaw:
 
     @property
     def at_joint(self) -> tuple[float, float]:
-        """Stiffness [N m/rad] and damping [N m s/rad] at the joint."""
+        """Stiffness and damping at the joint, which include the square of the gear.
+
+        Units: N m/rad and N m s/rad for a hinge, N/m and N s/m for a slide.
+        """
         return self.stiffness * self.gear**2, self.damping * self.gear**2
 
 

@@ -163,7 +163,7 @@ class Draft:
 
     @property
     def match(self) -> Match:
-        """Matched joints of both files."""
+        """Match of URDF and MJCF; available after the pass that matches them."""
         assert self.found_match is not None
         return self.found_match
 
@@ -175,7 +175,7 @@ class Draft:
 
     @property
     def robot(self) -> Robot:
-        """Robot as built so far."""
+        """Robot as built by the passes so far; available after the first build."""
         assert self.built is not None
         return self.built
 

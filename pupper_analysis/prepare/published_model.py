@@ -87,7 +87,7 @@ class PublishedModel:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
-        """Find the base and the joints of a robot in a compiled model."""
+        """Create the record of a compiled model with the base and the joint drives of a robot."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
         )

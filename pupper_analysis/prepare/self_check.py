@@ -501,7 +501,17 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
 def find_difference_causes(
     published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Find the causes of the difference between the file and the prediction."""
+    """Find elements of a published MJCF that cause its deviation from the predicted stand.
+
+    Candidate elements are disabled in a copy of the model. An element is a cause if the simulation
+    then agrees with the prediction.
+
+    Args:
+        published: Published model.
+        robot: Robot that was loaded from the file.
+        prediction: Predicted rest position.
+        run: Simulation of the published model.
+    """
 
     def test_model(model: mujoco.MjModel) -> float | None:
         """Return the torque error of a changed model that agrees with the prediction; else None."""

@@ -178,7 +178,13 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
 
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
-    """Return a rebuilt robot with the contacts of a task, and the fingerprint of the original."""
+    """Add the contacts of a task to a rebuilt robot: friction, hands and welds.
+
+    Args:
+        built: Robot that was rebuilt with the contact geometry.
+        robot: Original robot, whose fingerprint (key for caches) is kept.
+        touching: {foot or other part: its contact}.
+    """
     hands = {name for name, properties in touching.items() if properties.offset is not None}
     feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # hands last
     return replace(

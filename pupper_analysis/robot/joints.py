@@ -26,7 +26,13 @@ OBLIQUE_MOTIONS = ("oblique", "oblique slide")
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
-    """Return {joint: motion type}, by the direction of the axis in the base at zero angles."""
+    """Classify the motion of each joint, for example as roll, pitch or yaw.
+
+    The direction of the joint axis in the base frame, at zero angles, determines the motion.
+
+    Returns:
+        {joint: motion}.
+    """
     zero_configuration = Configuration(robot, robot.neutral())
     return {
         name: _classify_motion(zero_configuration.joint_axis(name), is_slide=is_slide(robot, name))

@@ -282,7 +282,7 @@ class Stability(Result):
         return tuple(mode for mode in growing if mode.shakes or not self.sticks)
 
     def lasts(self, duration: float = HOLD_DURATION) -> bool:
-        """Return True if a nudged state remains for a duration [s]."""
+        """Return True if no mode leaves the state within a duration [s] after a nudge."""
         return not self.modes_growing_within(duration)
 
 

@@ -281,7 +281,7 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 
 
 def describe_ending(run: Outcome) -> Ending:
-    """Return the end of a simulation."""
+    """Classify how a simulation ended: the robot holds, stands differently, fails or collapses."""
     if run.passed:
         return Ending.HOLDS
     if run.stays:

@@ -342,7 +342,16 @@ class ConstraintEvaluation(NamedTuple):
 def evaluate_constraints(
     shapes: ClearanceShapes, goal: Goal, at: Kinematics
 ) -> ConstraintEvaluation:
-    """Evaluate all constraints of a goal at a configuration."""
+    """Evaluate the constraints of a goal at a configuration.
+
+    Args:
+        shapes: Robot with collision shapes.
+        goal: Goal.
+        at: Kinematics of the configuration.
+
+    Returns:
+        Violations [m, rad], CoM margin [m], and nearest clearances.
+    """
     violation: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
     for constraint in make_constraints(shapes, goal):

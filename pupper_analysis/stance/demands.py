@@ -119,7 +119,11 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the values of another task with the same feet, shape (n,) [m, rad]."""
+        """Return the numbers of the same demands in another task, shape (n,) [m, rad].
+
+        Args:
+            task: Task with the same feet.
+        """
         fields = task.values()
         values = [
             fields[key.field][key.foot] if key.foot else fields[key.field] for key in self.keys
@@ -290,7 +294,14 @@ def _round_number(number: float, usual: float, requested: float, *, angle: bool)
 def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
-    """Describe how far some demands of a task can go."""
+    """Describe how far some demands of an unreachable task can be fulfilled, for a message.
+
+    Args:
+        robot: Robot.
+        task: Unreachable task.
+        possible: Reachable task with relaxed demands.
+        demands: Names of the relaxed demands.
+    """
     limits = [_describe_demand(robot, possible, demand, task) for demand in demands]
     return diagnose("demands-can-go", demands=limits)
 

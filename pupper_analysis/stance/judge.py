@@ -192,7 +192,7 @@ class Stand(Tabular):
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:
-        """Violated clearances and CoM margin."""
+        """Messages about violated constraints: CoM margin, and clearances of links or ground."""
         violations = []
         if self.com_shortfall > TASK_TOLERANCE:
             violations.append(

@@ -157,7 +157,12 @@ def _compute_residual(
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Return the MJCF's tree of a robot in the link frames of the URDF."""
+    """Express the multibody tree of a robot's MJCF in the link frames of its URDF.
+
+    Args:
+        robot: Robot.
+        tolerances: Tolerances of the comparison.
+    """
     urdf, mjcf = kinematic_trees(robot)
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]

@@ -459,7 +459,7 @@ class Change(Stated):
     felt: bool = True
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        """Return the first tree with the second tree's value."""
+        """Return a copy of the first tree in which this number is that of the second tree."""
         return copy_value(first, second, self.kind, self.element)
 
 

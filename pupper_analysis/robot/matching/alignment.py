@@ -262,7 +262,13 @@ def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
 
 
 def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
-    """Express the body of a joint relative to an origin that is displaced by a step in its axes."""
+    """Express a body relative to a displaced origin of its frame; the robot does not change.
+
+    Args:
+        values: Tree of the robot.
+        name: Joint that moves the body.
+        step: Displacement of the origin, shape (3,) [m], in the axes of the body.
+    """
     if not step.any():
         return values
     joint, joints = values.joints[name], dict(values.joints)
@@ -272,7 +278,16 @@ def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
 
 
 def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Array) -> MultibodyTree:
-    """Express a body and its children in a new frame of the body: x' = rotation x + shift."""
+    """Express CoM, inertia, frames and children of a body in a new frame of the body.
+
+    The new coordinates are x' = rotation x + shift.
+
+    Args:
+        values: Tree of the robot.
+        name: Joint that moves the body, or the base.
+        rotation: Rotation matrix, shape (3, 3).
+        shift: Translation, shape (3,) [m].
+    """
     joints, body = dict(values.joints), values.bodies[name]
     for child in values.children(name):
         child_joint = joints[child]

@@ -236,7 +236,7 @@ class EquilibriumScales:
 
     @property
     def stiffness(self) -> float:
-        """Servo stiffness [N m/rad] that gives weight x height of torque at 1 rad."""
+        """Scale of servo stiffness [N m/rad]: weight x height, per radian."""
         return self.weight * self.length
 
     @property

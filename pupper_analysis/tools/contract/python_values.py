@@ -100,7 +100,7 @@ Scope = ChainMap[str, Node]
 
 
 def get_module(scope: Scope) -> ModuleNames:
-    """Return the module of a scope."""
+    """Return the names of the module to which a scope of Python source belongs."""
     return cast(ModuleNames, scope.maps[-1])
 
 

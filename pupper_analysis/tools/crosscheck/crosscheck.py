@@ -258,7 +258,14 @@ rows."""
 
 
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
-    """Return the names of the rows of a quantity."""
+    """Return the labels of the rows in which a compared quantity is evaluated.
+
+    Depending on the quantity, these are bodies, joints, degrees of freedom or contact points.
+
+    Args:
+        robot: Robot.
+        quantity: Key of ``QUANTITIES``.
+    """
     base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
     rows = {
         BODIES: (robot.base, *robot.joint_names),

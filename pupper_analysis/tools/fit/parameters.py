@@ -159,7 +159,12 @@ class Prior:
     width: float = math.nan
 
     def compute_std(self, stated: float) -> float:
-        """Return the standard deviation for a stated value, in the kind's unit."""
+        """Return the prior standard deviation of a parameter.
+
+        Args:
+            stated: Value in the model file, in the unit of the kind. It is the reference of a
+                relative width (``share``).
+        """
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
 

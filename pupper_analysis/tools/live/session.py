@@ -100,7 +100,7 @@ class Panels:
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
     def status(self, document: Document) -> None:
-        """Show the loads of the stance."""
+        """Show the report of the stance (loads, sag, contact forces) in the number panel."""
         self._numbers.content = render.render_panel(document, self.say)
 
     def result(self, document: Document) -> None:
@@ -112,11 +112,18 @@ class Panels:
         self._result.content = render.render_waiting(text(key), self.say)
 
     def hint(self, key: str) -> None:
-        """Show the reason why there is no result of a simulation."""
+        """Show a message instead of a simulation result.
+
+        Args:
+            key: Key of the message in the catalogue of texts.
+        """
         self._result.content = render.render_hint(text(key), self.say)
 
     def answered(self) -> None:
-        """Reset the result and the button of the nearest stance after a change of the state."""
+        """Clear the simulation result, and hide the button of the nearest reachable stance.
+
+        Called when the stance of the page has changed.
+        """
         self.nearest(False)
         self.hint("not-simulated-yet")
 
@@ -213,7 +220,10 @@ class Session:
         self._work_pending.set()
 
     def export(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
-        """Return the current result and the predicted sag."""
+        """Return the solved stance that the page shows, and its predicted sag, for a download.
+
+        The sag is a message if there is no equilibrium, and None until it is computed.
+        """
         with self._lock:
             return self._answer, self._sag
 

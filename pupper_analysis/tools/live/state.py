@@ -91,7 +91,11 @@ class State:
         return self.values[name] if name in self.values else find_default_value(SLIDER_FIELDS[name])
 
     def having(self, **values: Any) -> State:
-        """Return the state with changed values."""
+        """Return a copy of the page's state with changed values.
+
+        Args:
+            **values: {name of the field: value in page units}.
+        """
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:

@@ -202,7 +202,11 @@ class PushBench:
             yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
     def find_failure(self, states: Array) -> Diagnostic | None:
-        """Return the failure of a complete simulation; None if the robot recovers."""
+        """Return the failure of a push that was simulated to the end; None after a recovery.
+
+        Args:
+            states: MuJoCo states (mjSTATE_FULLPHYSICS) of the simulation, one per row.
+        """
         broken = self._find_early_failure(states)
         if broken is not None and monitor.has_diverged(states, self.timestep):
             return broken

@@ -363,7 +363,7 @@ def is_servo_variable(name: str) -> bool:
 
 
 def is_stance_pattern(name: str) -> bool:
-    """Return True for the form ``posture:JOINT`` or ``contacts:LINK``."""
+    """Return True if a study variable is a stance value of a joint or link: ``posture:JOINT``."""
     return name.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 
 
@@ -514,7 +514,12 @@ be built); the reason in English; the reason as the record of a diagnostic (JSON
 
 
 def make_failure_columns(kind: str, reason: Diagnostic) -> Row:
-    """Return the columns of a row that describe a failure, except ``failed_metric``."""
+    """Return the table columns that describe why a design failed, except ``failed_metric``.
+
+    Args:
+        kind: Kind of the failure.
+        reason: Message.
+    """
     record = orjson.dumps(to_record(reason)).decode()
     return {"failure": kind, "reason": str(reason), "diagnostic": record}
 

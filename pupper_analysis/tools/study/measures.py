@@ -118,7 +118,7 @@ class Design:
 
     @cached_property
     def workspace(self) -> BaseWorkspace:
-        """Range of the base in each direction."""
+        """Reachable range of the base in height, roll, pitch, yaw, x and y, from the stance."""
         return base_workspace(self.robot, self.stand.task)
 
     @cached_property

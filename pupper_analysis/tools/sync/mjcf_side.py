@@ -201,7 +201,7 @@ class MjcfSide(Side):
             self.elements.write(element, "pos", target_pose.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
-        """Return the element of a joint, or None."""
+        """Return the XML element of a joint in the files of the MJCF; None if it has none."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.joint(name, str(self.model.body(body).name))
 

@@ -54,7 +54,13 @@ class UrdfSide(Side):
         self._compared_links = self.sides.matched.urdf_tree.links
 
     def plan(self, taken: Collection[Key]) -> None:
-        """Plan all changes. Positions come first, because children move with their link."""
+        """Plan the changes of the URDF, without writing any file.
+
+        Positions come first, because children move with their link.
+
+        Args:
+            taken: Differences (kind, element) whose values are taken from the MJCF.
+        """
         for kind, name in taken:
             if kind == "position":
                 self._plan_position(name)

@@ -187,7 +187,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         return None if found.element is None else found
 
     def weighing(self, body: str) -> Place:
-        """Return the prim of a body."""
+        """Return the location of a body's mass: its prim in the USD file."""
         return self.place("body", body)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:

@@ -275,7 +275,11 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find effort limits that do not fit the mass and armature of the motor or the robot."""
+    """Find effort limits [N m] that are probably placeholders.
+
+    They are too large for the mass of the links beside the joint, for the armature, or for the mass
+    of the robot (`placeholder_efforts`).
+    """
     motors = []
     for joint in robot.joints.values():
         if joint.kind == HINGE:

@@ -347,7 +347,11 @@ differently."""
 
 @rule
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare the collision shapes of left and right links: presence, and extent in base axes."""
+    """Find pairs of left and right links whose collision shapes are no mirror images.
+
+    A finding is a link without shapes beside a link with shapes, or a difference between the
+    bounding boxes along the base axes, at zero angles.
+    """
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
         if not any(pair):
