@@ -36,10 +36,13 @@ _MAX_FINE_TIMESTEP = 2e-3
 Chosen."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
-"""Iterations and tolerance of an accurate constraint solver: Newton's method converges in ten."""
+"""Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
+If a file has less accurate settings, they are tested as the cause of a difference, by a simulation
+with these values. Newton's method converges in about ten iterations. Chosen, not tuned."""
 
 _LOCKING_DAMPING = 1e6
-"""Damping of a locked joint [N m s/rad, N s/m]: under 1 N it moves by 1 um/s."""
+"""Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
+moves by 1 um/s. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,14 +290,16 @@ _MIN_FRICTION = 0.3
 steel has more."""
 
 _SOUND_FRICTION = 0.8
-"""Friction coefficient with which slippery contacts are tested: rubber on a floor."""
+"""Friction coefficient that replaces that of slippery contacts in a test simulation, to find
+whether they cause a difference: rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
-"""Time constant of a contact [s] above which it may be too soft by a mistake. MuJoCo's default
-is 0.02."""
+"""Time constant of a contact (``solref``) [s] above which the contact is tested as the cause of a
+difference, because it may be too soft by a mistake. MuJoCo's default is 0.02. Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
-"""MuJoCo's default ``solref``."""
+"""MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
+contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:

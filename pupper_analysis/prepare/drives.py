@@ -57,7 +57,8 @@ bounded by the time step (a random tripod oscillates at 2 ms with kd = 130 N m s
 with 25)."""
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
-"""Same as `_SAG_CANDIDATES`, with reduced damping."""
+"""Deflections [rad, m] for which gains are tried with reduced damping, in order, after those of
+`_SAG_CANDIDATES`."""
 
 _BRIEF_DURATION = 2.0
 """Duration of a first simulation [s]: if it agrees with the prediction, no longer one is needed.

@@ -46,7 +46,7 @@ def describe_null_efforts(robot: Robot) -> Diagnostic | None:
 
 
 def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
-    """Return the fields of a message that name the limit of another file or limb."""
+    """Return the fields of a message about the limit that another file or limb states, if any."""
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
     joint, statement = found
@@ -59,7 +59,7 @@ def _remedy(found: tuple[str, EffortStatement] | None) -> dict[str, Any]:
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return the limit of a joint in the same place of a limb that is alike; else None."""
+    """Return the corresponding joint of a similar limb with its stated limit; None without one."""
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
         for name in siblings.get(limit.joint, ()):

@@ -37,8 +37,9 @@ _LEVEL_COSINE_ATOL = 1e-6
 """Upper bound of 1 - cos(tilt) of a level base: 1.4 mrad. Chosen, not tuned."""
 
 _WEIGHT_RTOL = 0.01
-"""Upper bound of the relative difference between ground force and weight in a keyframe in which
-the robot rests. In a keyframe whose height was set by hand the difference is far larger."""
+"""Upper bound of the difference between ground force and weight, relative to the weight, with which
+a keyframe counts as at rest. If the height of a keyframe was set by hand, the difference is far
+larger. Chosen, not tuned."""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
@@ -189,8 +190,10 @@ _NUM_KEYFRAME_DIGITS = 6
 """Decimals of a keyframe's angles and height: 1 um, below any effect on a servo. Chosen."""
 
 _POSE_WEIGHT = 1e-3
-"""Weight of the distance from the pose [rad] beside a contact point's height error, in parts of the
-base height, and the CoM's offset, likewise. It selects among the postures that lay the soles."""
+"""Weight of a joint's distance from the pose [rad, m] in a least-squares problem, relative to the
+other residuals: height errors of the contact points and offset of the CoM, both divided by the base
+height. The small weight only selects among the postures in which the soles lie flat. Chosen, not
+tuned."""
 
 _MAX_SOLE_ERROR = 1e-3
 """Largest height error of a contact point, and offset of the CoM, in parts of the base height, with

@@ -594,7 +594,7 @@ def _add_places(
 
 
 def _explained_fraction(explanation: Explanation) -> float:
-    """Return the explained fraction of the largest deviation."""
+    """Return the fraction of the largest deviation that the differences explain, 0 to 1."""
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)
     )

@@ -426,7 +426,7 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Return the guess that one value is in degrees, if the ratio is 57.3 within 1 %."""
+    """Return a diagnostic if one value seems to be in degrees: a ratio of 57.3 within 1 %."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
     ratio = mjcf / urdf
@@ -436,7 +436,7 @@ def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
-    """Return the guess that the MJCF's quaternion is in the order (x, y, z, w), if this fits."""
+    """Return a diagnostic if the MJCF's quaternion fits the URDF in the order (x, y, z, w)."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
     quaternion = pin.Quaternion(np.array([w, x, y, z]))

@@ -23,7 +23,8 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 0.5
-"""Minimum decrease of the deviation [bits] for a change of a frame, to exclude rounding errors."""
+"""Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
+of a body is accepted. It excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +118,21 @@ def _align_by_cost(
 
 
 def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
-    """Return a hundredth of the tolerances."""
+    """Return tolerances that are a hundredth of the given ones."""
     return Tolerances(
         **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
     )
 
 
 def measure_deviation_bits(size: float, tolerance: float) -> float:
-    """Return log2(1 + size / tolerance) of a deviation; 0 within the tolerance."""
+    """Convert a deviation to bits: log2(1 + size / tolerance), or 0 within the tolerance.
+
+    Deviations of different units can thus be added.
+
+    Args:
+        size: Deviation, not negative.
+        tolerance: Tolerance, in the unit of the deviation.
+    """
     return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
 
 

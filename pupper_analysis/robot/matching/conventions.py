@@ -39,7 +39,8 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 3.0
-"""Minimum decrease of the deviation [bits] for another frame of the base."""
+"""Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
+of the base is accepted, if it explains the whole deviation. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base from whose frames a pose of the base frame is derived."""
@@ -119,7 +120,10 @@ def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: 
 def _find_zero_offset(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the offset of a joint's zero [rad, m] if its limits have the same, otherwise 0."""
+    """Return the offset between the zeros of a joint in two trees [rad, m].
+
+    0 if the frames of the joint differ otherwise, or its limits contradict the offset.
+    """
     first_joint, second_joint = first.joints[name], second.joints[name]
     if (
         first_joint.slides != second_joint.slides
@@ -172,7 +176,10 @@ def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
 def _find_base_pose(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
-    """Return the pose of the first's base frame in the second's; None if equal or undetermined."""
+    """Return the pose of the base frame of the first tree in that of the second tree.
+
+    None if both frames are equal, or the pose cannot be determined.
+    """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
         return None
@@ -221,7 +228,7 @@ def _is_axis_permutation(rotation: Array) -> bool:
 
 
 def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
-    """Yield candidate poses of the first's base frame in the second's."""
+    """Yield candidate poses of the base frame of the first tree in that of the second tree."""
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:
         first_joint, second_joint = first.joints[name], second.joints[name]

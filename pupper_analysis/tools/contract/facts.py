@@ -89,7 +89,7 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
-    """Return the properties of a quantity.
+    """Return unit, severity and mirror relation of a quantity, for example ``kp``.
 
     Quantities not in `QUANTITIES` are scales of observations.
     """
@@ -161,7 +161,7 @@ class Fact(Result):
 
     @property
     def number(self) -> float:
-        """Value in SI units; 0 if the value is None."""
+        """``value`` as a number in SI units; 0 if ``value`` is None."""
         return self.value or 0.0
 
 
@@ -297,7 +297,11 @@ class Node:
         return node
 
     def find_first(self, names: str) -> Node:
-        """Return the first present node among the paths of an entry of `KEY_ALIASES`."""
+        """Return the node of the first key that is present, among the keys of a concept.
+
+        Args:
+            names: Concept, a key of `KEY_ALIASES`.
+        """
         candidates = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
         return next((item for item in candidates if item.is_present), Node(None, self.place))
 

@@ -65,7 +65,10 @@ class Key:
     joints: Array
 
     def margin(self, feet: Sequence[str]) -> float:
-        """Compute the distance from the projected CoM to the edge of a polygon of feet [m]."""
+        """Compute the CoM margin [m] in the polygon of some feet.
+
+        The margin is the distance of the CoM's projection from the edge, positive inside.
+        """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
 

@@ -350,7 +350,7 @@ def _has_mass(body: Any, shape: Any) -> bool:
 
 
 def _read_positive(prim: Any, name: str) -> float:
-    """Return a number; 0 if it is missing, not finite or not positive."""
+    """Return a number in the unit of the file; 0 if missing, not finite or not positive."""
     value = read_number(prim, name, 0.0)
     return max(value, 0.0) if np.isfinite(value) else 0.0
 

@@ -175,12 +175,12 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Interval within which the runs of all seeds track."""
+        """Interval of the varied quantity in which the robot tracks its command with every seed."""
         return float(self.least.max()), float(self.most.min())
 
     @property
     def inside(self) -> bool | None:
-        """True if the measured interval is within the common one; None without a measurement."""
+        """True if the measured interval is within ``common``; None without a measured interval."""
         if self.measured is None:
             return None
         low, high = self.common

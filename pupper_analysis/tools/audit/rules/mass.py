@@ -245,7 +245,9 @@ MIN_GYRATION_SQUARED = 1e-10
 """Moment per mass that counts as zero [m^2]: a radius of gyration of 0.01 mm."""
 
 MIN_REACH = 0.05
-"""Lower bound of the distance R of `inertia_implausible` for a link without shapes [m]."""
+"""Lower bound of the radius R for a link without shapes [m], in the check that its largest moment
+of inertia is at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the CoM to the
+origins of the link, its frames and its children, which may be zero. Chosen, not tuned."""
 
 
 def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:

@@ -94,8 +94,9 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
     0.1,
     0.02,
 )
-"""Tolerances, chosen: positions [m], masses (relative), CoM [m], inertia (relative to the largest
-entry), joint limits [rad or m]."""
+"""Largest differences between left and right that are not reported: positions [m], masses
+(relative), CoM [m], inertia (relative to the largest entry), joint limits [rad or m]. Chosen, not
+tuned."""
 
 
 def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
@@ -338,11 +339,12 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 SIMPLE_SHAPE_TOLERANCE = 2e-3
-"""Largest deviation of primitive shapes [m]. Measured on published robots: at most 1 mm."""
+"""Largest difference of the extents of left and right primitive shapes [m] that is not reported.
+Measured on published robots: at most 1 mm."""
 
 SHAPE_TOLERANCE = 0.01
-"""Largest deviation of meshes [m], plus a tenth of the size: left and right meshes are cut
-differently."""
+"""Largest difference of the extents of left and right meshes [m] that is not reported, in addition
+to a tenth of their size: left and right meshes are cut differently. Chosen, not tuned."""
 
 
 @rule

@@ -208,7 +208,15 @@ class Simulator:
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
     def predict_positions(self, run: Run, vectors: Sequence[Array]) -> Array:
-        """Return the predicted encoder positions, shape (vectors, n, nu) [rad], of a run."""
+        """Predict the encoder positions of a run for several parameter vectors.
+
+        Args:
+            run: Run with n samples.
+            vectors: k parameter vectors.
+
+        Returns:
+            Positions, shape (k, n, nu) [rad].
+        """
         starts = range(0, len(vectors), _MAX_BATCH_SIZE)
         return np.concatenate(
             [self._predict_batch(run, vectors[start : start + _MAX_BATCH_SIZE]) for start in starts]
@@ -519,7 +527,11 @@ class MomentCoordinates:
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))
 
     def to_parameters(self, moments: Array) -> Array:
-        """Return the parameters, shape (n,), for coordinates, shape (n,)."""
+        """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
+
+        The inverse of `from_parameters`: c = c0 + (m0 / m) (coordinate - c0) for a CoM component of
+        a body with an estimated mass m; the delay is the coordinate plus the lag of commands.
+        """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com
         vector[self._coms] = self._stated_com + self._compute_mass_ratio(moments) * deviation
@@ -527,7 +539,12 @@ class MomentCoordinates:
         return vector
 
     def from_parameters(self, vector: Array) -> Array:
-        """Return the coordinates, shape (n,), for parameters, shape (n,)."""
+        """Convert physical parameters, shape (n,), to first-moment coordinates, shape (n,).
+
+        A CoM component c [m] of a body with an estimated mass m becomes c0 + (m / m0) (c - c0),
+        with the stated values c0 and m0. The delay becomes the delay minus the lag of commands.
+        Other parameters are unchanged.
+        """
         moments = vector.copy()
         deviation = vector[self._coms] - self._stated_com
         moments[self._coms] = self._stated_com + deviation / self._compute_mass_ratio(vector)

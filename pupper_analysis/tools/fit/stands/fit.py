@@ -352,7 +352,7 @@ def check_residuals(
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
     """Yield failures of the surroundings: load, slope, softness and leg length, one kind at a time.
 
-    All parameters of a kind are tested jointly; see ``_compute_surprise``.
+    All parameters of a kind are tested jointly, by a chi2 test of their changes.
 
     Args:
         posterior: Distribution of the parameters.

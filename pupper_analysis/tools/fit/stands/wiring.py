@@ -39,7 +39,10 @@ class Wiring:
     found: Diagnostic
 
     def apply(self, stands: MeasuredStands) -> MeasuredStands:
-        """Return the stands with this wiring; joints are in actuator order."""
+        """Return the stands with commands and positions assigned to joints by this wiring.
+
+        Joints are in actuator order.
+        """
         order, signs = list(self.order), np.array(self.signs)
         return replace(
             stands,
