@@ -69,7 +69,14 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
 
 
 def to_task_value(field: Field, value: Any) -> Any:
-    """Return the value of an option in the form of the task."""
+    """Convert the value of a command-line option into the value of a `StandTask` field.
+
+    Texts such as ``FL=10cm`` are parsed into mappings and SI units.
+
+    Args:
+        field: Field of the task.
+        value: Value from click.
+    """
     if field.per:
         assignments = [(shared.parse_assignment(field.option, text), text) for text in value]
         names = [key for (key, _), _ in assignments]

@@ -34,7 +34,11 @@ class Addition:
     reason: Diagnostic
 
     def put(self, model: object) -> None:
-        """Apply the addition to a model."""
+        """Apply the addition to a model, by calling the model's method ``verb``.
+
+        Args:
+            model: `SpecTree`, or a new MJCF file; modified.
+        """
         getattr(model, self.verb)(*(getattr(self, argument.name) for argument in fields(self)[1:]))
 
 

@@ -167,7 +167,12 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
 
 
 def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
-    """Change meshes to shells, in place."""
+    """Let MuJoCo compute the inertia of some meshes as thin shells, in place.
+
+    Args:
+        spec: Spec; modified.
+        names: Names of the meshes.
+    """
     for mesh in spec.meshes:
         if mesh.name in names:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

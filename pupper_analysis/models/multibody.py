@@ -95,7 +95,7 @@ class TreeJoint:
 
     @property
     def placement(self) -> pin.SE3:
-        """Pose of the body in its parent, at zero."""
+        """Pose of the body in the frame of its parent body, at a joint position of zero."""
         return pin.SE3(self.rotation, self.position)
 
     def placed(self, placement: pin.SE3) -> TreeJoint:
@@ -131,7 +131,11 @@ class MultibodyTree:
     base_armature: float = 0.0
 
     def children(self, body: str) -> list[str]:
-        """Return the joints on a body, as a new list."""
+        """Return the names of the joints whose parent is a body, as a new list.
+
+        Args:
+            body: Base, or joint that moves the body.
+        """
         return list(self._children_by_body.get(body, ()))
 
     @cached_property
@@ -142,7 +146,11 @@ class MultibodyTree:
         return found
 
     def carried_by(self, body: str) -> list[str]:
-        """Return the frames on a body."""
+        """Return the names of the frames that are fixed to a body.
+
+        Args:
+            body: Base, or joint that moves the body.
+        """
         return list(self._frames_by_body.get(body, ()))
 
     @cached_property

@@ -86,7 +86,7 @@ def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the dependent joints."""
+    """Report joints that loops or couplings make follow other joints, if there are any."""
     if robot.closure is not None:
         yield robot.closure.describe()
 

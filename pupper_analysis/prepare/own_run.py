@@ -115,7 +115,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the reason why MuJoCo refuses the URDF of a robot; empty if it does not."""
+    """Return the reason why MuJoCo cannot import the robot's URDF; empty if the import works."""
     found = as_loaded(robot).once(_imported)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 

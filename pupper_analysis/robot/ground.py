@@ -101,13 +101,21 @@ class Ground:
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
-        """Return a copy of the ground with separate planes {foot: plane}."""
+        """Return a copy of the ground in which some feet touch planes of their own.
+
+        Args:
+            planes: {foot: plane}.
+        """
         ground = replace(self)
         object.__setattr__(ground, "_planes", FrozenDict(planes))
         return ground
 
     def normal(self, foot: str | None = None) -> Array:
-        """Return the unit normal (3,) of the ground, or of the plane under a foot."""
+        """Return the upward unit normal of the ground, shape (3,), in the world frame.
+
+        Args:
+            foot: Foot with a plane of its own, whose normal is returned. Default: the slope.
+        """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
         return np.array(slope_normal(self.slope, self.uphill))

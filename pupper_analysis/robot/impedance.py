@@ -111,7 +111,10 @@ class EqualityCompliance:
         return self._compliance.copy()
 
     def most(self) -> Array:
-        """Return the largest compliance of each equation over all openings, (m,) [SI units]."""
+        """Return the largest compliance of each equation over all openings.
+
+        Shape (m,) [m/N, rad/(N m)].
+        """
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:
             compliance[rows] *= max(

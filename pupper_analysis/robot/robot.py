@@ -158,7 +158,11 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def of_changed(self, robot: Robot) -> PublishedFile:
-        """Return the published file for a modified copy of a robot."""
+        """Return the record to be kept by a modified copy of a robot.
+
+        Args:
+            robot: Robot before the first modification, which is stored as ``loaded``.
+        """
         return self if self.loaded is not None else replace(self, loaded=robot)
 
 
@@ -312,7 +316,7 @@ class Robot:
 
     @property
     def hands(self) -> tuple[str, ...]:
-        """Entries of ``feet`` that are other parts of the robot with a contact of a task."""
+        """Names of the parts in ``feet`` that a task uses as hands: they touch with a ball."""
         touching = self.touching.items()
         return tuple(
             name

@@ -164,7 +164,7 @@ class Structure:
         return symmetric
 
     def square(self, matrix: Array) -> Array:
-        """Return a matrix (nv, nv) of the model in public order."""
+        """Sort rows and columns of a Pinocchio matrix, shape (nv, nv), into the order of qvel."""
         if self._public_to_model is None:
             return matrix.copy()
         return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)

@@ -254,7 +254,15 @@ class ContactSampler:
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Compute the positions of the foot centres in MuJoCo's data, {foot: (3,)} [m]."""
+    """Return the centres of the contact points in MuJoCo's data.
+
+    Args:
+        robot: Robot.
+        data: Data of the robot's model, with kinematics.
+
+    Returns:
+        {contact point: centre, shape (3,) [m], in the world frame}.
+    """
     bodies = [body for body, _ in robot.contact_places.values()]
     offsets = np.array([place for _, place in robot.contact_places.values()]).reshape(-1, 3, 1)
     rotated_offsets = data.xmat[bodies].reshape(-1, 3, 3) @ offsets

@@ -84,7 +84,14 @@ def measure_distance(
     other: coal.CollisionGeometry,
     there: coal.Transform3s,
 ) -> coal.DistanceResult:
-    """Compute the distance of two shapes at poses, with nearest points and direction."""
+    """Compute the distance [m] of two collision shapes, with nearest points and direction.
+
+    Args:
+        one: First shape.
+        at: Pose of the first shape in the world.
+        other: Second shape.
+        there: Pose of the second shape in the world.
+    """
     result = coal.DistanceResult()
     coal.distance(one, at, other, there, coal.DistanceRequest(), result)
     return result

@@ -134,7 +134,11 @@ class DemandVector:
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array) -> StandTask:
-        """Return the task with other values, shape (n,) [m, rad]."""
+        """Return a copy of the task with other numbers.
+
+        Args:
+            values: Numbers in the order of ``keys``, shape (n,) [m, rad].
+        """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
             changed.setdefault(field, {}).setdefault(foot, []).append(value)

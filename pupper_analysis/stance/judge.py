@@ -225,7 +225,7 @@ class Stand(Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """Smallest slack of CoM margin and clearances [m], at most 0."""
+        """Smallest slack of CoM margin and clearances [m]: 0 if satisfied, else negative."""
         slacks = (near.distance - least for near, least in self._clearances())
         return min([-self.com_shortfall, *slacks])
 

@@ -100,9 +100,18 @@ class MujocoBehaviour:
 def offsets_in_world(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
 ) -> Array:
-    """Return vectors (n, 3) in the axes of the joints' bodies, expressed in world axes.
+    """Rotate vectors from the axes of the joints' bodies to world axes.
 
-    For a hinge, only the component along the axis is used.
+    For a hinge, only the component along the joint axis is kept.
+
+    Args:
+        model: MuJoCo model.
+        data: Data with kinematics.
+        joints: Ids of n joints.
+        local: Vectors, shape (n, 3), in the axes of the bodies that the joints move.
+
+    Returns:
+        Vectors, shape (n, 3), in world axes.
     """
     bodies = data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3)
     # The vector of a hinge is parallel to its axis, which later joints of the body do not rotate.
@@ -216,7 +225,7 @@ _MIN_STATES: Final = 2
 
 
 def is_large(robot: Robot) -> bool:
-    """Return True if a robot is too large for Pinocchio's data."""
+    """Return True if a robot has too many degrees of freedom for Pinocchio's data."""
     return robot.nv > MAX_PINOCCHIO_NV
 
 

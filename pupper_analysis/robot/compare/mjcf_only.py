@@ -316,7 +316,7 @@ def split_mimics(
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the medium if it has density or viscosity."""
+    """Yield the fluid around the robot, if the MJCF states its density or viscosity."""
     option = scene.model.opt
     if option.density or option.viscosity:
         value: Numbers = {"density": option.density, "viscosity": option.viscosity}
@@ -346,7 +346,10 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the flags that disable terms of the dynamics that the file specifies."""
+    """Yield the MJCF's flags that disable limits, dry friction, constraints or actuation.
+
+    Only flags that disable something that the file specifies are yielded.
+    """
     for word in ("limit", "frictionloss", "constraint", "actuation"):
         if scene.off(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
             message = diagnose("of-the-mjcf-alone", subject=("flag", word), stated="disable")

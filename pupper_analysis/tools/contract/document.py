@@ -222,7 +222,7 @@ def _tabulate_observations(contract: Contract) -> doc.Table:
 
 
 def make_contract_annotations(contract: Contract) -> list[Annotation]:
-    """Make an annotation for each disagreement at the line of each source."""
+    """Create annotations for a CI service: each disagreement at the line of each source."""
     return [
         Annotation(
             ANNOTATION_LEVELS[finding.severity],

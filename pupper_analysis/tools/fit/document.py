@@ -212,7 +212,7 @@ def _stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
-    """Create the document of a plan, with the interval that it predicts for each parameter."""
+    """Create the report of a measurement plan: stands, and predicted interval per parameter."""
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
     expected = _estimate_table(
         text("what-stands-will-tell"), plan.expected, detail=True, planned=True

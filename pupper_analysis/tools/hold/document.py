@@ -200,7 +200,7 @@ def _force(hold: Hold) -> doc.Table:
 
 
 def force_plot(force: ToolForce) -> doc.LinePlot:
-    """Draws sections of the polytope of forces on a tool."""
+    """Create the plot of the largest forces on a tool in three sections, in N, world axes."""
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
     for name, radii in (*sections, ("section-y-z", force.frontal)):
@@ -215,7 +215,10 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 
 
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
-    """Draws what the motors hold over the reach of a tool, by its distance."""
+    """Create the plot of motor utilisation over the tool's distance from the first joint.
+
+    It shows the maximum and the mean over random postures, in percent over mm.
+    """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _RINGS + 1)
     ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
     full = np.unique(ring)

@@ -420,7 +420,7 @@ class Control:
         return fill_template(self.field.words(language).hint, arguments, language)
 
     def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
-        """Return the number of this slider from the value of the field."""
+        """Return the component of a field's value that this slider shows, in page units."""
         if isinstance(value, Contact | Weld):
             return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number
         if self.axis is None:

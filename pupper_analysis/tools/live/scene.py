@@ -244,7 +244,7 @@ class Scene:
         self._draw_forces(described)
 
     def ghost(self, robot: Robot, stand: Stand | None) -> None:
-        """Draw a stance as a transparent ghost, or hide the ghost."""
+        """Draw a stance as a transparent figure (ghost), or hide it if ``stand`` is None."""
         if stand is None:
             self.hide("ghost")
             return
@@ -253,7 +253,13 @@ class Scene:
         self._get_figure("ghost").show(True)
 
     def twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
-        """Draw a simulated configuration beside the stand."""
+        """Draw a simulated configuration as a second figure beside the stand.
+
+        Args:
+            robot: Robot.
+            qpos: Configuration, shape (nq,).
+            ground: Ground, whose slope direction determines the side.
+        """
         figure = self._get_figure("twin")
         along = np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
         figure.shift(2.6 * robot.stand_height * along)

@@ -102,7 +102,14 @@ class WalkSession:
         self._restart.set()
 
     def push(self, x: float, y: float) -> None:
-        """Push the robot in the direction (x, y) during the next action, as hard as the slider."""
+        """Request a push in a horizontal direction, during the next action of the policy.
+
+        The velocity change [m/s] is the value of the slider times the length of (x, y).
+
+        Args:
+            x: Component along world x.
+            y: Component along world y.
+        """
         size = float(self.impulse.value) * self._stage.robot.total_mass
         with self._lock:
             self._requested_push = (x * size, y * size)

@@ -120,7 +120,10 @@ class PushBench:
 
     @cached_property
     def creep(self) -> float:
-        """Largest speed of the base at the end without a push [m/s]: friction creeps on a slope."""
+        """Largest speed of the base [m/s] at the end of a simulation without a push.
+
+        It is not zero on a slope, since MuJoCo's friction creeps.
+        """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._last_speed(states)
 

@@ -311,7 +311,7 @@ class WorkerPool:
         return self.renewable and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
-        """End the idle processes and start others."""
+        """End all worker processes and start new ones; wait until these are ready."""
         self.end()
         self.check()  # wait for the start, so that it does not count for the next design
 

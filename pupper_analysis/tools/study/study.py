@@ -211,7 +211,12 @@ class Study:
         return len(self.sampling)
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
-        """Yield the designs in blocks: hashes (n) and variable values (n, variables)."""
+        """Yield the designs in blocks of n designs.
+
+        Yields:
+            Hashes of the designs, and values of the variables, shape (n, number of variables), in
+            the units of the variables.
+        """
         for block in self.sampling.blocks():
             yield hash_designs(self.digest, tuple(self.variables), block), block
 

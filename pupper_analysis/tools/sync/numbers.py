@@ -339,7 +339,14 @@ def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:
 
 
 def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Key, Array]:
-    """Return the numbers by (kind, base or joint that moves the element).
+    """Assign numbers to the joints that move the elements, or to the base.
+
+    Args:
+        matched: Matched URDF and MJCF.
+        numbers: {(kind, link, body or joint): value}.
+
+    Returns:
+        {(kind, base or joint that moves the element): value}.
 
     Raises:
         UnknownNameError: If an element does not exist.
@@ -418,7 +425,11 @@ class NumberChanges:
         }
 
     def tree(self, side: str) -> MultibodyTree:
-        """Return the target tree of ``"urdf"`` or ``"mjcf"``."""
+        """Return the multibody tree that a file shall have after the change.
+
+        Args:
+            side: ``"urdf"`` or ``"mjcf"``.
+        """
         tree = self.both.urdf if side == "urdf" else self.both.mjcf
         bodies, joints = dict(tree.bodies), dict(tree.joints)
         for mover in self.movers:

@@ -131,7 +131,7 @@ class Plan:
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
     def documents(self) -> Iterator[XmlDocument]:
-        """Yield all documents."""
+        """Yield the XML documents of both models, those of the URDF first."""
         yield from self.urdf.values()
         yield from self.mjcf.values()
 

@@ -181,7 +181,10 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
     usd: UsdFile | None = None
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the prim of a joint, which states all numbers of the joint; None if unknown."""
+        """Return the location of an element's numbers: the prim of the joint.
+
+        None if the USD file has no such prim.
+        """
         del attributes
         found = self.place(kind, name)
         return None if found.element is None else found

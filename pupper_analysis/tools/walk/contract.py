@@ -125,7 +125,7 @@ class Contract:
 
     @property
     def frame_size(self) -> int:
-        """Number of elements of one frame."""
+        """Number of elements of the observation at one time step (frame)."""
         return sum(self.term_size(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> Contract:

@@ -408,7 +408,13 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
 
 
 def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
-    """Describe the fall of a run that started `duration` [s] before."""
+    """Return the message that the robot fell, or that the simulation diverged, in a run.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        run: Run that ended with the fall.
+        duration: Time from the start to the fall [s].
+    """
     time, end = Quantity(duration, "s"), run.states[-1]
     if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)

@@ -114,7 +114,10 @@ MIN_SERVOS = 5
 
 @rule
 def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find the only drive without position feedback, on a limited hinge, among 5 or more servos."""
+    """Find a single actuator without position feedback among `MIN_SERVOS` or more servos.
+
+    The actuator must drive a hinge with limits.
+    """
     found = list(_list_robot_drives(robot))
     others = [(model, drive) for model, drive in found if not drive.servo]
     if len(others) != 1 or len(found) - 1 < MIN_SERVOS:

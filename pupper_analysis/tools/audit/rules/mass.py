@@ -49,7 +49,10 @@ DEFAULT_DENSITY = 1000.0
 
 @rule
 def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find masses <= 0, except a mass of zero with an inertia of zero."""
+    """Find links with a stated mass <= 0 [kg].
+
+    A mass of zero with an inertia of zero is accepted: it marks a link without mass.
+    """
     for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or inertial.mass > 0:
@@ -258,7 +261,11 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 
 @rule
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find negative moments, and zero moments of moving links to which nothing is fixed."""
+    """Find stated inertias whose smallest principal moment is negative or zero.
+
+    Zero is a finding only for a moving link to which no other link is fixed. Rounding of the stated
+    numbers is taken into account.
+    """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)

@@ -218,7 +218,12 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Compare S I S with I', S being the reflection, if the masses agree; tolerance 10 %."""
+    """Find pairs of left and right links whose inertias are no mirror images.
+
+    With the inertias I and I' about the CoMs in base axes at zero angles, and the reflection S, a
+    finding is an entry of S I S - I' above 10 % of the largest entry. Pairs with different masses
+    are not compared.
+    """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         if not _masses_agree(first, second):

@@ -569,9 +569,10 @@ class SeriesNoise:
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Return B^T, shape (m, n): B^T B is the covariance of weighted sums of the noise.
+        """Return a factor of the covariance of weighted sums of the noise.
 
-        The weights have the shape (n, m). Sums of filtered noise are sums of white noise whose
+        With the weights, shape (n, m), of m sums of n samples, the result is B^T, shape (m, n), and
+        B^T B is the covariance of the sums. Sums of filtered noise are sums of white noise whose
         weights are filtered backwards in time.
         """
         filter_coefficients = [1.0, *-self.coefficients]

@@ -292,7 +292,7 @@ class Simulator:
             jacobians[..., indices == lag_index] = (jacobians @ coefficients[indices])[..., None]
 
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
-        """Write a parameter vector into a model.
+        """Write a parameter vector into a model: servos, damping, friction, armature, masses.
 
         Dry friction and armature are clipped at 0. Damping is not, since finite differences need
         both sides.
@@ -447,7 +447,10 @@ class MovingBodies:
         return groups
 
     def find_common_parameters(self, table: ParameterTable) -> list[int]:
-        """Return the indices of parameters of no joint or link, which affect all groups."""
+        """Return the indices of the parameters that belong to no joint or link.
+
+        Such parameters affect the motion of all joints.
+        """
         subjects = {*self._names, *self.links}
         return [index for index, parameter in enumerate(table) if parameter.subject not in subjects]
 

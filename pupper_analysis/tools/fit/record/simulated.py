@@ -103,7 +103,7 @@ class SimulatedRobot:
         self.sent.append(command.copy())
 
     def wait(self, seconds: float) -> None:
-        """Simulate with the last command."""
+        """Simulate for a duration [s] with the last command."""
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):

@@ -27,7 +27,11 @@ class Terminal:
         loads: Mapping[str, Array],  # noqa: ARG002
         instructions: Sequence[str],
     ) -> bool:
-        """Print the instructions and wait; return False to skip the stand."""
+        """Print the instructions of a stand, and wait for the user.
+
+        Returns:
+            True to record the stand, False to skip it.
+        """
         for line in instructions:
             click.echo(f"  {line}", err=True)
         answer: str = click.prompt(
