@@ -47,8 +47,8 @@ class Configuration:
             qvel: Velocity (nv,); zero by default.
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If ``robot`` has another type, a vector has a wrong length, a value
+                is not a finite number, or the quaternion is zero.
         """
         if type(robot) is not Robot:
             check_type("robot", robot, Robot)
@@ -92,33 +92,33 @@ class Configuration:
         return render_table(f"Configuration of {self.robot.name}", rows)
 
     def frame_position(self, name: str) -> Array:
-        """Return the position (3,) [m] of a frame in the world.
+        """Return the position (3,) [m] of the frame of a link in the world.
 
         Raises:
-            UnknownNameError: If the URDF has no such frame.
+            UnknownNameError: If the URDF has no such link.
         """
         return np.array(self._data.oMf[self._frame_index(name)].translation)
 
     def frame_rotation(self, name: str) -> Array:
-        """Return the rotation (3, 3) from the axes of a frame to those of the world.
+        """Return the rotation (3, 3) from the axes of a link to those of the world.
 
         Raises:
-            UnknownNameError: If the URDF has no such frame.
+            UnknownNameError: If the URDF has no such link.
         """
         return np.array(self._data.oMf[self._frame_index(name)].rotation)
 
     def frame_jacobian(self, name: str, offset: ArrayLike | None = None) -> Array:
-        """Return the Jacobian (6, nv) of a point that moves with a frame.
+        """Return the Jacobian (6, nv) of a point that moves with a link.
 
-        J qvel = (linear velocity of the point, angular velocity), in world axes.
+        J qvel = (linear velocity of the point [m/s], angular velocity [rad/s]), in world axes.
 
         Args:
-            name: Name of the frame.
-            offset: Vector (3,) [m] from the origin of the frame to the point, in world axes; zero
+            name: Name of the link.
+            offset: Vector (3,) [m] from the origin of the link to the point, in world axes; zero
                 by default.
 
         Raises:
-            UnknownNameError: If the URDF has no such frame.
+            UnknownNameError: If the URDF has no such link.
         """
         jacobian = self._jacobian(self._frame_index(name))
         if offset is not None:
@@ -126,14 +126,14 @@ class Configuration:
         return jacobian
 
     def point_jacobian(self, name: str, point: Array) -> Array:
-        """Return the Jacobian (3, nv) of a point that moves with a frame, in world axes.
+        """Return the Jacobian (3, nv) of a point that moves with a link, in world axes.
 
         Args:
-            name: Name of the frame.
+            name: Name of the link.
             point: Position (3,) [m] of the point in the world.
 
         Raises:
-            UnknownNameError: If the URDF has no such frame.
+            UnknownNameError: If the URDF has no such link.
         """
         frame = self._frame_index(name)
         jacobian = self._jacobian(frame)
@@ -276,10 +276,10 @@ class Configuration:
         return self._structure.dual(forces)
 
     def passive(self) -> Array:
-        """Return the generalised forces (nv,) of springs, gravity compensation and wind at rest.
+        """Return the passive generalised forces (nv,) [N, N m] at rest.
 
-        Computed by MuJoCo from the MJCF, because a URDF does not contain these. Zero if there are
-        none.
+        Their sources are springs, gravity compensation, wind, flexes and plugins. Computed by
+        MuJoCo from the MJCF, because a URDF does not contain these. Zero if there are none.
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -294,7 +294,7 @@ class Configuration:
         """Return the part of generalised forces, (nv,) or (nv, n), that motors must exert.
 
         Loops and couplings transfer forces to other joints (``pupper_analysis.robot.closure``);
-        otherwise the result equals ``forces``.
+        otherwise the result equals ``forces``. The first nv - nu rows (the base) are unchanged.
         """
         closure = self.robot.closure
         if closure is None:
@@ -365,6 +365,9 @@ class Configuration:
 
         Args:
             qacc: Generalised acceleration (nv,).
+
+        Raises:
+            ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
         workspace, accelerations = self._compute_accelerations(qacc), {}
         for foot, frame in self._structure.feet.items():
@@ -381,6 +384,9 @@ class Configuration:
             qacc: Generalised acceleration, shape (nv,), in the convention of MuJoCo's qacc with the
                 joints in actuator order: linear acceleration of the base in world axes, angular
                 acceleration in base axes, then joints.
+
+        Raises:
+            ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
         workspace = self._compute_accelerations(qacc)
         pin.centerOfMass(self._model, workspace.data, pin.ACCELERATION, False)
@@ -401,21 +407,22 @@ class Configuration:
         return self._structure.velocity(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
-        """Return the readings of gyro and accelerometer at a frame.
+        """Return the readings of gyro and accelerometer at the frame of a link.
 
         The accelerometer measures the proper acceleration: acceleration of its point minus gravity.
 
         Args:
             qacc: Generalised acceleration (nv,).
-            name: Frame; by default the ``imu`` of the robot.
+            name: Link; by default the ``imu`` of the robot.
 
         Returns:
             Angular velocity (3,) [rad/s] and acceleration (3,) [m/s^2], both in the axes of the
-            frame.
+            link.
 
         Raises:
-            ConfigurationError: If no frame is given, and the robot has no IMU.
-            UnknownNameError: If there is no such frame.
+            ConfigurationError: If no link is given, and the robot has no IMU; or if ``qacc`` has a
+                wrong length, or a value is not a finite number.
+            UnknownNameError: If there is no such link.
         """
         frame = name or self.robot.imu
         if frame is None:
@@ -436,11 +443,12 @@ class Configuration:
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of central differences [rad, m]. Springs are linear, and lever arms of weights are sines."""
+"""Step of central differences [rad, m]. Springs are linear or polynomial, and lever arms of weights
+are sines."""
 
 
 class AtRest:
-    """Forces of springs, gravity compensation and wind at rest, from MuJoCo's ``qfrc_passive``.
+    """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive`.
 
     Borrow an instance with ``lend``, because creating MuJoCo's data takes 50 times as long as an
     evaluation.

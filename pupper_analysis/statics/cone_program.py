@@ -172,8 +172,9 @@ class Balance:
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Compute the forces with the smallest peak utilisation max |tau| / limit.
 
-        Motors without a finite, positive limit are ignored. If no motor has such a limit, the peak
-        torque is minimised instead.
+        Without cones (``friction`` None), the norm of the utilisations is minimised. Motors without
+        a finite, positive limit are ignored. If no motor has such a limit, the peak torque is
+        minimised instead.
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.

@@ -41,13 +41,15 @@ class Contacts:
         friction: Shape (n,); friction coefficients.
         offsets: Shape (n, 3) [m]; from the centre of each contact point's sphere to the contact, in
             the world frame.
-        soles: For each foot of the robot, the names in ``feet`` that belong to it.
+        soles: For each foot of the robot that carries load, the names in ``feet`` that belong to
+            it.
         welds: For each welded or gripping part, a contact point on it; None for the base. The last
             len(``grips``) entries are grips.
         stated: Contact forces that the task states: shape (k, n), 1.0 where a contact belongs to a
             group, and shape (k,), the total normal force of each group in units of the robot's
             weight. None if the task states no force.
-        weight: Weight of the robot [N], the unit of ``stated``.
+        weight: Weight of the robot [N], the unit of ``stated``; may be 0 without contacts of a
+            task.
         grips: Shape (g,) [N]; upper bound of the force of each grip.
     """
 
@@ -274,7 +276,8 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
 
     Returns:
         Groups, shape (k, n), 1.0 if a contact point belongs to the group of a stated force; and
-        forces, shape (k,), in units of the robot's weight. None if the task states no force.
+        forces, shape (k,), in units of the robot's weight. None if the task states no force for
+        these feet.
     """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None

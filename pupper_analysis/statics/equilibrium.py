@@ -134,7 +134,9 @@ class ForceDistribution(StrEnum):
     sum f_t^2 / c, with c the viscosity of `GroundLaw`; its optimality condition is
     f_t = c (v + omega x r). Use these torques for a robot or a simulator.
     Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
-    normal forces minimise the sum of squared motor torques, or equal the stated forces.
+    normal forces minimise the sum of squared motor torques, or equal the stated forces. Beside
+    grips alone, the sum of all squared forces is minimised instead; contacts have tangential forces
+    only if balance requires these.
 
     MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. Its tangential
     forces are not sustained by the creeping friction of a simulator.
@@ -155,8 +157,9 @@ class Equilibrium(Tabular):
 
     Attributes:
         joint_names: Names of the joints, in actuator order.
-        joint_torques: (nu,) what the motors hold (N m).
-        motor_utilisation: (nu,) |torque| / effort limit; not a number if no file states the limit.
+        joint_torques: Motor torques, shape (nu,) (N m).
+        motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
+            infinite for a loaded motor with a limit of zero, 0 for dependent joints of loops.
         contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
         contact_points: {foot: (3,)} where it acts, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
@@ -187,14 +190,15 @@ class GravityCompensation(Equilibrium):
 
     Attributes:
         foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
-        base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
-            axes (N m). Zero for a standing robot.
+        base_wrench: External wrench that holds the base, shape (6,): force in world axes (N),
+            torque in base axes (N m). Zero with contacts or welds; empty for a fixed base.
         weld_wrenches: {what is welded to the world: (6,)} force (N), and moment (N m) about the
             base's frame, a foot's centre or the welded point, both in world axes; of a grip no
             moment.
         center_of_mass: (3,) in the world (m).
-        com_margin: Distance from the com's vertical projection to the edge of the support polygon
-            (m), positive inside; None without contacts.
+        com_margin: Distance from the vertical projection of the CoM, or of the zero-moment point of
+            a motion, to the edge of the support region (m), positive inside. Infinite with a weld;
+            None without contacts and welds.
     """
 
     foot_loads: FootLoads
@@ -232,8 +236,8 @@ def gravity_compensation(
 
     Args:
         config: State of the robot. The velocity is ignored.
-        contacts: Contact points that carry load. Default: all except those of welded parts; none
-            for a fixed base.
+        contacts: Contact points that carry load. Default: all except those of welded or gripping
+            parts; none for a fixed base.
         friction: Friction coefficient, for all contact points or per contact point. Default:
             MuJoCo's contact.
         normals: Per contact point, a direction out of the ground, shape (3,), in the world frame.

@@ -123,8 +123,9 @@ def support_corners(
 ) -> tuple[Corner, ...]:
     """Compute corners of the support region, seen from above.
 
-    On contacts of one plane the region is the convex hull of the contact points, independent of
-    friction (gravity along the plane is not checked here). Otherwise the region contains all CoM
+    If all normals are equal (one plane, or parallel planes), and without stated forces and grips,
+    the result is the contact points, whose convex hull is used independent of friction (gravity
+    along the plane is not checked here). Otherwise the region contains all CoM
     positions for which forces f_i in the friction cones exist with
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z.
@@ -140,7 +141,8 @@ def support_corners(
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
-        Corners (x, y) [m]. The projected contact points if no CoM position allows equilibrium.
+        Corners (x, y) [m]. The projected contact points also if no CoM position allows equilibrium,
+        or if the friction is unknown and there are no grips.
     """
     is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
     corners = None
@@ -208,7 +210,7 @@ def support_polygon(contacts: Array) -> Array:
     """Compute the corners of the convex hull of contact points, seen from above.
 
     Args:
-        contacts: Shape (k, 3) [m].
+        contacts: Shape (k, 2) or (k, 3) [m]; at least three points that are not on one line.
 
     Returns:
         Shape (n, 2) [m], counter-clockwise.
