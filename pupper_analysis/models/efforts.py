@@ -56,8 +56,8 @@ class EffortStatement(Result):
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
         stated: Lower and upper end of the range in the file, for an effort with both signs; for
             several actuators the sum at the joint.
-        factor: Torque at the joint per unit of ``stated``: the gear, for a ``ctrlrange`` times the
-            gain.
+        factor: Torque at the joint per unit of ``stated``: the gear of an actuator, for a
+            ``ctrlrange`` times the gain; 1 for a joint, and for the sum of several actuators.
         lower: Lower end at the joint (N m; N of a slide).
         upper: Upper end at the joint (N m; N of a slide).
     """
@@ -184,7 +184,8 @@ def resolve_effort_limit(
     Args:
         model: MuJoCo model of the MJCF.
         joint: Joint id of a hinge or slide.
-        effort: Effort of the URDF's joint [N m]; None or infinite if the URDF states none.
+        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
+            the URDF states none.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Actuators of the joint. Default: determined from the model.
         null: Empty range of the MJCF from ``null_efforts``, which the compiled model lacks.
@@ -234,7 +235,8 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     """Return the force ranges of an MJCF that are empty: from 0 to 0, or inverted.
 
     MuJoCo ignores such a range without a message, so a compiled model has no limit there. Of a
-    ``ctrlrange``, only that of a torque motor bounds a torque.
+    ``ctrlrange``, only that of a torque motor bounds a torque. A joint with several actuators has
+    no torque only if all of them have an empty range.
 
     Returns:
         {joint: statement}, of joints that have a name.
@@ -383,7 +385,8 @@ def placeholder_efforts(
         total: Mass of the robot [kg].
 
     Yields:
-        Joints, the most suspicious first, and the finding about their efforts.
+        Joints (those of the last case by decreasing torque per mass), and the finding about their
+        efforts.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[Motor]] = {}

@@ -154,6 +154,7 @@ class OwnRun(BodyMotion):
         standing: Whether the robot stands on the ground. Otherwise the base is fixed, and a joint
             that ends ``MIN_POSTURE_DEVIATION`` away has left the posture.
         causes: Causes of a failure, if found.
+        missing: Files that the published MJCF lacks, so that MuJoCo refuses it.
     """
 
     imported: bool = False
@@ -227,6 +228,8 @@ class PublishedRun:
             left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
+        worst_joint: Joint with the largest displacement if the robot collapses, otherwise with the
+            largest torque deviation.
     """
 
     feedforward: bool

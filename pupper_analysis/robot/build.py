@@ -72,7 +72,8 @@ def build_robot(
             lowest foot of the keyframe ``home`` touches the ground.
 
     Raises:
-        ModelError: If a model cannot be built, or the joints of the models differ.
+        ModelError: If a model cannot be built, its joints are not supported or differ from those of
+            the other model, or a contact point has no geom.
         UnknownNameError: If the frame of a foot is missing in a model.
     """
     mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)
@@ -142,14 +143,15 @@ def build_robot(
 
 
 def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
-    """Build a robot with a changed description; keep nominal stand, notes and published file.
+    """Build a robot with a changed description; see `copy_metadata` for the data that are kept.
 
     Args:
         robot: The robot.
         changes: Fields of ``Description``, such as ``mjcf``.
 
     Raises:
-        ModelError: If a model cannot be built.
+        ModelError: As for `build_robot`.
+        UnknownNameError: As for `build_robot`.
     """
     description = replace(robot.description, **changes)
     return copy_metadata(build_robot(description, fixed_base=not robot.floating), robot)
@@ -163,6 +165,9 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy data that no description contains from a robot to its rebuilt version.
+
+    These are height of the nominal stand, notes, published file, and contacts of a task with the
+    fingerprint.
 
     Args:
         built: Rebuilt robot.
@@ -456,7 +461,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
     Raises:
         UnknownNameError: If there is no such joint.
-        ConfigurationError: If a limit is not positive and finite.
+        ConfigurationError: If an argument has another type, or a limit is not positive and finite.
     """
     for name, effort in efforts.items():
         if name not in robot.joint_names:

@@ -230,7 +230,8 @@ class Closure:
 
         Returns:
             Configuration, shape (nq,), with the same base pose. None if the iteration does not
-            converge, or converges to another assembly mode.
+            converge, converges to another assembly mode, or (without ``give``) leaves a redundant
+            equation open by `MAX_OPENING`.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.as_built(result) else None

@@ -39,7 +39,8 @@ class GroundLaw:
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
         tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)
 
-    with k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
+    for the elliptic cone; for the pyramidal cone see `of`. Here k = 1/(dmax timeconst dampratio)^2
+    and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
@@ -62,7 +63,11 @@ class GroundLaw:
 
     @staticmethod
     def of(robot: Robot, foot: str) -> GroundLaw:
-        """Return the law of the contact between a foot and the ground, for either friction cone."""
+        """Return the law of the contact between a contact point and the ground.
+
+        With the pyramidal cone, A_t = (1 + mu^2) A / impratio, and A is that of the sum of all
+        edges: A_t mu^2 / (condim - 1).
+        """
         model, parameters = robot.mj_model, robot.contacts[foot]
         solimp = clip_solimp(parameters.solimp)
         dmax = solimp[1]

@@ -49,7 +49,8 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
     If the priorities differ, the parameters of the geom with the higher priority are used.
     Otherwise: the larger condim, the larger of each friction coefficient, and the means of solref
     and solimp weighted by solmix. If a solref is not positive (stiffness and damping), the smaller
-    of each value is used. Margins are added.
+    of each value is used. Margins are added in either case. The resulting solref is replaced by
+    `effective_solref`.
 
     Source: MuJoCo documentation, "Computation: Contact parameters".
 
@@ -218,7 +219,8 @@ def foot_geoms(
     """Return {contact point: (id of its geom, radius [m])}.
 
     Raises:
-        ModelError: If a contact point has no geom.
+        ModelError: If a contact point has neither a stated geom nor a collision sphere whose centre
+            it is.
     """
     geoms: dict[str, tuple[int, float]] = {}
     for foot, (body, position) in places.items():
@@ -267,7 +269,9 @@ def stand_height(
     """Return the height [m] of the base in the nominal stand.
 
     With ``foot_depth``, the centres of the feet are this distance below the first bodies of their
-    legs. Otherwise, the lowest foot touches the ground with the joint positions of the keyframe.
+    legs, with all joints at their values in qpos0. Otherwise, the lowest foot touches the ground
+    with the joint positions of the keyframe. Distances are along the z axis of the base. The height
+    is 0 without feet.
 
     Args:
         model: MuJoCo model.

@@ -113,7 +113,8 @@ class BodyMotion:
         end_height: CoM height above the ground at the end (m).
         lean: Angle between the base's vertical axis at reset and at the end (rad).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
-        diverged: Whether MuJoCo reset the state because it was no longer finite.
+        diverged: Whether MuJoCo reset the state because it was no longer finite, or stopped with an
+            error.
         clearance: Vertical distance of the robot's lowest point from the ground at reset (m);
             negative if it penetrates the ground.
         lies: Whether the robot ends on its base or hips, or on no end of a limb. Then the drop by
@@ -283,7 +284,8 @@ def initial_height(
     ``_CONTACT_DISTANCE``.
 
     Args:
-        model: MuJoCo model. Its option ``o_margin`` is changed during the call.
+        model: MuJoCo model. Its option ``o_margin`` and its flag ``override`` are changed during
+            the call.
         start: State at reset; it is not changed.
         base: Body index of the base.
         ground: Height of the ground (m) that is returned if no ground is found.

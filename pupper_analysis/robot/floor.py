@@ -23,7 +23,7 @@ quaternion."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Return the first plane that is fixed to the world; None if there is none."""
+    """Return the first plane of the world body; None if there is none."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
@@ -52,9 +52,10 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    A floor on another body is moved to the world, and a tilted or higher floor is levelled.
-    Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps are
-    part of the task. Parameters of a ``<pair>`` with the floor are moved to the geom.
+    A floor on another fixed body is moved to the world, a tilted or higher floor is levelled, and a
+    missing floor is added. Contacts of other fixed geoms (stairs, tables, walls), except planes at
+    z = 0, are disabled, because slopes and steps are part of the task. Parameters of a ``<pair>``
+    with the floor are moved to the geom.
 
     Returns:
         Diagnostics of the changes.

@@ -58,7 +58,7 @@ class Step(NamedTuple):
 
     @property
     def top(self) -> Array:
-        """Centre of the top face of the step, shape (3,) [m], in the world frame."""
+        """Centre of the top face of a box, or of the end of a bar, shape (3,) [m], world frame."""
         top: Array = self.centre + self.half[2] * self.rotation[:, 2]
         return top
 
@@ -125,7 +125,11 @@ class Ground:
         return _align_z_with(self.normal(foot))
 
     def touched(self, foot: str, centre: Array) -> Array:
-        """Return the point (3,) [m] of ground, step or plane below the centre (3,) of a foot."""
+        """Return the ground point (3,) [m] for the centre (3,) [m] of a foot, in the world frame.
+
+        This is the nearest point of the foot's own plane; otherwise, the point of the ground or
+        step vertically below the centre.
+        """
         if foot in self._planes:
             return self._planes[foot].nearest(centre)
         x, y, _ = centre
@@ -171,7 +175,10 @@ class Ground:
         return steps
 
     def middle(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point (3,) [m] below the middle of a foot, and the foot's radius [m].
+        """Return the ground point (3,) [m] of the middle of a foot, and the foot's radius [m].
+
+        The ground point is that of `touched`; the radius is the largest distance of a contact point
+        from the middle.
 
         Args:
             foot: Foot.

@@ -60,7 +60,8 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
     """Return the impedance d of a constraint, and its derivative [1/m, 1/rad].
 
-    d increases from dmin at zero to dmax at ``width``. Source: MuJoCo documentation, "Computation:
+    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero it is their mean.
+    Source: MuJoCo documentation, "Computation:
     Solver parameters"; ``engine_core_constraint.c``.
 
     Args:

@@ -28,7 +28,8 @@ OBLIQUE_MOTIONS = ("oblique", "oblique slide")
 def joint_motions(robot: Robot) -> dict[str, str]:
     """Classify the motion of each joint, for example as roll, pitch or yaw.
 
-    The direction of the joint axis in the base frame, at zero angles, determines the motion.
+    The direction of the joint axis in the world at zero angles determines the motion. The axes of a
+    free base are then those of the world; a fixed base has its pose in the MJCF.
 
     Returns:
         {joint: motion}.
@@ -56,10 +57,14 @@ def _classify_motion(axis: Array, *, is_slide: bool) -> str:
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
-    """Return the joints that move a foot relative to the base, from the base to the foot.
+    """Return the joints that move a contact point relative to the base, from the base outwards.
+
+    Args:
+        robot: The robot.
+        foot: Contact point.
 
     Raises:
-        UnknownNameError: If there is no such foot.
+        UnknownNameError: If there is no such contact point.
     """
     model = robot.pin_model
     frame = model.frames[
@@ -83,8 +88,8 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a joint carries a foot or is part of a loop, or a position is not
-            valid.
+        ConfigurationError: If a joint carries a foot, a joint is part of a loop or coupling that
+            the posture does not close with all its joints, or a position is not valid.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
@@ -190,7 +195,8 @@ are written with a few digits; a keyframe with a larger violation is not the def
 def joint_ranges(robot: Robot) -> Array:
     """Return the joint ranges that both files permit, shape (nu, 2) [rad, m].
 
-    Infinite if neither file limits a joint.
+    Infinite if neither file limits a joint. If the ranges of the files do not overlap, both ends
+    are the larger lower limit.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]

@@ -82,7 +82,11 @@ def efforts_of(
 
 
 def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
-    """Return diagnostics of missing, differing and asymmetric effort limits."""
+    """Return diagnostics of effort limits.
+
+    Reported are joints without a limit in the URDF, limits that differ between the files, and
+    limits that differ between the two directions.
+    """
     unstated = [
         limit.joint
         for limit in limits
@@ -174,7 +178,8 @@ class Touching:
         friction: Friction coefficient; None for that of the ground.
         offset: Centre (x, y, z) [m] of the contact ball of a hand, in the frame of the hand; None
             for a foot.
-        radius: Radius [m] of the ball; None for the largest ball inside the shapes of the hand.
+        radius: Radius [m] of the ball; None for the largest ball inside the shapes of the hand, or
+            1 cm outside of all shapes.
         force: Prescribed normal force [N]; None if it follows from balance.
         welded: Whether the part is fixed to the world, and does not collide.
         grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
@@ -346,7 +351,10 @@ class Robot:
 
     @property
     def welded(self) -> bool:
-        """Whether a part is fixed to the world, so that the robot is balanced for any CoM."""
+        """Whether a part is welded to the world, which balances the robot for any CoM.
+
+        A grip alone does not count: it permits rotation, and its force is limited.
+        """
         return len(self.welds) > len(self.grips)
 
     @property
@@ -364,7 +372,7 @@ class Robot:
 
     @property
     def bearing(self) -> tuple[str, ...]:
-        """Contact points that can bear contact forces: all except those of welded parts.
+        """Contact points that can bear contact forces: all but those of welded or gripping parts.
 
         Empty for a robot with a fixed base.
         """
@@ -377,7 +385,7 @@ class Robot:
 
     @property
     def base_height(self) -> float:
-        """Default height [m] of the base: in the nominal stand, or in ``home`` without feet."""
+        """Default height [m] of a free base: in the nominal stand, or in ``home`` without feet."""
         return self.stand_height if len(self.feet) > len(self.hands) else float(self.home[2])
 
     @property
@@ -430,7 +438,10 @@ class Robot:
 
     @cached_property
     def closure(self) -> Closure | None:
-        """Closed loops and couplings of the MJCF's joints; None if there are none."""
+        """Closed loops and couplings of the MJCF's joints.
+
+        None if there are none, or as for `find_closure`.
+        """
         return find_closure(self.mj_model, self.mj_convention, self.joint_names)
 
     @cached_property
@@ -527,7 +538,7 @@ class Robot:
         return limits
 
     def check_not_welded(self, what: str) -> None:
-        """Raise an error if a part is fixed to the world.
+        """Raise an error if a task welds a part to the world, or a part grips.
 
         Args:
             what: Requested analysis, which does not support welds, for the message.
@@ -540,7 +551,7 @@ class Robot:
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Raise an error if the robot has loops, couplings or welds.
+        """Raise an error if the robot has loops, couplings, welds or grips.
 
         Args:
             what: Requested analysis, which does not support these, for the message.
@@ -566,10 +577,12 @@ class Robot:
             raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
 
     def check_bodies(self) -> None:
-        """Raise an error if a moving body has a negative mass or moment of inertia. Checked once.
+        """Raise an error if a moving body has a negative mass or moment of inertia.
+
+        A negative moment within rounding is accepted. A robot that passes is checked once.
 
         Raises:
-            ModelError: If so; the message contains the joint.
+            ModelError: If so; the message contains the joint, except for a free base.
         """
         self.once(_check_bodies)
 
@@ -594,7 +607,11 @@ class Robot:
         return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
-        """Return the foot of a contact point."""
+        """Return the foot of a contact point.
+
+        Raises:
+            StopIteration: If there is no such contact point.
+        """
         return next(foot for foot, points in self.feet.items() if point in points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:

@@ -75,8 +75,8 @@ class Servos:
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
         """Compute the ctrl (..., model.nu) for joint positions with a feed-forward torque.
 
-        Servos on tendons and sites are commanded their present length, so that they exert no force.
-        All other motors are commanded 0.
+        Position servos without a joint of their own, such as on tendons and sites, get commands of
+        `make_neutral_commands`. All other motors are commanded 0.
 
         Args:
             robot: Robot.
@@ -99,12 +99,15 @@ class Servos:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Compute the ctrl (model.nu,) with which servos on tendons and sites exert no force.
+    """Compute the ctrl (model.nu,) with which position servos exert no force at rest.
+
+    This applies to all servos that are not in ``known``, such as on tendons and sites. The ctrl of
+    all other actuators is 0.
 
     Args:
         model: MuJoCo model.
         qpos: Configuration, shape (model.nq,).
-        known: Actuators that are commanded otherwise; their ctrl is 0.
+        known: Ids of actuators that are commanded otherwise.
     """
     others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
     if others.size:
@@ -152,6 +155,8 @@ def model_with_servos(
 ) -> Servos:
     """Return a copy of the robot's MuJoCo model with position servos.
 
+    Its force ranges are narrowed to the effort limits of the robot.
+
     Args:
         robot: Robot.
         kp: Stiffness at the joints [N m/rad], scalar or shape (nu,). Default: the model's.
@@ -159,9 +164,10 @@ def model_with_servos(
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``. Default: the model's.
 
     Raises:
-        ConfigurationError: If a gain is out of range, or the integrator is unknown.
-        ModelError: If a joint has no motor, or its motor is no position servo and kp and kd are not
-            both given.
+        ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
+            integrator is unknown.
+        ModelError: If a joint without coupling has no motor, or its motor is no position servo and
+            kp and kd are not both given.
     """
     model = copy.copy(robot.mj_model)
     wanted = resolve_servo_gains(robot, kp, kd)
@@ -303,8 +309,8 @@ def resolve_servo_gains(
 def command_ranges(robot: Robot) -> Array:
     """Return the ranges of servo commands, shape (nu, 2) [rad, m].
 
-    MuJoCo clips the command of a servo to its ``ctrlrange``. The range is infinite for a torque
-    motor that is driven as a servo, and for a joint without motor.
+    MuJoCo clips the command of a servo to its ``ctrlrange``. The range is infinite for a servo
+    without ``ctrlrange``, a torque motor that is driven as a servo, and a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
@@ -414,9 +420,10 @@ def with_options(
     impratio: float | None = None,
     timestep: float | None = None,
 ) -> Robot:
-    """Return a robot with other MuJoCo options, with a note; the robot itself without options.
+    """Return a robot with other MuJoCo options; the robot itself without options.
 
-    Simulations of the unmodified file use the options as well.
+    A time step, and a cone or ``impratio``, are reported in its notes. Simulations of the
+    unmodified file use the options as well.
 
     Args:
         robot: Robot.
@@ -427,7 +434,7 @@ def with_options(
         timestep: Time step [s], between 1e-5 and 0.1.
 
     Raises:
-        ConfigurationError: If a name is unknown, ``impratio`` is not a positive number, or
+        ConfigurationError: If a name is unknown, ``impratio`` is not positive and finite, or
             ``timestep`` is out of range.
     """
     asked: dict[str, Any] = {}

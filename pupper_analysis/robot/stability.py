@@ -234,7 +234,7 @@ class Stability(Result):
         unstable: Modes that grow, fastest first. After ``confirm_growth``, modes that leave the
             state within ``HOLD_DURATION`` are confirmed by a simulation.
         least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
-            friction; None without oscillations.
+            friction; None if no oscillation decays.
         speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
             rest, the spectrum does not describe its stability.
         sticks: Whether MuJoCo's no-slip solver is active. Friction then holds buckling modes until
@@ -262,12 +262,18 @@ class Stability(Result):
 
     @property
     def doubling_time(self) -> float | None:
-        """Doubling time of the fastest mode that grows [s]; None if none grows."""
+        """Doubling time of the fastest mode that grows [s].
+
+        None if no mode grows, or the first is a sustained oscillation.
+        """
         return self.unstable[0].doubling_time if self.unstable else None
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of oscillations: 1 without any, negative if one grows."""
+        """Smallest damping ratio of oscillations: 1 without any, negative if one grows.
+
+        Growing modes count if they shake (`Mode.shakes`).
+        """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
         return min((mode.damping_ratio for mode in swinging), default=1.0)
@@ -307,8 +313,9 @@ def step_stability(
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: MuJoCo model. During the call its solver tolerance is smaller, and the dry friction
-            of joints and tendons may be zero.
+        model: MuJoCo model. During the call its solver tolerance is smaller, sleeping is disabled,
+            joint limits may be displaced by 1e-6, and the dry friction of joints and tendons may be
+            zero.
         data: State with ``ctrl``; it is not changed.
         settle: Time for which the state is simulated first [s].
 
@@ -331,8 +338,9 @@ def judge_settled(
     """Simulate a state for a settling time, and compute the stability where it settled.
 
     The result is that of `step_stability`, with the state to which it applies. This is the state
-    after settling. It is the initial state if the simulation diverges, or if the initial state has
-    a mode that is fast enough to throw off the robot while it settles.
+    after settling. It is the initial state if ``settle`` is below half a time step, or if the
+    simulation diverges. It is also the initial state if only this state is at rest, and has a mode
+    that is fast enough to throw off the robot while it settles.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)

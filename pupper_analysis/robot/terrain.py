@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
     """Return a robot whose MuJoCo model has the ground and the welds of a task.
 
-    The floor is tilted, and a box is added for each step, with the contact parameters of the floor.
+    The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
+    parameters of the floor; those of a plane with its own friction come from `Robot.contacts`.
     A foot on a step does not collide with the floor, because it would sink into the floor through a
     low step, and the floor covers a step down. A flat foot collides with a plane on top of its box,
     which no other geom touches: MuJoCo's contacts of a sole with a plane differ from those with a
@@ -119,7 +120,7 @@ def close_welds(
 
 
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
-    """Return {welded or gripping part: force (3,) [N] of its constraint on the part}."""
+    """Return {welded or gripping part: force (3,) [N] on the part, in world axes}."""
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
     return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
 

@@ -169,8 +169,8 @@ def check_point(point: ArrayLike) -> Array:
     """Return a point (3,) [m].
 
     Raises:
-        ConfigurationError: If the point has another shape, or a coordinate is not finite or too
-            large.
+        ConfigurationError: If the point has another shape, or a coordinate is not a finite number
+            or too large.
     """
     place = real_array("point", point)
     if place.shape != (3,) or not np.isfinite(place).all():
@@ -262,7 +262,7 @@ def with_payload(
     Raises:
         ConfigurationError: If mass or point is not valid, or the point is on a fixed base.
         UnknownNameError: If the robot has no such frame.
-        ModelError: If the base frames of URDF and MJCF differ.
+        ModelError: If the loaded model cannot be built.
     """
     tool = find_place(robot, point)
     if not 0 <= mass < math.inf:

@@ -60,7 +60,9 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     Raises:
         UnknownNameError: If there is no such foot or frame.
         ConfigurationError: If a part is a foot with another name, a foot has arguments of hands,
-            two welded parts move together, or the robot was changed after it got other contacts.
+            two welded parts move together, a sole touches a bar or grips, a contact other than a
+            weld is on the base, a fixed base cannot be made free, or the robot was changed after it
+            got other contacts.
     """
     if not contacts and not robot.touching:
         return robot

@@ -109,7 +109,8 @@ def compare_collisions(
             compared.
 
     Returns:
-        Differences of feet, and a note if the shapes were not compared.
+        Differences of feet, and a note if the shapes were not compared because the files differ in
+        base frame or joint zeros. Both are empty if a file has no collision shapes.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -287,7 +288,9 @@ def _find_lowest_shape(
 def report_base_tilt(
     matched: Match, urdf: etree._Element, tolerances: Tolerances
 ) -> Diagnostic | None:
-    """Return a diagnostic of the tilt of a fixed base between the files; None if there is none.
+    """Return a diagnostic of the tilt of a fixed base between the files.
+
+    None if the tilt is within the tolerance, the base is free, or gravity is zero.
 
     Args:
         matched: Matched files.
@@ -435,7 +438,7 @@ def compare_files(
     The arguments are those of ``compare_models``, which also cross-checks both engines.
 
     Raises:
-        ModelError: If a file cannot be read, or the files cannot be matched.
+        ModelError: If a file cannot be read, the files cannot be matched, or the robot has no mass.
         MissingPackageError: If the reader of a format is not installed.
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of range.

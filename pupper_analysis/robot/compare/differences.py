@@ -101,13 +101,13 @@ _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 
 @dataclass(frozen=True)
 class Effect(Result):
-    """What one difference does to one quantity.
+    """Effect of one difference on one quantity.
 
     Attributes:
-        deviation: The worst absolute deviation that it causes alone.
-        relative: Relative to the quantity's scale.
-        share: Relative to the deviation that all differences cause together; may exceed 1 where
-            differences cancel.
+        deviation: Largest absolute deviation that the difference causes alone.
+        relative: Deviation relative to the scale of the quantity.
+        share: Deviation relative to the deviation that all differences cause together; may exceed 1
+            if differences cancel. Infinite if that deviation is a rounding error.
     """
 
     deviation: float = field(metadata={"unit": "varies"})
@@ -286,10 +286,11 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the largest absolute value of a quantity.
+        """Return the largest absolute value of a quantity in the first model.
 
-        Lower bound for gravity and bias forces, which may be nearly zero (all joints upright): 1e-3
-        g times the largest element of the mass matrix.
+        If the first model returns NaN, the second model is used. Gravity and bias forces may be
+        nearly zero (all joints upright). Their lower bound is 1e-3 g times the largest element of
+        the mass matrix.
         """
         lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
@@ -426,7 +427,7 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Return a diagnostic if one value seems to be in degrees: a ratio of 57.3 within 1 %."""
+    """Return a diagnostic if one value seems to be in degrees: a ratio of 57.3 or 1/57.3 to 1 %."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
     ratio = mjcf / urdf
@@ -464,7 +465,7 @@ class Change(Stated):
 
 
 ZERO_TOLERANCES = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
-"""Tolerances that accept equal values only."""
+"""Tolerances of nearly zero, so that only equal values are accepted."""
 
 
 def change_of(

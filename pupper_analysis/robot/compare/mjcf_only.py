@@ -197,7 +197,7 @@ def _make_effect(
 
 
 def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield springs, nonlinear damping, and dry friction of the free joint."""
+    """Yield springs and nonlinear damping of all joints, and dry friction of the free joint."""
     model = scene.model
     for joint in scene.reference.joints():
         subject, is_free = (
@@ -346,10 +346,7 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the MJCF's flags that disable limits, dry friction, constraints or actuation.
-
-    Only flags that disable something that the file specifies are yielded.
-    """
+    """Yield the flags that disable limits, dry friction, all constraints, or actuation."""
     for word in ("limit", "frictionloss", "constraint", "actuation"):
         if scene.off(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
             message = diagnose("of-the-mjcf-alone", subject=("flag", word), stated="disable")

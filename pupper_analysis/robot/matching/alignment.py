@@ -227,7 +227,10 @@ def _matching_points(
 
 
 def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
-    """Return the offset between the limits of two joints [rad, m]; 0 if lower and upper differ."""
+    """Return the limits of the first joint minus those of the second [rad, m].
+
+    0 if the offsets of lower and upper limit differ, or a limit is infinite.
+    """
     lower, upper = first.lower - second.lower, first.upper - second.upper
     if not (math.isfinite(lower) and math.isfinite(upper)):
         return 0.0

@@ -287,8 +287,8 @@ def match_models(
         strict: Whether missing damping and friction in the URDF are 0; otherwise the MJCF's values.
 
     Raises:
-        ModelError: If the files have no joint in common, one cannot be analysed, or (with
-            ``complete``) the MJCF closes loops and has joints that the URDF lacks.
+        ModelError: If too few joints match, two names are mapped to one, a file cannot be analysed,
+            or (with ``complete``) the MJCF closes loops and has joints that the URDF lacks.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
@@ -569,6 +569,9 @@ def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str]
 
     Returns:
         Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
+
+    Raises:
+        ModelError: If there are ball joints, but neither hinges nor slides.
     """
     names, balls = [], []
     for joint in list(spec.joints):
@@ -604,6 +607,9 @@ def drop_other_objects(
 
     Returns:
         Diagnostics of the deleted bodies.
+
+    Raises:
+        ModelError: If the spec has no joints.
     """
     object_types = mujoco.mjtObj
     links, limbs = set[str](), set[str]()

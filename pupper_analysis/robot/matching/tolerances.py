@@ -23,7 +23,7 @@ class Tolerances:
         position: Position of a joint or frame (m).
         rotation: Angle between the placements of a joint (rad).
         axis: Angle between the axes of a joint (rad).
-        limit: Joint limit (rad).
+        limit: Joint limit (rad or m).
         effort: Effort limit, relative.
         velocity: Velocity limit, relative.
         damping: Damping, relative.
