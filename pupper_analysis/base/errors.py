@@ -158,8 +158,8 @@ class ConfigurationError(PupperAnalysisError):
 
 
 _MIN_RELATIVE_FOOT_ERROR = 1e-3
-"""Lower bound of the foot errors in the message, relative to the largest. Smaller errors are
-residuals of the search."""
+"""Foot error, relative to the largest foot error, below which the message about an unreachable
+stance omits the foot. Smaller errors are residuals of the search. Chosen, not tuned."""
 
 
 class StanceUnreachableError(PupperAnalysisError):

@@ -288,8 +288,8 @@ HOME_KEYFRAME: Final = "home"
 """Name of the keyframe of the initial pose."""
 
 COUPLING_TIME_CONSTANT: Final = 5e-3
-"""Time constant of joint couplings [s]. With MuJoCo's default, 20 ms, fingers with a mass of grams
-open far."""
+"""Time constant of added joint couplings in MuJoCo (``solref``) [s]. Chosen, not tuned: with
+MuJoCo's default, 20 ms, fingers with a mass of grams open far."""
 
 IMU_SENSORS: Final = ("gyro", "accelerometer")
 """Sensors of an IMU: elements in an MJCF, also used as names."""

@@ -188,13 +188,16 @@ def _determines_mass(spec: mujoco.MjSpec, name: str) -> bool:
 
 
 MAX_INCLUDES: Final = 1000
-"""Maximum number of includes and attached models of an MJCF."""
+"""Largest number of includes and attached models of an MJCF; a file with more is refused. Chosen,
+to bound the time."""
 
 MAX_INCLUDE_DEPTH: Final = 30
-"""Maximum nesting of includes, and of attached models."""
+"""Largest nesting depth of includes and attached models of an MJCF; a deeper file is refused.
+Chosen, to bound the time."""
 
 MAX_COPIES: Final = 10_000
-"""Maximum number of elements that the replicates and attached models of an MJCF create."""
+"""Largest number of elements that the replicates and attached models of an MJCF create; a file with
+more is refused. Chosen, to bound the time."""
 
 
 @dataclass(frozen=True)

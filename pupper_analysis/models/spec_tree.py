@@ -43,8 +43,8 @@ _OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Minimum upper bound of a force range. MuJoCo rejects a range from 0 to 0, which converters write
-for a URDF without a limit."""
+"""Lower bound of the upper end of a written force range [N m, N]. MuJoCo rejects a range from 0 to
+0, which converters write for a URDF without a limit."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -417,7 +417,8 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Minimum singular value of three axes that span space. For coordinate axes all are 1."""
+"""Smallest singular value of the matrix of three slide axes, above which the slides move a base in
+all directions. For coordinate axes it is 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 _FREE_BASE_JOINTS: Final = (

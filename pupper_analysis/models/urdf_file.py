@@ -209,7 +209,7 @@ def urdf_from(
 
 
 MAX_LINKS: Final = 2000
-"""Maximum number of links of a URDF."""
+"""Largest number of links of a URDF; a file with more is refused. Chosen, to bound the time."""
 
 _JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _INERTIA_ATTRIBUTES: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

@@ -33,7 +33,7 @@ _EXPRESSION: Final = re.compile(r"\$[{(]")
 _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 
 _MAX_INCLUDE_DEPTH: Final = 10
-"""Deepest chain of included files that is followed."""
+"""Largest depth of a chain of included xacro files that is followed. Chosen, to bound the time."""
 
 ResolveMesh = Callable[[str], Path | None]
 """Returns the file of a name relative to the URDF, or of ``package://NAME/...``."""

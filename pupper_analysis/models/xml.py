@@ -26,10 +26,12 @@ MAX_BYTES: Final = MAX_TEXT_BYTES
 """Maximum size of an XML file."""
 
 MAX_DEPTH: Final = 250
-"""Maximum nesting depth of XML elements, and maximum number of joints in a chain of a URDF."""
+"""Largest nesting depth of XML elements, and largest number of joints in a chain of a URDF; a
+deeper file is refused. Chosen, not tuned."""
 
 MAX_ELEMENTS: Final = 30_000
-"""Maximum number of XML elements of a file; also of an MJCF with all included files."""
+"""Largest number of XML elements of a file, or of an MJCF with all included files; a larger file is
+refused. Chosen, to bound time and memory."""
 
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 """First bytes of a Git LFS pointer, a file that replaces content that was not downloaded."""

@@ -25,12 +25,12 @@ from pupper_analysis.robot.matching.match import limbs_on_the_world
 Array = NDArray[np.float64]
 
 _GROUND_ATOL = 1e-6
-"""Distance [m] by which a limb's lowest point may be below a base frame at ground level:
-rounding of a wheel's height and radius."""
+"""Distance [m] by which a base frame may be above the robot's lowest point and still count as at
+ground level. It covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
-"""Cosine of the tilt of the base frame in the first keyframe above which no note is added: 45
-deg."""
+"""Cosine of the tilt of the base frame in the first keyframe below which the tilt is noted and the
+frame is not raised: about 45 deg. Chosen, not tuned."""
 
 
 def free_base(

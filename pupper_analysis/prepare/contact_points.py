@@ -124,8 +124,8 @@ _CAP_ANGLE = math.radians(50.0)
 Chosen, not tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
-"""Upper bound of the deviation of the cap from the sphere, relative to the radius. Chosen, not
-tuned."""
+"""Upper bound of the distance between the surface of a foot's cap and a fitted sphere, relative to
+the radius, with which the sphere replaces the foot. Chosen, not tuned."""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
@@ -189,16 +189,19 @@ _MAX_SOLE_TILT = math.radians(25.0)
 touches with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
-"""Lower bound of the length of a sole [m]. Facets on the mesh of a round foot have millimetres."""
+"""Lower bound of the length of a flat part [m] that counts as a sole. Chosen, not tuned: the facets
+on the mesh of a round foot have a length of millimetres."""
 
 _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints with which a leg can lay its sole flat anywhere, up to the yaw angle."""
+"""Number of joints between foot and base with which a leg can lay its sole flat at any position, up
+to the yaw angle. With fewer, this is tested by `can_keep_sole_flat`."""
 
 _MIN_SOLE_JOINTS = 4
-"""Number of joints with which a leg may lay its sole flat, at any height, but not anywhere."""
+"""Number of joints between foot and base below which a leg has a single contact point instead of a
+sole. With this number, a leg may lay its sole flat at any height, but not at any position."""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 _CIRCLE_POINTS = np.column_stack(

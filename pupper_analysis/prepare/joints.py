@@ -19,7 +19,8 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Difference [rad, m] above which two limits differ: keyframes and files are rounded. Chosen."""
+"""Difference [rad, m] above which the joint limits of both files count as different. Files are
+rounded. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
 """Limit of a continuous joint in a closed loop, in both directions [rad]: one revolution."""

@@ -66,7 +66,7 @@ NO_EXTERNAL_SERVOS = (
 """Value of ``HoldCommands.external`` without joints that an external law holds."""
 
 _SETTLING_TIME = 2.0
-"""Simulated time [s] after which a robot that stands is at rest."""
+"""Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
 
 _MAX_RESTING_SPEED = 5e-3
 """Upper bound of the speeds [m/s, rad/s] of a robot at rest. Measured: feet that part creep at 1e-3
@@ -322,7 +322,8 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] within which a posture is that of a keyframe."""
+"""Largest joint difference [rad, m] with which a posture counts as that of a keyframe; the commands
+of the keyframe are then simulated. Chosen, not tuned."""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:

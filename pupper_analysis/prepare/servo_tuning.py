@@ -48,11 +48,12 @@ _MIN_LEVER_FRACTION = 0.02
 legs hold almost no torque. Chosen, not tuned."""
 
 _DAMPING_TIME = 0.05
-"""kd / kp of a standing robot's servos [s], within the 0.02 to 0.1 s of controllers of public
-robots."""
+"""Ratio kd / kp of added servos of a standing robot [s], within the 0.02 to 0.1 s of controllers of
+public robots. Chosen, not tuned."""
 
 _MIN_TORQUE_FRACTION = 0.02
-"""Lower bound of a joint's design torque, relative to the largest gravity torque of all joints."""
+"""Lower bound of a joint's design torque, from which its stiffness is derived, relative to the
+largest gravity torque of all joints. Chosen, not tuned."""
 
 _MIN_FREQUENCY = 4 * math.pi
 """Lower bound of a servo's natural frequency [rad/s], 2 Hz. A joint with a vertical axis holds

@@ -142,12 +142,13 @@ MAX_SOLVER_RESIDUAL = 0.01
 the tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
-"""Push in the test of the solver, relative to the weight. At rest, constraint forces are in
-equilibrium, and a residual does not show."""
+"""Force on the robot in the test of the solver's accuracy, relative to its weight. Without a push
+the constraint forces are in equilibrium, and an inaccurate solver is not detected. Chosen, not
+tuned."""
 
 _NUM_SOLVES = 20
-"""Number of repeated solves in that test. A solver with few iterations is warm-started, as in
-consecutive simulation steps."""
+"""Number of repeated solves in the test of the solver's accuracy. A solver with few iterations is
+warm-started, as in consecutive simulation steps. Chosen, not tuned."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
@@ -176,7 +177,8 @@ def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: in
 
 
 _TEST_PENETRATION = 1e-3
-"""Penetration of the feet in that test [m], so that contact forces act. Chosen, not tuned."""
+"""Penetration of the feet in the test of the solver's accuracy [m], so that contact forces act.
+Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:

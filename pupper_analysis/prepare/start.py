@@ -172,8 +172,8 @@ _MIN_GROUND_CLEARANCE = 0.01
 pose: feet sink in. Chosen, not tuned."""
 
 _MAX_RESET_PASSES = 3
-"""Number of stands solved one after the other, each with arms and waist reset to the pose.
-Chosen."""
+"""Number of successive solves of a stand, before each of which arms and waist are reset to the
+pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Distances of the joints from their limits [rad, m] that are tried in this order. Chosen."""

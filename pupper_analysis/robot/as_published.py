@@ -63,10 +63,12 @@ MAX_IMPORTED_TORQUE_DEVIATION = 0.1
 servos. Feet with meshes have contacts at slightly different positions (Go2: 0.065)."""
 
 MAX_JOINT_DEVIATION = 0.02
-"""Maximum joint deviation [rad, m] of a published robot with feed-forward; v3 deviates by 5e-5."""
+"""Largest joint deviation [rad, m] of a published robot with feed-forward that agrees with the
+prediction; v3 deviates by 5e-5. Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Minimum displacement [rad, m] of a joint that has left its posture."""
+"""Displacement [rad, m] of a joint from which a robot with a fixed base counts as having left its
+posture. Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):

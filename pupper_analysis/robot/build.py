@@ -415,7 +415,8 @@ def _find_root_link(model: pin.Model) -> str:
 
 
 _GRAVITY_ATOL = 0.05
-"""Tolerance [m/s^2] for Earth's gravity, downwards: between pole and equator it varies by 0.05."""
+"""Largest norm of the difference from Earth's gravity [m/s^2] that is not reported. Gravity varies
+by 0.05 m/s^2 between pole and equator."""
 
 _DISABLE_BIT = mujoco.mjtDisableBit
 

@@ -37,8 +37,8 @@ CLOSED_ATOL = 1e-10
 loop. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
-"""Maximum opening of a loop [m, rad] beyond the static deflection. A configuration with larger
-openings is rejected."""
+"""Largest opening of a loop [m, rad] beyond its static deflection, with which the loop counts as
+closed; a configuration with larger openings is rejected. Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
 """Relative lower bound of the singular values of independent constraints. The redundant equation of

@@ -21,7 +21,8 @@ sufficient. Chosen, not tuned."""
 
 _STEP_RTOL = 1e-9
 """Length of a Newton step, relative to the penetration plus margin, at which `GroundLaw.depth`
-ends. The remaining relative error is of the order of its square. Chosen, not tuned."""
+ends. The remaining relative error is of the order of the square of this value. Chosen, not
+tuned."""
 
 _DEPTH_RTOL = 4e-16
 """Distance between lower and upper bound of a penetration, relative to the penetration, at which

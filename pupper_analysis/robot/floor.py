@@ -18,8 +18,8 @@ from pupper_analysis.models.spec_tree import SpecTree
 Array = NDArray[np.float64]
 
 _LEVEL_ATOL = 1e-9
-"""Tolerance of a floor that needs no change: distance from z = 0 [m], and x and y components of its
-quaternion."""
+"""Tolerance with which a floor counts as level at z = 0 and is not changed: distance from z = 0
+[m], and x and y components of its quaternion. Chosen, not tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:

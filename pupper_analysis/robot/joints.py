@@ -75,7 +75,8 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
 
 
 _LIMIT_ATOL = 1e-6
-"""Tolerance [rad, m] for positions beyond a limit, because users type rounded values of both."""
+"""Distance beyond a joint limit [rad, m] with which a typed position is accepted: users type
+rounded values. Chosen, not tuned."""
 
 
 def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:

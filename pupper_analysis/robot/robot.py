@@ -42,7 +42,8 @@ from pupper_analysis.robot.structure import Structure
 Array = NDArray[np.float64]
 
 _EFFORT_RTOL = 1e-6
-"""Relative tolerance for equal limits, because files contain rounded values."""
+"""Relative difference up to which two effort limits count as equal, because files contain rounded
+values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
@@ -690,7 +691,8 @@ def _check_bodies(robot: Robot) -> None:
 
 
 _MAX_POOL_SIZE = 8
-"""Maximum number of unused objects in the pool. The least recently used are dropped."""
+"""Largest number of unused objects (for example MuJoCo data) that a robot keeps for reuse; the
+least recently used are dropped. Chosen, not tuned."""
 
 _pool: list[tuple[Robot, object, Any]] = []
 """(robot, constructor, object) of unused objects. The pool is global, because a reference from the

@@ -247,10 +247,12 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of the ball that measures the depth of a point within shapes."""
+"""Radius [m] of a small ball whose distance from shapes is computed: it represents the contact
+point of a hand, of which coal needs a volume. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Radius [m] of the contact ball of a hand whose contact point is not inside a shape."""
+"""Radius [m] of the contact ball of a hand whose contact point is not inside a collision shape of
+its link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:

@@ -56,8 +56,8 @@ failure: feet are held there by friction, and a base that starts at rest oversho
 its final tilt."""
 
 _CHECK_INTERVAL = 0.25
-"""Simulated time between two checks [s]; longer than a foot that is thrown up stays off the
-ground."""
+"""Simulated time between two tests of whether the robot is at rest or lost [s]. It is longer than a
+foot that is thrown up stays off the ground. Chosen, not tuned."""
 
 _DECAY_TIME_CONSTANTS = 3.0
 """Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge

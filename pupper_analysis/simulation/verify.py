@@ -101,8 +101,8 @@ MIN_FORCE_SCALE = 0.05
 not tuned."""
 
 MAX_BALANCE_RESIDUAL = 1e-3
-"""Largest residual of MuJoCo's balance, relative to the weight, of two files of one robot. Rounded
-files leave 1e-6."""
+"""Largest residual of MuJoCo's balance with the predicted forces, relative to the weight, with
+which both files describe one robot. Rounded files leave 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
 """Lever [m] on which the weight gives the smallest torque by which torque deviations are divided:

@@ -30,11 +30,12 @@ _NUM_STARTS = 32
 original: 32 find all but one of the branches that 256 find."""
 
 _MAX_ITERATIONS = 14
-"""Upper bound of Levenberg-Marquardt iterations. Reachable feet converge in 6 to 10."""
+"""Upper bound of Levenberg-Marquardt iterations from an initial guess. Reachable feet converge in 6
+to 10. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
-"""Upper bound of iterations while a branch is followed. Feet that have not nearly converged then
-are out of reach."""
+"""Upper bound of Levenberg-Marquardt iterations when a branch is followed to another base position.
+Feet that have not nearly converged by then are out of reach. Chosen, not tuned."""
 
 _BRANCH_DISTANCE = 0.05
 """Largest difference [rad or m] of a joint between two solutions that count as the same branch.
@@ -49,10 +50,12 @@ _JOINT_DISTANCE_STEP = 1e-3
 that the order of equal costs does not depend on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
-"""Upper bound of branches per limb; a redundant limb has a continuum."""
+"""Upper bound of the IK branches that are kept per limb, those with the smallest foot errors. A
+redundant limb has a continuum of solutions. Chosen, not tuned."""
 
 _INITIAL_DAMPING = 1e-3
-"""Initial damping [m^2/rad^2]. The squared Jacobian of a leg is 1e-2 to 1e-1."""
+"""Initial Levenberg-Marquardt damping of each initial guess and limb [m^2/rad^2]. The squared
+Jacobian of a leg is 1e-2 to 1e-1. Chosen, not tuned."""
 
 _MIN_DAMPING = 1e-12
 """Lower bound of the Levenberg-Marquardt damping [m^2/rad^2]. Chosen, not tuned."""

@@ -98,7 +98,8 @@ def measure_distance(
 
 
 _NO_FLOOR = 1e3
-"""Depth [m] of the half-space that replaces a floor if the file has none: out of reach."""
+"""Depth [m] below the origin of a half-space that replaces the floor if the file has none, so that
+no part of a robot is near it. Chosen, not tuned."""
 
 
 class ClearanceShapes:

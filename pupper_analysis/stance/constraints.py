@@ -25,7 +25,8 @@ from pupper_analysis.statics.support_polygon import SIDES, margin_of_place, poly
 Array = NDArray[np.float64]
 
 TASK_TOLERANCE = 1e-9
-"""Error below which a requirement counts as satisfied [m, rad]."""
+"""Largest residual [m, rad] with which a requirement of a task counts as satisfied. Chosen, not
+tuned: far below any manufacturing tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
 """Violation of a clearance that counts as rounding [m]. A search aims at half of this value, since

@@ -31,10 +31,12 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
-"""Largest displacement [rad, m] of a given joint of a loop that closes the loop (rounding)."""
+"""Largest displacement [rad, m] by which a joint position that the user gave may be changed to
+close a loop: rounding of typed positions. Chosen, not tuned."""
 
 LIMIT_TOLERANCE = 1e-6
-"""Distance from a joint limit [rad, m] that counts as rounding."""
+"""Distance beyond a joint limit [rad, m] that counts as rounding and is accepted. Chosen, not
+tuned."""
 
 
 class PostureSource(StrEnum):

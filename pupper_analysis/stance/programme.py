@@ -30,12 +30,13 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of difference quotients by a relaxed number [stand heights, rad]. Truncation dominates with
-longer steps, rounding with shorter ones."""
+"""Step of the difference quotients of the residuals by a relaxed number [stand heights, rad].
+Truncation errors dominate with longer steps, rounding errors with shorter ones. Chosen, not
+tuned."""
 
 _SATISFIED_VIOLATION = 1e-6
-"""Violation [m, rad] up to which a constraint counts as satisfied. The following IK solve removes
-the rest."""
+"""Violation [m, rad] up to which a constraint of an elastic program counts as satisfied. The
+following IK solve removes the rest. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
 """Upper bounds of iterations without and with relaxed demands. Measured: all of 1,500 solves
@@ -51,7 +52,9 @@ _MAX_ITERATIONS = 100
 45 are needed if the feet are at the limit of reach."""
 
 _MIN_PROGRESS_RATIO = 0.9
-"""A step makes progress if the violation is at most this part of the smallest violation so far."""
+"""Largest ratio of the violation after a step to the smallest violation of earlier steps, with
+which the step makes progress. Steps without progress end the solve (`_PATIENCE`). Chosen, not
+tuned."""
 
 _PATIENCE = (4, 32)
 """Successive steps without progress after which a solve ends, without and with relaxed demands.
@@ -59,8 +62,9 @@ Measured: of 138 and 350 solves that led to a stand, one each took more; of 206 
 thirds did, and of 633 one in eight."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Relative size of a QR diagonal below which an equality counts as dependent. SLSQP fails with
-dependent equalities."""
+"""Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
+which an equality counts as dependent and is dropped. SLSQP fails with dependent equalities. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

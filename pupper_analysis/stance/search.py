@@ -54,7 +54,8 @@ _MAX_SHIFTED_SEEDS = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
 
 _MISS_TOLERANCE = 0.1
-"""Relative difference up to which the foot errors of two initial guesses count as equal."""
+"""Relative difference up to which the foot errors of two initial guesses count as equal. If enough
+are equal (`_MIN_AGREEING_SEEDS`), the search ends. Chosen, not tuned."""
 
 _MIN_AGREEING_SEEDS = 8
 """Number of seeds with the same smallest foot error after which the search ends. Measured on 400

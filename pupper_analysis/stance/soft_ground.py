@@ -45,8 +45,8 @@ _MAX_ITERATIONS = 50
 """Upper bound of the fixed-point iterations between forces and depths. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
-"""Number of successive iterations without a smaller change after which the iteration fails: a sole
-that is loaded at its edge tilts ever further."""
+"""Number of successive iterations without a smaller change of the depths, after which the iteration
+fails: a sole that is loaded at its edge tilts ever further. Chosen, not tuned."""
 
 
 @check_arguments

@@ -529,7 +529,9 @@ def _make_result(
 
 
 _UNLIMITED_FRICTION = 1e4
-"""Friction coefficient (and factor of grip limits) that represents a contact that cannot slide."""
+"""Friction coefficient, and factor on grip limits, with which a contact practically cannot slide.
+If balance is possible with it but not with the real value, friction is reported as the cause.
+Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -673,7 +675,8 @@ _MAX_TOTAL_NORMAL_FORCE = 10.0
 of a stated force is computed. Chosen: legs do not press harder."""
 
 MIN_TORQUE_PER_MASS = 1e-9
-"""Torque per payload mass [N m/kg] below which a motor's lever arm is rounding."""
+"""Torque per payload mass [N m/kg] below which a motor counts as not loaded by the payload: the
+lever arm is a rounding error. Chosen, not tuned."""
 
 
 def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:

@@ -156,7 +156,8 @@ def support_corners(
 
 
 _NORMAL_TOLERANCE = 1e-12
-"""Largest difference between components of normals that belong to one plane (rounding)."""
+"""Largest difference between the components of two unit normals that count as equal (rounding).
+With equal normals the convex hull of the contacts is the support region."""
 
 
 @functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its CoM position is searched

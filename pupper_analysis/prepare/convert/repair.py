@@ -31,7 +31,8 @@ _MIN_INERTIA: Final = 1e-14
 """Lower bound of the principal moments [kg m^2] of a body with mass: ten times MuJoCo's."""
 
 ADDED_MASS: Final = 1e-3
-"""Mass [kg] that a moving link without mass is given: common for helper links of exporters."""
+"""Mass [kg] that a moving link gets if neither it nor a link fixed to it has a mass, which MuJoCo
+would refuse: common for helper links of exporters. Chosen, not tuned."""
 
 _GYRATION_RADIUS: Final = 0.01
 """Radius of gyration [m] of a link with mass and without inertia: that of a ball of 16 mm. With

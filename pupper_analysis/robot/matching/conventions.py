@@ -43,7 +43,8 @@ _MIN_SAVED_BITS = 3.0
 of the base is accepted, if it explains the whole deviation. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
-"""Maximum number of joints on the base from whose frames a pose of the base frame is derived."""
+"""Largest number of joints on the base whose frames are tried as candidates for the pose between
+the two base frames. Chosen, to bound the time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,8 +50,8 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 Array = NDArray[np.float64]
 
 MAX_PIVOT_RATIO = 0.01
-"""Largest slip [stand heights] of a sole that counts as at rest: 3 mm for a biped of 0.3 m. Soles
-in MuJoCo pivoted by 0.1 to 0.4 mm."""
+"""Largest slip of a sole, in stand heights, with which the sole counts as at rest although all its
+points slip: 3 mm for a biped of 0.3 m. Measured: soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
@@ -181,8 +181,8 @@ _FRICTION_SHARE_OF_SLIDING = 0.95
 ends. Chosen: the last equilibrium is up to `_MIN_SHARE_STEP` of the feed-forward before the end."""
 
 CREEP_STEPS = 20
-"""Number of backward Euler steps of a creep. With 20, a robot that falls after 15 s is predicted to
-fall after 14 s."""
+"""Number of backward Euler steps of a creep. Measured: with 20, a robot that falls after 15 s is
+predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
 """Smallest part of a creep step that is tried. Of a step of 0.6 s (12 s in 20 steps) this is 0.15
@@ -401,8 +401,8 @@ MAX_CREEP_LOSS_RATIO = 0.002
 Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its ratio is 0.025."""
 
 HIGHEST_KP = 2500.0
-"""Upper bound of kp in `minimum_stiffness` [weights x stand heights per radian]: 2000 times that of
-v3."""
+"""Upper bound of the kp that `minimum_stiffness` tests, in units of robot weight x stand height per
+radian: 2000 times the kp of v3. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -552,7 +552,8 @@ def simulate_creep(way: HomotopyPath, pose: SteadyState) -> float:
 
 
 MAX_CREEP_DURATION = 1e9
-"""Largest creep time [s], thirty years. With much larger times, numbers overflow."""
+"""Upper bound of the creep time of `steady_state` [s], thirty years. With much larger times,
+numbers overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:

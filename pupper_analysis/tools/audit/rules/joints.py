@@ -296,11 +296,12 @@ MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 Chosen."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Smallest fraction of the knee range with the foot below the hip for which limits are accepted.
-Chosen."""
+"""Smallest fraction of the knee range in which the foot comes below the hip, with which the joint
+limits are not reported. Chosen, not tuned."""
 
 NUM_KNEE_ANGLES = 61
-"""Number of angles over the range of a knee."""
+"""Number of knee angles, evenly spaced over the range, at which the reach of a leg is evaluated.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,12 +36,14 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 MAX_COM_OFFSET = 0.002
-"""Largest distance of a CoM from the convex hull of the shapes [m], plus a fraction of the extent.
-"""
+"""Distance of a CoM outside the convex hull of a link's shapes [m] up to which nothing is reported,
+in addition to a fraction of the extent (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`). Chosen, not
+tuned."""
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
-"""Fraction of the extent if the link has visual shapes or meshes, and if there are only simple
-collision shapes."""
+"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`: the first if the link has visual
+shapes or meshes, the second if it only has simple collision shapes, which may be smaller than the
+link. Chosen, not tuned."""
 
 DEFAULT_DENSITY = 1000.0
 """MuJoCo's default density of a geom [kg/m^3]."""
@@ -98,8 +100,8 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Smallest ratio between the mass of a link and the attached mass. Smaller ratios indicate a wrong
-unit or a missing mass."""
+"""Mass of a link, relative to the mass that it carries, below which the mass is reported. Smaller
+ratios indicate a wrong unit or a missing mass. Chosen, not tuned."""
 
 
 @rule
@@ -241,11 +243,13 @@ MAX_INERTIA_FACTOR = 100.0
 the moment of the link. Wrong units change moments by 1000 or more."""
 
 UNREAD_MESH_FACTOR = 8.0
-"""Largest ratio of a moment to m R^2 if a mesh was not read; R is the radius of the known shapes
-and the joints."""
+"""Largest ratio of a moment of inertia to m R^2 that is not reported if a mesh was not read. R is
+the largest distance from the CoM to the known shapes, joints and frames, and may be smaller than
+the link. Chosen, not tuned."""
 
 MIN_GYRATION_SQUARED = 1e-10
-"""Moment per mass that counts as zero [m^2]: a radius of gyration of 0.01 mm."""
+"""Moment of inertia per mass [m^2] below which a moment counts as zero: a radius of gyration of
+0.01 mm. Chosen, not tuned."""
 
 MIN_REACH = 0.05
 """Lower bound of the radius R for a link without shapes [m], in the check that its largest moment

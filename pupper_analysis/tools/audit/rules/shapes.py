@@ -25,7 +25,8 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""Largest deviation of a shape from a joint or frame [m]. Chosen."""
+"""Largest distance [m] between the end of a rod and a joint or frame, with which the rod counts as
+beginning or ending there. Chosen, not tuned."""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
@@ -151,11 +152,12 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_LINK_LENGTH = 0.03
-"""Smallest distance between joints [m] for which the position of shapes is compared. Chosen."""
+"""Smallest distance between two joints of a link [m] with which the position of its shapes is
+checked. Chosen, not tuned."""
 
 MIN_ALIGNMENT_COSINE = 0.966
-"""Smallest cosine between a shape and the link: 15 degrees. Shapes at larger angles are not
-compared."""
+"""Smallest cosine between the long axis of a shape and the line between two joints of a link, with
+which the position of the shape is checked: 15 degrees. Chosen, not tuned."""
 
 
 def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
@@ -233,29 +235,32 @@ The hull is the largest volume of a body with these shapes. Of 1500 published li
 15600: a wrist whose mesh omits attached parts."""
 
 UNREAD_MESH_FACTOR = 5.0
-"""Factor of `MAX_DENSITY` if a mesh was not read, since the known shapes may be smaller than the
-link."""
+"""Factor on `MAX_DENSITY` for a link of which a mesh was not read, since the known shapes may be
+smaller than the link. Chosen, not tuned."""
 
 MIN_DENSITY = 2.0
-"""Smallest mass per volume of the convex hull [kg/m^3]. Air has 1.2, the lightest foam 10, the
-lightest published link 8.8."""
+"""Mass per volume of the convex hull of a link [kg/m^3] below which its density is reported. Air
+has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Smallest mass of a link, relative to the robot. Lighter links may have symbolic shapes."""
+"""Mass of a link, relative to the robot's mass, below which its density is not checked: the shapes
+of light links may be symbolic. Chosen, not tuned."""
 
 MIN_SHAPE_FRACTION = 0.5
-"""Smallest extent of the shapes, relative to the distance of the joints, from which a density is
-computed."""
+"""Extent of a link's shapes, relative to the extent of its joints and frames, below which its
+density is not checked: the shapes may show a part of the link only. Chosen, not tuned."""
 
 MIN_EXTENT = 0.01
-"""Smallest extent of the shapes, or of all joints, from which a size is judged [m]."""
+"""Extent [m] of a link's shapes below which its density is not checked, and of all joints below
+which the size of shapes is not checked. Chosen, not tuned."""
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
-"""Largest and smallest extent of all joints of a robot [m]."""
+"""Extent of all joint positions of a robot [m] above and below which its size is reported as
+implausible, for example because of a wrong unit of length. Chosen, not tuned."""
 
 MAX_SHAPE_RATIO = 20.0
-"""Largest extent of a link's shapes, relative to the extent of all joints. Of 1500 published links
-the largest ratio is 2.3."""
+"""Extent of a link's shapes, relative to the extent of all joints, above which the shapes are
+reported as too large. Measured: the largest ratio of 1500 published links is 2.3."""
 
 
 @rule

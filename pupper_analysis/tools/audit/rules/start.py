@@ -27,17 +27,19 @@ from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
 
 MAX_FLOOR_DEPTH = 5e-3
-"""Largest penetration of the floor in an initial configuration [m]. A standing robot sinks a few mm
-into soft contacts."""
+"""Penetration of the floor in an initial configuration [m] above which the contact is reported. A
+standing robot sinks a few mm into soft contacts. Chosen, not tuned."""
 
 MAX_KEYFRAMES = 100
 """Largest number of keyframes that are checked. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Largest offset between command and joint of a servo without torque limit [rad, m]. Chosen."""
+"""Accepted offset between the command and the joint position of a keyframe [rad, m], for a servo
+without torque limit. Chosen, not tuned."""
 
 _MIN_TIMESTEP = 1e-4
-"""Smallest time step that is simulated [s]. Smaller steps would need more than 20,000 steps."""
+"""Time step [s] below which a file is not simulated: more than 20,000 steps would be needed.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
