@@ -71,7 +71,8 @@ def judge_simulation(
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
@@ -251,7 +252,8 @@ def judge_stand(
     Raises:
         StaticsInfeasibleError: If the stand slides or tips.
         ConfigurationError: If an argument is not valid for the robot.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
     """
     held = solve_stand_as_simulated(robot, stand)
     fed, alone = (
