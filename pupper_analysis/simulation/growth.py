@@ -110,8 +110,9 @@ def confirm_growth(
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability. A mode with the simulated doubling time replaces the leaving modes in
-        ``unstable``; ``refuted`` contains the leaving modes that do not grow in the simulation.
+        The stability. A mode with the simulated doubling time (None if the oscillation is
+        sustained) replaces the leaving modes in ``unstable``; ``refuted`` contains the leaving
+        modes that do not grow in the simulation.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
