@@ -89,8 +89,10 @@ def make_stand_start(
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of its range, or the stand belongs to another
+            robot.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = stand.check(robot)
