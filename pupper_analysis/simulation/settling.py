@@ -93,8 +93,10 @@ def comes_to_rest(
         kd: Servo damping [N m s/rad]; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of its range, or the stand belongs to another
+            robot.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
