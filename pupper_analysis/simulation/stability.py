@@ -46,10 +46,10 @@ def stand_stability(
 ) -> Stability:
     """Judge whether a stand is stable, from the eigenvalues of one of MuJoCo's steps.
 
-    The evaluation takes milliseconds unless a mode grows; then a nudged simulation of up to 36 s
-    tests whether the mode does grow (``confirm_growth``). With feed-forward the stand is judged;
-    without, the equilibrium of the servos (``steady_state``, feet pinned). Larger pushes are not
-    covered.
+    The evaluation takes milliseconds unless a mode grows; then one to three nudged simulations, of
+    up to ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
+    feed-forward the stand is judged; without, the equilibrium of the servos (``steady_state``, feet
+    pinned). Larger pushes are not covered.
 
     Args:
         robot: The robot.
@@ -63,8 +63,10 @@ def stand_stability(
         The modes that grow, with their doubling times, and the stability margin.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of its range, a stand's base is fixed, or the
+            stand belongs to another robot.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
