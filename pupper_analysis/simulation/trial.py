@@ -134,11 +134,12 @@ def simulate_nudges(
         stand: The stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
-        duration: Simulated time [s], at least 2.
+        duration: Simulated time [s], 2 to 600.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        ModelError: If the model has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
@@ -173,7 +174,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and torques and forces by
     about one percent. A stand is far from its limits if the CoM is far from the edge of the support
     polygon, motors and friction have reserves, joints are far from their limits, and each foot
-    carries load.
+    carries load. False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:
         robot: The robot, with its payload.
