@@ -208,8 +208,10 @@ def judge_stance(
         own: Simulation of the published file from its keyframe.
         published: Differences between the published MJCF and the simulated model.
         converted: Model that was converted from the other one; empty without a conversion.
-        unknown: Whether the answer depends on torque limits that no file states.
-        masses_unknown: Whether moving links have masses that no file states.
+        unknown: Whether the answer depends on torque limits that no file states; a passing verdict
+            is then ``LIMITS_UNKNOWN``.
+        masses_unknown: Whether moving links have masses that no file states; a passing verdict is
+            then ``MASSES_UNKNOWN``.
         remarks: Other assumptions; a remark with severity error prevents that the stance passes.
     """
     code = _find_worst_code(fed, alone, servos, overloaded, own, published, remarks)
