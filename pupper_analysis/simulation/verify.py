@@ -61,8 +61,9 @@ Array = NDArray[np.float64]
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
     """Return the largest element of MuJoCo's balance residual in a stand [N, N m].
 
-    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g and contact Jacobian J of the
-    MJCF, and the predicted contact forces f, weld forces and motor torques tau.
+    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g less its passive forces, the
+    contact Jacobian J of the MJCF, and the predicted contact forces f, weld forces and motor
+    torques tau. The load of closed loops is subtracted.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -231,8 +232,9 @@ def verify_stand(
         kd: Servo damping [N m s/rad]; the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time [s], 2 to 600.
-        nudged: Part of the duration after the nudge [s]; 7/12 by default. With 0 there is no
-            nudge, and settled values are measured at the end.
+        nudged: Part of the duration after the nudge [s], at most the duration less 1 s; 7/12 of the
+            duration by default. With 0 there is no nudge, and settled values are measured at the
+            end.
         settled: Predicted equilibrium without feed-forward. The settled state of a robot with a
             fixed base and no stance feet is compared with this equilibrium.
 
@@ -240,8 +242,10 @@ def verify_stand(
         The comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or a stand's base is fixed.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of its range, a stand's base is fixed, or the
+            stand belongs to another robot.
+        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
@@ -306,7 +310,10 @@ CREEP_TIME = 10.0
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
-    """Measure the mean speeds of base, feet and joints over the last ``CREEP_TIME`` of states."""
+    """Measure the mean speeds of base, feet and joints over the last ``CREEP_TIME`` of states.
+
+    Shorter rollouts are measured from their first state.
+    """
     steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
     first, last = states[-1 - steps], states[-1]
     duration = float(last[0] - first[0])
