@@ -133,8 +133,9 @@ def find_branches(
         upper: Upper joint limits, shape (nu,) [rad, m].
 
     Returns:
-        {limb: its branches}, smallest foot error first. A whole turn of a joint without limits is
-        no other branch. For an unreachable target, the branches are local minima of the foot error.
+        {limb: its branches}, smallest foot error first; empty without feet. Whole turns of a joint
+        give no other branch. For an unreachable target, the branches are local minima of the foot
+        error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
