@@ -112,7 +112,8 @@ class ClearanceShapes:
         robot: Robot.
         shapes: All shapes, including those of the feet.
         kinematics: Kinematics of links, CoM and feet.
-        parts: Shapes that are no feet.
+        parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
+            ground, and shapes on the link of a sole or of a weld.
     """
 
     def __init__(self, robot: Robot) -> None:
