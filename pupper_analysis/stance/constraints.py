@@ -177,7 +177,10 @@ class Loops(Constraint):
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest opening [m, rad]; infinite in another assembly mode."""
+        """Return the largest opening beyond the static deflection [m, rad].
+
+        Infinite in another assembly mode.
+        """
         if not self._closure.as_built(at.qpos):
             return math.inf
         return self._closure.open_by(at.qpos, goal.give)
@@ -216,7 +219,7 @@ class SupportMargin(Constraint):
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the CoM's distance from each polygon side minus the margin, shape (m,) [m].
 
-        Positive inside the support polygon.
+        Not negative if the margin is kept.
         """
         sides, com = self._polygon_sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
@@ -331,8 +334,10 @@ class ConstraintEvaluation(NamedTuple):
 
     Attributes:
         violation: {constraint name: violation} [m, rad], without clearances and CoM margin.
-        com_margin: Distance of the CoM from the edge of the support polygon [m]; negative outside.
-        nearest: {clearance name: smallest clearance}, of the requested clearances.
+        com_margin: Distance of the CoM from the edge of the support polygon [m]; negative outside;
+            infinite for a welded robot.
+        nearest: {clearance name: smallest clearance} of the ground clearance and, if requested, the
+            self clearance; None without such parts or ground.
     """
 
     violation: dict[str, float]
