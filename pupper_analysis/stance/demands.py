@@ -81,7 +81,8 @@ class DemandValue(NamedTuple):
 class DemandVector:
     """Numbers of some demands of a task, with bounds of their relaxation.
 
-    Margins, lifts, slopes and steps can only decrease; other numbers can change in both directions.
+    Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
+    directions.
 
     Args:
         robot: Robot.
