@@ -68,9 +68,9 @@ class Stand(Tabular):
         com_error: Horizontal error of the CoM (m); of the base frame if the task has an offset;
             zero if the CoM is free.
         com_margin: Distance of the projected CoM from the edge of the support polygon (m); negative
-            outside.
+            outside; infinite for a welded robot and a posture.
         ground_clearance: Height of the lowest part above the ground, without feet, by MuJoCo's
-            collision shapes with convex hulls of meshes; None if there are no such parts.
+            collision shapes with convex hulls of meshes; None without such parts or without ground.
         self_clearance: Smallest distance between links that are not neighbours; None if the task
             requires none.
         iterations: Number of solved quadratic programs.
@@ -179,7 +179,11 @@ class Stand(Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres on rigid ground, shape (3,) each [m]."""
+        """Targets of the sphere centres on rigid ground, shape (3,) each [m].
+
+        Without planes of single feet these are ``foot_targets`` themselves, including the
+        penetration; see `raise_feet`.
+        """
         return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
