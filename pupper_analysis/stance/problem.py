@@ -71,7 +71,8 @@ def has_spare_joints(robot: Robot) -> bool:
 def can_move_com(robot: Robot) -> bool:
     """Return True if the robot can move its CoM in x and y with planted feet.
 
-    The base keeps its height and orientation. Legs with three joints suffice; legs with two joints
+    The base keeps its height and orientation. Also True without contact points. Legs with three
+    joints suffice; legs with two joints
     in one plane cannot move the CoM sideways, unless arms or a waist do.
     """
     return robot.once(_compute_com_mobility)
@@ -145,6 +146,7 @@ class Goal:
         support: Support region.
         centre: Mean of the contacts, shape (3,) [m]. Hands and steep planes are left out of the
             mean, and planes of single feet are left out of its height, unless nothing remains.
+            `feet_centre` describes welded and lifted feet.
         height: Height of the base frame [m].
         base_quaternion: Orientation of the base (w, x, y, z).
         place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
@@ -180,7 +182,11 @@ class Goal:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the sphere centres on rigid ground, shape (3,) each [m]."""
+        """Targets of the sphere centres on rigid ground, shape (3,) each [m].
+
+        Without planes of single feet these are ``targets`` themselves, including the penetration;
+        see `raise_feet`.
+        """
         return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
@@ -211,7 +217,7 @@ def make_goal(
 
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, or the task is rejected.
-        UnknownNameError: If the task contains an unknown foot.
+        UnknownNameError: If the task contains an unknown foot or joint.
     """
     com, nominal, limits = robot.once(_make_defaults)
     # A caller may have changed the limits of the model.
@@ -332,8 +338,8 @@ def feet_centre(
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
     Hands and steep planes are left out, unless nothing remains (`Goal.centre`). Welded feet count
-    as contacts. For an arm, the point below the base of the home pose; if all feet are lifted, the
-    mean of their targets.
+    as contacts. For an arm, the point at z = 0 below the base of the home pose; if all feet are
+    lifted, the horizontal mean of all targets, at z = 0.
     """
     if robot.welds:
         if len(robot.hands) == len(robot.feet):
@@ -685,7 +691,7 @@ def raise_feet(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Move the targets of sunk feet back to rigid ground: the inverse of `sink_feet`.
+    """Move the targets of sunk feet back to rigid ground, by the penetration along the normals.
 
     The targets are returned unchanged if no foot has a plane of its own: the horizontal position of
     a level step does not depend on the penetration.
