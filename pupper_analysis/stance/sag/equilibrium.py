@@ -214,8 +214,8 @@ class EquilibriumScales:
 
     Attributes:
         weight: Weight [N].
-        length: Height [m] of the CoM above the lowest stance foot. For a fixed or welded base: the
-            stand height, or the extent of the model if that is zero.
+        length: Height [m] of the CoM above the lowest sphere centre of a stance foot. For a fixed
+            or welded robot: the stand height, or the extent of the model if that is zero.
         moves: Number of coordinates that translate the base: 3, or 0 for a fixed base.
     """
 
@@ -875,7 +875,10 @@ micrometres for a biped of 10 kg. Chosen, not tuned."""
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Return a point on the ground below each contact point, shape (3,) [m], in the world frame."""
+    """Return a point of the ground plane of each contact point, shape (3,) [m], world frame.
+
+    The point is not below the contact point in general.
+    """
     ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
         if foot in ground.planes:
