@@ -437,8 +437,8 @@ class SteadyState(Result):
             slip or lift, and the robot comes to rest elsewhere, by up to millimetres. If the
             feed-forward is removed slowly, no foot slips, but the ignored dry friction holds the
             robot above the equilibrium (v3: by 1.8 mm).
-        lasts: Time until creep ends the equilibrium, or brings another part to the ground (s);
-            infinite if longer than ``HOLD_DURATION``, or not computed.
+        lasts: Time until creep ends the equilibrium, or leads to one of its failures (s); infinite
+            if longer than ``HOLD_DURATION``, or not computed.
         failures: Reasons for which the robot does not stay in this equilibrium; empty if there is
             none.
     """
@@ -506,7 +506,8 @@ def steady_state(
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or the model has no servos and ``kp`` is None.
+        ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
+            the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If no equilibrium continues the stand, or creep ends the equilibrium
             within ``seconds``.
@@ -643,7 +644,7 @@ def minimum_stiffness(
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor.
+        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
