@@ -80,7 +80,7 @@ def search_stand(
     """Search for a stand from all initial guesses.
 
     The nonlinear program is used only if the CoM is free, or if redundant joints can move parts out
-    of collision. It starts at the configuration with the smallest foot error, then at other seeds.
+    of collision. It starts at the best stand so far, then at other seeds.
 
     Args:
         context: Search context of the robot.
@@ -359,7 +359,7 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     """Yield the usual initial guesses of the joint positions, shape (nu,) [rad, m].
 
     In this order: ``ik_seed`` of the task, if there is one; the robot's home position; the middle
-    of the joint limits (zero for a joint without limits).
+    of the joint limits (zero for a joint without a lower or an upper limit).
     """
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
@@ -381,7 +381,7 @@ def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
 
 
 def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
-    """Return a stand with flatter soles, if the CoM is free; else the stand itself.
+    """Return a stand with flatter soles if the CoM is free and one is found; else the stand.
 
     Underactuated legs may tilt their soles to bring the CoM to its place. Servos that press these
     soles flat would give torques that the static balance lacks.
