@@ -59,7 +59,7 @@ def solve_stand_on_soft_ground(
     commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
     extended by the penetration of their feet, so that base and CoM are at the places of the task.
     The criterion of the contact forces is minimum tangential. Depths and forces depend on each
-    other; fixed-point iteration converges in 1 to 3 rounds.
+    other; fixed-point iteration mostly converges in 1 to 3 rounds.
 
     Args:
         robot: Robot with a floating base and a ground.
@@ -72,6 +72,8 @@ def solve_stand_on_soft_ground(
 
     Raises:
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
+        UnknownNameError: As for `solve_stand`.
+        ModelError: As for `solve_stand`.
         StanceUnreachableError: If the stance is unreachable, at least with its feet in the ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths do not converge.
@@ -131,7 +133,9 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
             stand.
 
     Raises:
-        ConfigurationError: As for `solve_stand`.
+        ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
+        UnknownNameError: As for `solve_stand`.
+        ModelError: As for `solve_stand`.
         StanceUnreachableError: If the stance is unreachable on rigid ground; not explained.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths of a robot without loops do not converge.
@@ -180,6 +184,8 @@ def solve_loaded_stand(
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
+        UnknownNameError: If the robot lacks the frame of the payload, or a foot of the task.
+        ModelError: As for `with_payload` and `solve_stand`.
         StanceUnreachableError: If the stance is unreachable with that load; not explained.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths do not converge.
