@@ -62,7 +62,8 @@ def solve_stand(
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, or no stand can satisfy the
             margins.
-        UnknownNameError: If the task contains an unknown foot.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors and
             the demands to relax.
     """
@@ -170,6 +171,7 @@ def solve_stands(
             the task.
         UnknownNameError: As for `solve_stand`; raised before the first solve, with the index of the
             task.
+        ModelError: As for `solve_stand`.
         StanceUnreachableError: For the first unreachable task, with its index.
     """
     goals: list[Goal] = []
