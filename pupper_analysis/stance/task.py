@@ -33,10 +33,10 @@ class StandTask:
     """Requirements of a stand.
 
     The default is the nominal stand: level ground at z = 0, all feet on the ground, each foot at
-    its horizontal position for zero joint angles with the base at the origin, and the CoM above the
-    centre of the feet, the mean of the stance contacts. Legs with two joints cannot place feet
-    sideways, so they cannot move the CoM to each place; the default of ``com`` is then
-    ``"inside"``.
+    its horizontal position for the robot's nominal joint positions with the base at the origin, and
+    the CoM above the centre of the feet, the mean of the stance contacts. Legs with two joints
+    cannot place feet sideways, so they cannot move the CoM to each place; the default of ``com`` is
+    then ``"inside"``.
 
     Attributes:
         height: Height of the base frame above the mean of the contact points (m). Default: the
@@ -171,7 +171,7 @@ class StandTask:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
 
         Raises:
-            ConfigurationError: If a value is out of range.
+            ConfigurationError: If a value is invalid, or contradicts another value.
         """
         grounds = {name: value for name, value in values.items() if FIELDS[name].part == "ground"}
         own: dict[str, Any] = {name: values[name] for name in values if name not in grounds}
