@@ -91,7 +91,9 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
-        ConfigurationError: If the robot cannot stand.
+        ConfigurationError: If the robot cannot stand, or the task is invalid.
+        UnknownNameError: As for `solve_stand`.
+        ModelError: As for `solve_stand`.
     """
     start = solve_stand(robot, task)
     return find_interval(start.check(robot), start, "height")
@@ -114,7 +116,9 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
-        ConfigurationError: If the robot cannot stand.
+        ConfigurationError: If the robot cannot stand, or the task is invalid.
+        UnknownNameError: As for `solve_stand`.
+        ModelError: As for `solve_stand`.
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)
