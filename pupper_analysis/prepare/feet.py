@@ -68,8 +68,8 @@ class Foot:
 
 
 _MIN_DIRECTION_COSINE = 0.7
-"""Lower bound of the cosine between a limb and an axis of the base, as mean over the limbs: 45
-deg."""
+"""Lower bound of the component of the mean limb direction along an axis of the base, with which the
+limbs are reported to point along this axis: about 45 deg. Chosen, not tuned."""
 
 
 _MIN_LIMB_LENGTH = 1e-3
@@ -371,8 +371,8 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 
 _CONTACT_POINT_TOLERANCE = 1e-6
-"""Distance [m] by which the sphere of an ellipsoid may miss the fit at the nominal stand.
-Chosen: a hundredth of the depth of a loaded contact."""
+"""Displacement [m] of a fitted contact sphere of an ellipsoid between two fits, above which the fit
+is repeated. Chosen: a hundredth of the depth of a loaded contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:

@@ -37,7 +37,8 @@ from pupper_analysis.robot.robot import PublishedFile, Robot
 Array = NDArray[np.float64]
 
 _SAFE_SCALE = 20.0
-"""Scales up to this value, or its inverse, compile; a compilation tests other scales."""
+"""Scales between the inverse of this value and this value are known to compile; with other scales
+the derived MJCF is compiled as a test. Chosen, not tuned."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
@@ -188,7 +189,8 @@ _MJCF_PACKAGE_SUFFIX: Final = "_mj_description"
 """Suffix of the names of description packages that contain an MJCF."""
 
 _NUM_HEAD_BYTES: Final = 4096
-"""Number of bytes of a file in which the root element is searched."""
+"""Number of bytes at the start of an .xml file in which ``<robot`` marks a URDF. Chosen, not
+tuned."""
 
 _PAIR_SEPARATOR: Final = "+"
 """Separator between the two files of a robot in one word."""

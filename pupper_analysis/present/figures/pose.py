@@ -133,6 +133,8 @@ _PROJECTIONS = (
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
 _MAX_ARROW_RATIO = 0.35  # length of the largest force's arrow / length of the support polygon
+"""Length of the arrow of the largest force, relative to the length of the support polygon. Chosen,
+not tuned."""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT_COLOUR = "#CFE8F7"

@@ -52,7 +52,8 @@ MAX_RESIDUAL = 1e-9
 double precision agree to about 1e-13; for accelerations see `_compute_residual`."""
 
 _NUM_STATES = 10
-"""Number of states at which the effect of each difference is evaluated."""
+"""Number of random states at which the effect of each difference between two files is evaluated.
+Chosen, not tuned."""
 
 
 def explain_differences(

@@ -185,7 +185,8 @@ _MAX_ANGLE = 1e3
 unlimited joints, for which doubles have no fractional digits."""
 
 _MAX_EFFORT = 1e6
-"""Maximum absolute torque of a state [N m, N], because some files use huge limits."""
+"""Upper bound of the absolute torque of a random state [N m, N], because some files state huge
+limits. Chosen, not tuned."""
 
 
 def random_states(robot: Robot, count: int, seed: int) -> States:
@@ -221,7 +222,8 @@ _MAX_STATE_BYTES: Final = 80e6
 with 306 degrees of freedom is compared at 106 states, one with 1000 at 10."""
 
 _MIN_STATES: Final = 2
-"""Minimum number of states; a single state might be singular."""
+"""Smallest number of random states of a comparison, however large the robot is: a single state
+might be singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:

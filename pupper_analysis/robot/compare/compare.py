@@ -72,8 +72,9 @@ from pupper_analysis.robot.shapes import may_touch
 Array = NDArray[np.float64]
 
 CONTACT_HEIGHT_ATOL = 2e-4
-"""Tolerance of contact surfaces [m]. Meshes are accurate to a tenth of a millimetre, and files
-contain radii such as 0.02 for 19.95 mm."""
+"""Difference of the heights of two contact surfaces [m] up to which it is not reported. Meshes are
+accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm. Chosen, not
+tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """A limb ends in a foot if its lowest point is at most this fraction of the CoM height higher than

@@ -91,10 +91,12 @@ CONVENTION_KINDS = ("base frame", "zero")
 
 _STRUCTURE_KINDS = ("compiler", "joint", "name", "type", "parent", *CONVENTION_KINDS, "gravity")
 _MIN_RELATIVE_EFFECT = 1e-3
-"""Minimum relative effect of a difference that is ranked before limits and efforts."""
+"""Effect of a difference on the dynamics, relative to the quantity, from which the difference is
+listed before differences of limits and efforts. Chosen, not tuned."""
 
 _MIN_RELATIVE_MASS = 0.01
-"""Minimum relative difference of a body's mass that is ranked before limits and efforts."""
+"""Relative difference of a body's mass from which the difference is listed before differences of
+limits and efforts. Chosen, not tuned."""
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 

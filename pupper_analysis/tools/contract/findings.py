@@ -29,7 +29,8 @@ from pupper_analysis.tools.contract.orders import (
 )
 
 _NUMBER_RTOL = 2e-6
-"""Relative tolerance of equal numbers: rounding of single precision and of seven printed digits."""
+"""Relative difference up to which two numbers count as equal: rounding of single precision and of
+seven printed digits."""
 
 _KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
@@ -40,19 +41,19 @@ _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Position limits, compared with the absolute tolerance of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
-"""Decimals from which a number counts as computed: another source may state the same number
-rounded. Chosen."""
+"""Number of decimals from which a number counts as computed, so that another source may state it
+rounded. Chosen, not tuned."""
 
 _MAX_ROUNDING_FRACTION = 0.1
-"""Largest change by rounding, relative to the number, that counts as the same number. Example: 0.07
-for 0.0745."""
+"""Largest change of a number by rounding, relative to the number, with which a rounded number in
+another source counts as the same. Example: 0.07 for 0.0745. Chosen, not tuned."""
 
 _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 """{unit: factor from the SI unit to this unit}."""
 
 _UNIT_RTOL = 5e-3
-"""Relative tolerance of a ratio that indicates a wrong unit: degrees are written with three digits.
-"""
+"""Relative deviation of the ratio of two numbers from a ratio of units, up to which a wrong unit is
+reported. Degrees are written with three digits. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

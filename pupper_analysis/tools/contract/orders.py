@@ -234,7 +234,8 @@ def _determine_order(
 
 
 MAX_UNLIKE_FRACTION = 1 / 3
-"""Largest fraction of left-right pairs with unlike numbers in an order that is assumed. Chosen."""
+"""Largest fraction of left-right pairs whose numbers are no mirror images, with which a joint order
+that no source states is assumed. Chosen, not tuned."""
 
 
 def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:

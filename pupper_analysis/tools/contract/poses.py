@@ -25,7 +25,8 @@ from pupper_analysis.tools.contract.orders import PlacedSource
 Array = NDArray[np.float64]
 
 _MIN_STATED_FRACTION = 0.5
-"""Smallest fraction of the joints whose default angles a source must state for a stand. Chosen."""
+"""Fraction of the joints whose default angles a source must state, for a stand in this pose to be
+computed. Chosen, not tuned."""
 
 
 def stand_poses(

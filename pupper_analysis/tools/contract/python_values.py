@@ -27,10 +27,12 @@ from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MAX_VALUES, Node, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
-"""Largest size of an integer [bit]. Larger integers would grow without bound in a loop."""
+"""Largest size of an integer [bit] that the evaluation of a source accepts; a larger result counts
+as unknown. Larger integers would grow without bound in a loop. Chosen, not tuned."""
 
 MAX_CALL_DEPTH: Final = 40
-"""Largest depth of nested calls. Python's own recursion limit corresponds to about 200."""
+"""Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.
+Python's own recursion limit corresponds to about 200. Chosen, not tuned."""
 
 
 @dataclass(eq=False)

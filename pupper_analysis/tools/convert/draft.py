@@ -399,7 +399,8 @@ def _list_unstated_numbers(mjcf: NewMjcf) -> list[Diagnostic]:
 
 
 _HEIGHT_DECIMALS = 6
-"""Decimals of the height of the base [m] in a new file: one micrometre."""
+"""Number of decimals with which the height of the base [m] is written to a new file: one
+micrometre. Chosen, not tuned."""
 
 
 def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:

@@ -349,10 +349,12 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
 
 
 _MAX_REMAINING_FRACTION = 0.2
-"""Largest fraction of the differences of two limbs that may remain after an exchange. Chosen."""
+"""Largest fraction of the differences of two limbs that may remain after an exchange of their
+names, for the exchange to be reported. Chosen, not tuned."""
 
 _MAX_EXCHANGES = 60
-"""Largest number of pairs of limbs that are tested: more than all pairs of eleven limbs."""
+"""Largest number of pairs of limbs for which an exchange of names is tested: more than all pairs of
+eleven limbs. Chosen, to bound the time."""
 
 
 def _exchange_names(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
@@ -563,8 +565,8 @@ def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
 
 
 _MAX_SUBSET_LINKS = 12
-"""Largest number of links of a body of which all subsets are tested: 4096 subsets in a millisecond.
-"""
+"""Largest number of links of a body of which all subsets are tested as missing links: 4096 subsets
+in a millisecond. Of more links only the heaviest are used."""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of a body's difference that may remain after a mistake is undone.
@@ -858,7 +860,8 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Smallest sine of the angle between axes that are not parallel."""
+"""Sine of the angle between two joint axes below which the axes count as parallel when their
+distance is computed: rounding. Chosen, not tuned."""
 
 _MAX_MOVED_JOINTS = 20
 """Largest number of displaced joints for which single joints are tested. With more, the file is

@@ -75,7 +75,8 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
-"""Largest deviation of two engines on the same model, relative to the scale of the quantity."""
+"""Deviation of two engines on the same model, relative to the scale of the quantity, above which it
+is reported as a deviation of the engines. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -517,20 +518,27 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 
 DEFAULT_RTOL = 1e-9
-"""Default tolerance of the deviation between two evaluations, relative to the scale of the
-quantity."""
+"""Default of the largest deviation between two evaluations that counts as agreement, relative to
+the scale of the quantity (its largest absolute value, or the largest in the row). Chosen, not
+tuned."""
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
+"""Name of the evaluation of the URDF with Pinocchio."""
 
 MJCF_PINOCCHIO = "MJCF in Pinocchio"
+"""Name of the evaluation of the MJCF's tree with Pinocchio."""
 
 URDF_MUJOCO = "URDF in MuJoCo"
+"""Name of the evaluation of the URDF with MuJoCo."""
 
 MJCF_MUJOCO = "MJCF in MuJoCo"
+"""Name of the evaluation with MuJoCo of those parts of the MJCF that a URDF can express."""
 
 MJCF_AS_IT_IS = "MJCF as it is"
+"""Name of the evaluation of the MJCF with MuJoCo, with all terms that a URDF cannot express."""
 
 URDF_YOURDFPY = "URDF in yourdfpy"
+"""Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""
 
 EXTRAS_EDGE = "extras (MJCF)"
 """Edge that shows the effect of springs, tendons, fluid and other terms that a URDF cannot express.

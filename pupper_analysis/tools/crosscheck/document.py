@@ -50,7 +50,8 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 
 _MAX_PRINTED_SHARE = 1.005
-"""Largest share that is printed as 100 %."""
+"""Largest share of an effect that a message states, printed as 100 %. A larger share is omitted.
+Chosen, not tuned."""
 
 
 def describe_effects(difference: Difference) -> Diagnostic:

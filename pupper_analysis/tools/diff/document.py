@@ -16,8 +16,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Smallest relative change of a torque that is shown. Smaller changes do not alter printed digits.
-"""
+"""Smallest relative change of a torque that is shown. Smaller changes do not alter the printed
+digits."""
 
 
 @build_document.register(ModelDiff)

@@ -229,27 +229,33 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 Array = NDArray[np.float64]
 
 MIN_FELT_MOTION = 1e-4
-"""Smallest difference of a simulated coordinate [m, rad] within `SIMULATION_SECONDS` that is
-reported. A stand is settled to 1e-5."""
+"""Difference of a simulated coordinate [m, rad] between two versions, within `SIMULATION_SECONDS`,
+from which the change is reported as having an effect. A stand is settled to 1e-5. Chosen, not
+tuned."""
 
 SIMULATION_SECONDS = 2.0
 """Duration of a simulation [s], enough for a fall and for servos of some hertz to settle. Chosen.
 """
 
 _MAX_STEPS = 4000
-"""Largest number of time steps. Simulations with small time steps are shortened."""
+"""Largest number of time steps of a simulation; with a small time step the simulated time is
+shorter. Chosen, to bound the time."""
 
 _NUM_SAMPLES = 200
-"""Number of samples per simulation: one per 10 ms."""
+"""Number of samples of a simulation of `SIMULATION_SECONDS` that are compared: one per 10 ms.
+Chosen, not tuned."""
 
 _MIN_FALL_HEIGHT = 1.0
-"""Smallest loss of height [m] that counts as falling through or off the floor. Chosen."""
+"""Loss of height [m] from which a robot is reported as falling through or off the floor. Chosen,
+not tuned."""
 
 NUMBER_RTOL = 1e-9
-"""Relative tolerance of numbers, for rounding by programs that rewrite files."""
+"""Relative difference up to which two numbers of elements count as equal: rounding by programs that
+rewrite files. Chosen, not tuned."""
 
 SURFACE_ATOL = 1e-6
-"""Largest distance between the surfaces of equal shapes [m]."""
+"""Largest distance between the surfaces of two shapes [m] with which the shapes count as equal.
+Chosen, not tuned."""
 
 SHAPE_WORD: Final = "shape"
 """Name of the shape, in place of an attribute."""
@@ -630,7 +636,9 @@ class _SimulatedRun:
 
 
 ROUNDING_NUDGE = 1e-9
-"""Velocity [rad/s, m/s] of the nudge that represents rounding errors."""
+"""Initial velocity [rad/s, m/s] in a repeated simulation of the old version. If this nudge changes
+the motion by more than a tenth of the difference between the versions, the difference is attributed
+to rounding. Chosen, not tuned."""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:

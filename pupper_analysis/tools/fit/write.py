@@ -38,7 +38,8 @@ from pupper_analysis.tools.sync.numbers import (
 Array = NDArray[np.float64]
 
 _UNCHANGED_STDS = 1e-3
-"""Largest change, in standard deviations, that keeps the stated value. Chosen, not tuned."""
+"""Change of a parameter, in standard deviations, up to which the stated value is written. Chosen,
+not tuned."""
 
 _EXTRA_DIGITS = 2
 """Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:

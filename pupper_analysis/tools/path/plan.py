@@ -339,7 +339,8 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 
 _ROUNDING = 1e-9
-"""Torque [N m] or speed [rad/s] of a joint that is rounding. Chosen, not tuned."""
+"""Torque [N m] or speed [rad/s] of a joint up to which it counts as zero (rounding). Chosen, not
+tuned."""
 
 
 MIN_DURATION = 1e-3

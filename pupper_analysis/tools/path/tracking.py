@@ -49,7 +49,8 @@ _SPLINE_ENDS = ("clamped", "not-a-knot")
 the end of the path, so its velocity is not prescribed."""
 
 _NEWTON_STEPS = 2
-"""Newton iterations of the leg extension, which is a few millimetres. Chosen, not tuned."""
+"""Number of Newton iterations that extend the legs by the penetration of the ground, which is a few
+millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
 """Upper bound of kd x time step / joint inertia, unless the time step would be below
@@ -62,8 +63,8 @@ MIN_TIMESTEP = 1e-5
 simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
-"""Fraction of a time step by which the duration of a path may be shorter than a whole number of
-time steps (rounding)."""
+"""Fraction of a time step by which a duration may fall short of a whole number of time steps and
+still count as this number (rounding). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

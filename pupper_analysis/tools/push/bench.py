@@ -39,8 +39,8 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 PULSE_DURATION = 0.02
-"""Duration of a push [s], rounded to whole time steps; short compared with a fall of about 0.3
-s."""
+"""Duration of the force of a push [s], rounded to whole time steps. Chosen, not tuned: short
+compared with a fall, which takes about 0.3 s."""
 
 MAX_RESTING_SPEED = 0.01
 """Largest speed of the base in the last half second of a robot at rest [m/s]; the creep speed

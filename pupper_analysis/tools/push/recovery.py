@@ -220,7 +220,8 @@ class PushRecovery(PushSettings, Tabular):
 
 
 MIN_RESOLUTION = 1e-6
-"""Smallest resolution of an impulse [N s]: simulations are not more accurate."""
+"""Lower bound of the requested resolution of an impulse [N s]. Chosen, not tuned: simulations are
+not more accurate."""
 
 
 @check_arguments

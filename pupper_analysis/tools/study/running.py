@@ -222,10 +222,12 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Intended duration of a chunk [s]. Sending a chunk takes about 1 % of this time."""
+"""Intended duration of the evaluation of a chunk of designs by a worker [s]. Chosen, not tuned:
+sending a chunk takes about 1 % of this time."""
 
 MAX_CHUNK_DESIGNS = 256
-"""Maximum number of designs per chunk: number of rows that are lost with a worker."""
+"""Largest number of designs per chunk; at most so many rows are lost if a worker crashes. Chosen,
+not tuned."""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 """Number of rows, and time [s] since the last shard, after which a shard is written."""
@@ -235,8 +237,8 @@ FIRST_SHARD_SECONDS = 0.5
 after a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a long run has few shards."""
 
 MAX_CRASHES = 2
-"""Number of crashes, evaluated alone, after which a design is recorded as crashed. The first crash
-may be due to the machine."""
+"""Number of crashes of a worker with a single design, after which the design is recorded as
+crashed. A first crash may be due to the machine. Chosen, not tuned."""
 
 DESIGNS_PER_PROCESS = 4000
 """Number of designs per worker after which all processes are replaced, to free memory that engines

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FOLDER_FORMAT = 1
-"""Format number of the folder. Folders with another number are refused."""
+"""Format number of the folder of a study. Folders with another number are refused."""
 
 
 def require_library(library: str) -> None:

@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 
 
 NUMBER_RTOL: Final = 1e-12
-"""Tolerance within which a word of the file is right, relative to the largest number of its vector.
-Far below the tolerances of comparisons."""
+"""Deviation of a number in the file from its target, relative to the largest number of its vector,
+up to which the text in the file is kept. Chosen, not tuned: far below the tolerances of
+comparisons."""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))

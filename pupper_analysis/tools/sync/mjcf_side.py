@@ -39,8 +39,8 @@ from pupper_analysis.tools.sync.xml_bytes import Element
 Array = NDArray[np.float64]
 
 _NEW_INERTIAL_COST = 100
-"""Cost of a new <inertial>, in changed attributes: larger than any change of existing
-attributes."""
+"""Cost of adding an <inertial> to a body, in changed attributes, when the body to be changed is
+selected. Chosen larger than the cost of any change of existing attributes."""
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 """Orientation attributes of an <inertial> that are not written."""

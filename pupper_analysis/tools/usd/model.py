@@ -676,7 +676,8 @@ def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
 
 
 SCALE_ATOL: Final = 1e-6
-"""Deviation from 1 below which a scale is set to 1, since orientations are in single precision."""
+"""Deviation of a scale from 1 up to which the scale is set to 1: orientations are in single
+precision. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)

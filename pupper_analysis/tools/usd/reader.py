@@ -393,8 +393,8 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
 
 
 CONTRADICTION_RTOL = 1e-3
-"""Relative difference above which two schemas contradict each other: one has single precision
-(1e-7), and some writers five digits."""
+"""Relative difference above which the numbers of two schemas are reported as a contradiction. Some
+schemas are in single precision (1e-7), and some writers use five digits. Chosen, not tuned."""
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:

@@ -57,7 +57,7 @@ _MAX_COMMAND = 100.0
 tuned."""
 
 _MOTION_PERIOD = 1 / 25
-"""Period of the recorded configurations [s]."""
+"""Time between the recorded configurations of a run [s], for its animation. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

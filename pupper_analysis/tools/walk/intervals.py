@@ -31,8 +31,8 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 """Duration of a run [s], and of its warm-up [s]. Falls occur within the first 3 s."""
 
 NUM_HALVINGS = 5
-"""Number of bisections between a tracked and an untracked value: the interval end is known to 3 %
-of the range."""
+"""Number of bisections between a tracked and an untracked value of a varied quantity. Derived: the
+end of the interval is then known to 3 % of the range."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
 """Function that applies a value of a quantity to a copy of the model."""

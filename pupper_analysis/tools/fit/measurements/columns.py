@@ -28,7 +28,8 @@ _MISSING_CELLS = ("", "nan", "na", "null", "none")
 """Contents of cells without a measurement."""
 
 MAX_CSV_BYTES = 100_000_000
-"""Upper bound of the size of a CSV file: half an hour of twelve joints at 1 kHz."""
+"""Largest size of a CSV file that is read: half an hour of twelve joints at 1 kHz. Chosen, not
+tuned."""
 
 _CELL_SEPARATORS = (",", ";", "\t")
 """Possible separators; the most frequent one in the first line is used."""

@@ -257,15 +257,16 @@ _MIN_ENCODER_STEP = 1e-5
 """Lower bound of an encoder step [rad]: above the rounding of files, below the step of 18 bits."""
 
 _MIN_STEPS = 7
-"""Smallest number of differences: seven chance multiples have a probability of 1e-7 for each
-divisor."""
+"""Smallest number of differences between readings that determine an encoder step. Derived: seven
+chance multiples have a probability of 1e-7 for each divisor."""
 
 _MAX_PARTS = 400
-"""Upper bound of the smallest difference in encoder steps: ten stands in 0.1 rad are about 300
-steps of 14 bits apart."""
+"""Upper bound of the ratio between the smallest difference of readings and the encoder step.
+Derived: ten stands in 0.1 rad are about 300 steps of 14 bits apart."""
 
 _MULTIPLE_TOLERANCE = 0.05
-"""Tolerance of a multiple, in steps, for the rounding in the file. Chosen, not tuned."""
+"""Distance of a difference of readings from a whole number of encoder steps, in steps, up to which
+it counts as a multiple. It covers rounding in the file. Chosen, not tuned."""
 
 _MAX_STEPS = 50
 """Number of the smallest differences that are tested, since rounding errors are relatively smallest

@@ -205,11 +205,12 @@ class MeasuredStands:
 
 
 _LIMIT_MARGIN = 0.3
-"""Tolerance [rad, m] beyond a joint limit: 17 deg is more than an unnoticed encoder offset. Chosen,
-not tuned."""
+"""Distance beyond a joint limit [rad, m] up to which a measured position is accepted: 17 deg is
+more than an unnoticed encoder offset. Chosen, not tuned."""
 
 _MIN_CONTACT_POINTS = 3
-"""Smallest number of contact points that carry. Fewer do not determine the tilt of the base."""
+"""Smallest number of carrying contact points of a measured stand. Fewer do not determine the tilt
+of the base."""
 
 
 def _average_finite(values: Array) -> Array:

@@ -58,8 +58,8 @@ _SOLVER_TOLERANCE = 1e-11
 Chosen, not tuned."""
 
 _MAX_BATCH_SIZE = 8
-"""Upper bound of the simulations whose states are kept at once: each has 25 MB for a minute of
-twelve joints."""
+"""Largest number of simulations whose states are kept in memory at once: each has 25 MB for a
+minute of twelve joints. Chosen, not tuned."""
 
 _NUM_START_SAMPLES = 9
 """Number of samples at the start of a run to which a parabola is fitted, for initial position and

@@ -55,27 +55,30 @@ _MAX_TRACKING_ERROR = 0.5
 without torque. Chosen, not tuned."""
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad] from which a joint must follow. Chosen, not tuned."""
+"""Commanded travel [rad] from which it is checked whether a joint follows. Chosen, not tuned."""
 
 _MIN_TRAVEL_RATIO = 0.25
-"""Ratio of measured to commanded travel below which a joint does not follow. Chosen, not tuned."""
+"""Ratio of measured to commanded travel below which a joint counts as not following, and the
+recording stops. Chosen, not tuned."""
 
 _LIVE_TRAVEL_RATIO = 0.6
 """Ratio of measured to commanded travel above which a servo works: other loads do not move a joint
 so far. Chosen, not tuned."""
 
 _REST_RANGE = 1e-3
-"""Upper bound of the range of each joint position [rad] at rest. Chosen, not tuned."""
+"""Largest range of each joint position [rad] within `_REST_WINDOW` with which the robot counts as
+at rest. Chosen, not tuned."""
 
 _REST_WINDOW = 1.0
-"""Duration [s] over which the range and the mean are taken. Chosen, not tuned."""
+"""Duration [s] in which the range of the joint positions decides on rest, and over which the
+positions are averaged. Chosen, not tuned."""
 
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Lower bound of the CoM margin with the file's masses, as a fraction of the nominal height.
-Chosen, not tuned."""
+"""Smallest CoM margin with the file's masses, as a fraction of the nominal height, with which a
+planned stand is accepted. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -420,7 +423,8 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Tolerance [rad] of the comparison of commands: six written decimals."""
+"""Largest difference [rad] between the commands of a file and of the plan, with which the stands
+count as those of the plan: six written decimals."""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:

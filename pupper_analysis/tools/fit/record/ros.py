@@ -28,7 +28,8 @@ _SPIN_INTERVAL = 0.02
 """Time [s] between two checks for messages. Chosen, not tuned."""
 
 _DISCOVERY_TIMEOUT = 5.0
-"""Time [s] within which ROS nodes must discover each other: 0.1 to 1 s on one machine."""
+"""Time [s] after which the bridge fails if a joint has no position or nobody receives the commands:
+ROS nodes discover each other within 0.1 to 1 s on one machine. Chosen, not tuned."""
 
 
 class RosBridge(WallClock):

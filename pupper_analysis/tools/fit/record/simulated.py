@@ -27,7 +27,8 @@ MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0
 offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
-"""Encoder step [rad]: 14 bits per turn."""
+"""Encoder step of the simulated robot [rad], to which its readings are rounded: 14 bits per turn.
+Chosen, not tuned."""
 
 _DROP_HEIGHT = 0.01
 """Height [m] of the lowest foot when the robot is set down. Chosen, not tuned."""
