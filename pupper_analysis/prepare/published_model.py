@@ -65,8 +65,8 @@ and the joint is held by an external torque. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Time constant of an actuator filter [s] up to which the filter state starts at its settled value.
-The state of a slower filter keeps its initial value in the file, because a command does not
-settle it within a simulated stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
+The state of a slower filter starts at zero, because a command does not settle it within a simulated
+stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
