@@ -45,7 +45,8 @@ larger. Chosen, not tuned."""
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
     """Return {name: {joint: position}} of the keyframes of an MJCF.
 
-    A keyframe without a name is called "keyframe 1" etc. Free joints are excluded.
+    A keyframe without a name is called "keyframe 1" etc. Free joints are excluded. The value of a
+    ball joint is the first element of its quaternion.
 
     Args:
         spec: Spec of the MJCF, in which every joint has a name; not modified.
