@@ -69,7 +69,7 @@ _SAMPLE_TIME = 0.05
 
 
 class Failure(StrEnum):
-    """First cause of failure when a payload grows."""
+    """First cause of failure of a nudged stand, or of a stand whose payload grows."""
 
     MOTOR = "a motor saturates"
     SLIDING = "a foot slides"
