@@ -23,7 +23,10 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 class VerdictCode(StrEnum):
-    """Verdict in one word, from the best to the worst."""
+    """Verdict in one word, from the best to the worst.
+
+    ``LIMITS_UNKNOWN`` and ``MASSES_UNKNOWN`` replace only verdicts that pass.
+    """
 
     HOLDS = "holds"
     HOLDS_ON_ADDED_SERVOS = "holds on servos that were added"
