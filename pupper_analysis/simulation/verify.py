@@ -235,8 +235,9 @@ def verify_stand(
         nudged: Part of the duration after the nudge [s], at most the duration less 1 s; 7/12 of the
             duration by default. With 0 there is no nudge, and settled values are measured at the
             end.
-        settled: Predicted equilibrium without feed-forward. The settled state of a robot with a
-            fixed base and no stance feet is compared with this equilibrium.
+        settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
+            equilibrium has no failures, the settled state of a robot with a fixed base and no
+            stance feet is compared with this equilibrium.
 
     Returns:
         The comparison; ``failures`` contains the reasons if the stand is not verified.
