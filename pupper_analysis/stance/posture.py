@@ -87,8 +87,8 @@ def find_posture(
 ) -> Posture:
     """Complete given joint positions to a posture.
 
-    Other joints are taken from a keyframe, or are in the middle of their ranges (0 without a
-    range). Coupled joints follow.
+    Other joints are taken from a keyframe, or are in the middle of their ranges (with an infinite
+    limit: zero, or the limit that is nearest to zero). Coupled joints follow.
 
     Args:
         robot: Robot with a fixed base.
