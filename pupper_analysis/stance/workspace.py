@@ -106,7 +106,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     Each direction is searched outward from the task to the first unreachable stand, apart from gaps
     below 0.8 % of the first step. The CoM stays at its place in the task; if the task permits any
     place inside the support polygon, at its place in the task's stand, or free for legs that cannot
-    hold it there (with two joints). For shifts in x and y, the CoM follows the base and must keep
+    hold it there (with two joints). With an ``offset`` in the task, the base keeps this offset
+    instead. For shifts in x and y, the CoM follows the base and must keep
     the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
     describe the same rotations.
 
