@@ -90,4 +90,3 @@ _UNIT_CROSS_MATRICES = np.zeros((3, 9))
 than six column assignments."""
 
 _UNIT_CROSS_MATRICES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
-"""What ``cross_matrices`` takes unit vectors to: one product is quicker than six columns."""

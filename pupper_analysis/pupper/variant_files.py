@@ -215,9 +215,9 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the variants and files that words name.
 
-    A URDF followed by an MJCF is one robot. An MJCF and a URDF alone are also one robot. A robot of
-    one word is returned once. A robot of two words, URDF and MJCF, is returned as often as it is
-    typed.
+    A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
+    they are one robot as well. A robot of one word is returned once even if it is named twice. A
+    robot of two words, URDF and MJCF, is returned as often as it is named.
 
     Raises:
         VariantError: If a word names no robot.

@@ -390,6 +390,9 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
     """Mark the growing modes that the spectrum with ``SECOND_STEP`` has as well.
 
+    The spectrum is computed with finite differences. A growing mode that disappears with the other
+    finite-difference step, ``SECOND_STEP``, may be an error of the differences.
+
     The result is unchanged, without a second spectrum, if `Stability.modes_growing_within` returns
     no mode.
     """

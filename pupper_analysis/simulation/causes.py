@@ -25,8 +25,9 @@ _CHATTER_STATES = 50
 Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
-"""Largest standard deviation, over successive steps, of the total vertical ground force on the
-feet, relative to the robot's weight, that is not reported as chatter. Chosen, not tuned."""
+"""Largest standard deviation of the total vertical ground force on the feet, relative to the
+robot's weight, that ``find_chatter`` does not report. The deviation is that over the last
+`_CHATTER_STATES` states of a rollout. Chosen, not tuned."""
 
 MAX_CREEP_SPEED = 1e-3
 """Creep speed of a foot above which ``find_creep`` reports the foot [m/s]: 5 mm in 5 s.

@@ -216,10 +216,10 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
 
 
 def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
-    """Compute the horizontal mean of the requested stance foot positions (x, y) [m], without hands.
+    """Compute the horizontal mean (x, y) [m] of the requested stance foot positions, without hands.
 
-    Each foot counts once per contact point. Without such a foot, the mean is the home position of
-    the base.
+    Coordinates are in the world frame. Each foot counts once per contact point. Without such a
+    foot, the home position (x, y) of the base is returned.
     """
     stance_feet = [
         place

@@ -385,7 +385,11 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 
 
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
-    """Yield the existing asset files whose paths in the MJCF are relative."""
+    """Yield the existing mesh, height field, skin and texture files that an MJCF names.
+
+    Relative paths are searched in the folder of the MJCF and of each file that it includes.
+    Absolute paths are left out.
+    """
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))
     references = [
