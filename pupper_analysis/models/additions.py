@@ -71,7 +71,7 @@ class Ball(Addition):
         body: Body of the geom.
         radius: Radius [m].
         place: Centre (3,) [m] in the frame of the body.
-        like: Geom whose contact parameters are copied; None for MuJoCo's defaults.
+        like: Geom whose contact parameters are copied; None for the defaults of the model.
     """
 
     verb = "add_ball"
@@ -119,7 +119,8 @@ class Servo(Addition):
         joint: Joint that the servo drives.
         kp: Stiffness [N m/rad, N/m].
         kd: Damping [N m s/rad, N s/m].
-        limits: Lower and upper bound of the torque or force [N m, N]; None if unlimited.
+        limits: Lower and upper bound of the torque or force at the joint [N m, N]; None to keep the
+            force range of the actuator, if any.
     """
 
     verb = "add_position_servo"

@@ -184,7 +184,8 @@ BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
 BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {word: attribute for attribute in JOINT_ATTRIBUTES for word in attribute.mjcf}
 )
-"""{attribute in an MJCF: parameter}. ``range`` sets both limits; the entry is the upper limit."""
+"""{attribute in an MJCF: parameter}. Of the two parameters that ``range`` or ``springdamper`` sets,
+the entry is the upper limit or the spring."""
 
 TREE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
 """Parameters with a field in `multibody.TreeJoint`."""

@@ -169,7 +169,8 @@ def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Tree
 def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model:
     """Build the Pinocchio model of a URDF, with free or fixed base.
 
-    Shapes are removed, because Pinocchio's reader prints warnings about unknown elements.
+    Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Efforts
+    and velocities of at least ``UNSTATED`` become infinite.
 
     Raises:
         ModelError: If Pinocchio cannot read the URDF.

@@ -47,7 +47,7 @@ class GitEntry:
 
 
 def pointed_file(blob: bytes) -> str | None:
-    """Return the SHA-256 of the file that a Git LFS pointer represents, or None if it is none."""
+    """Return the SHA-256 of the file that a Git LFS pointer represents; None for other contents."""
     if not blob.startswith(LFS_POINTER) or len(blob) >= _MAX_POINTER_BYTES:
         return None
     for line in blob.decode(errors="replace").splitlines():

@@ -113,6 +113,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
+        ConfigurationError: If ``path`` is neither a path nor a text.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
     """

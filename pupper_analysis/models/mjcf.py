@@ -262,7 +262,10 @@ _WARNING_SUPPRESSOR = _WarningSuppressor()
 
 @contextmanager
 def silence_mujoco() -> Iterator[None]:
-    """Suppress MuJoCo's warnings, and the file MUJOCO_LOG.TXT, in the block."""
+    """Suppress MuJoCo's warnings, the file MUJOCO_LOG.TXT, and Python warnings, in the block.
+
+    This applies to all threads of the process.
+    """
     _WARNING_SUPPRESSOR.begin()
     try:
         yield

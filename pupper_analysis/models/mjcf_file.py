@@ -47,7 +47,9 @@ from pupper_analysis.models.xml import (
 def leave_out_missing(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> list[Diagnostic]:
-    """Remove the elements of a spec whose files are missing, in place; return diagnostics.
+    """Remove meshes and textures whose files are missing from a spec, in place; return diagnostics.
+
+    Geoms with such a mesh are removed, too.
 
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
@@ -148,7 +150,10 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
             spec.
 
     Returns:
-        Model, names of the shells, and MuJoCo's message about the first flat mesh.
+        Model, names of the shells, and MuJoCo's message about the first flat mesh ("" if none).
+
+    Raises:
+        ValueError: If MuJoCo does not compile the spec for another reason.
     """
     shells: list[str] = []
     first_message = ""
@@ -420,8 +425,9 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return {(tag or section, name): element}; the first element with a name counts.
 
-    Elements without a name are listed by another name: an actuator by its joint, a joint by its
-    body, a mesh, texture or height field by its file.
+    If no element has the name, the key also finds an actuator by its joint, and a joint without
+    name by its body. A default is listed by its class; a mesh, texture or height field without name
+    by its file; a ``freejoint`` also as ``joint``.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -491,7 +497,7 @@ class MjcfFile:
     Attributes:
         path: The file.
         spec: Parsed spec, not compiled, without elements whose files are missing.
-        files: The file and its includes.
+        files: The file, and all files that it includes or attaches.
         notes: Diagnostics of removed or replaced elements.
         refusal: Message and location if MuJoCo does not compile the file; None otherwise.
             ``MjSpec.copy()`` drops dangling elements, so a copy of the spec may compile although
@@ -613,7 +619,8 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location; the file without line if attached models or replicates add elements.
+            The location; the file without line if there is no such element, or if attached models
+            or replicates add elements.
         """
         if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
@@ -628,7 +635,8 @@ class MjcfFile:
         The model is shared and must not be modified; copying takes time if meshes are large.
 
         Raises:
-            ModelError: If MuJoCo does not compile the file; the message is MuJoCo's.
+            ModelError: If MuJoCo does not compile the file (the message is MuJoCo's), or a number
+                of the compiled model is not valid.
         """
         self.check_compiled()
         assert self._model is not None
@@ -638,7 +646,7 @@ class MjcfFile:
         """Raise the error in ``refusal``, if any.
 
         Raises:
-            ModelError: If MuJoCo does not compile the file; the message is MuJoCo's.
+            ModelError: As for `model`.
         """
         if self.refusal is not None:
             problem, place = self.refusal
@@ -649,6 +657,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
     """Read an MJCF with its includes, and compile it.
 
     Raises:
+        ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
     """
@@ -689,7 +698,8 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     """Return the MJCF file of a root element; ``refusal`` is set if MuJoCo does not compile it.
 
     Raises:
-        ModelError: If MuJoCo cannot parse the file.
+        ModelError: If the root element is not ``<mujoco>``, an include is not valid, a size is too
+            large, MuJoCo cannot parse the file, or a mass depends on a missing mesh.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"

@@ -73,8 +73,8 @@ def find_file(model: str | Path) -> Path:
     """Return the file of a model, given as a path or as the name of a description.
 
     Raises:
-        ModelError: If ``robot_descriptions`` is not installed, has no such description, or if its
-            cache does not contain the files.
+        ModelError: If ``robot_descriptions`` is not installed, or has no such description, if its
+            cache does not contain the files, or if the description contains no model file.
     """
     word = str(model)
     if not word.startswith(DESCRIPTION_PREFIX):
@@ -121,7 +121,7 @@ def expand_xacro(path: Path) -> str:
     """Return the URDF text of a xacro file, with the default values of its arguments.
 
     Raises:
-        ModelError: If xacro is not installed, or the expansion fails.
+        ModelError: If xacro is not installed, the file does not exist, or the expansion fails.
     """
     try:
         xacro = importlib.import_module("xacro")

@@ -69,7 +69,8 @@ def find_unlike_pairs(
 ) -> list[tuple[str, str]]:
     """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
 
-    If most pairs are equal, the result contains the unequal pairs. Otherwise, the motors were
+    If at least three quarters of the pairs are equal, the result contains the unequal pairs, since
+    motors of one type have one set of values. Otherwise, the motors were
     identified individually, and the result contains the pairs whose values differ by a factor of
     ``_MAX_MOTOR_RATIO`` or more.
 

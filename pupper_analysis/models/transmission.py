@@ -139,7 +139,7 @@ class Drive(StrEnum):
 
     @property
     def has_other_law(self) -> bool:
-        """Whether the actuator is none of servo, torque motor and velocity servo.
+        """Whether the actuator follows another control law than a servo or motor.
 
         ``FORCE`` is an actuator whose force does not depend on the joint position, such as a DC
         motor without a position gain; ``OTHER`` is any other control law, such as ``pid``.
@@ -167,8 +167,9 @@ class MadeServo:
 def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
-    Several actuators are classified together: if one has negative stiffness, the sum of the
-    stiffnesses decides; otherwise the first type in ``_TYPE_PRIORITY``.
+    Several actuators are classified together: if one is ``WRONG_SIGN``, the sum of the stiffnesses
+    decides between this type and ``SERVO``; otherwise the first type in ``_TYPE_PRIORITY`` is
+    returned.
 
     Args:
         model: Unmodified model of the MJCF.

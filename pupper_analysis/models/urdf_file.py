@@ -100,7 +100,9 @@ class UrdfFile:
         return {(e.tag, e.get("name")): e for e in reversed(elements)}
 
     def resolve_mesh(self, filename: str) -> Path | None:
-        """Return the file of a mesh's ``filename``; None if there is none.
+        """Return the file of a mesh's ``filename``.
+
+        None if there is no such file, or the scheme is none of ``package``, ``model`` and ``file``.
 
         ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
         of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
@@ -148,6 +150,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
         packages: Folders of ROS packages, for ``package://``.
 
     Raises:
+        ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
     """
@@ -161,6 +164,9 @@ def urdf_from(
     path: Path, text: str, root: etree._Element, packages: Mapping[str, Path] | None
 ) -> UrdfFile:
     """Return the URDF file of a root element, after validation.
+
+    The root element is modified: unused xacro declarations are removed, missing efforts and
+    velocities are completed, and white space in numbers is normalised.
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.

@@ -44,7 +44,9 @@ def origin_of(element: etree._Element | None) -> pin.SE3:
 
 
 def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None = None) -> None:
-    """Replace the ``<origin>`` of an element. Zero translations and rotations are left out.
+    """Replace the ``<origin>`` of an element.
+
+    A zero rotation is left out; an identity pose is written as no ``<origin>``.
 
     Args:
         element: Element to modify.
@@ -425,7 +427,10 @@ class UrdfTree:
             _scale_attribute(None if inertial is None else inertial.find("inertia"), entry, factor)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Translate the CoM of a link by an offset (3,) [m] in the link frame."""
+        """Translate the CoM of a link by an offset (3,) [m] in the link frame.
+
+        A link without ``<inertial>`` is unchanged.
+        """
         inertial = self.links[link].inertial
         if inertial is None:
             return
