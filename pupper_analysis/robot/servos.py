@@ -234,9 +234,16 @@ def _narrow_force_ranges(
 ) -> None:
     """Bound the actuators of a model by the efforts of the joints, in place.
 
-    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had.
-    Each end of an existing force range is replaced if the new end is narrower. A range with an
-    infinite bound, or for a gear of 0, is not written.
+    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. The
+    bounds of an actuator are the efforts divided by its gear. Each end of an existing force range
+    is replaced if the new end is narrower. A range with an infinite bound, or for a gear of 0, is
+    not written.
+
+    Args:
+        model: The model that is changed.
+        actuators: Indices of the actuators, shape (n,).
+        gear: Gear of each actuator, joint force / actuator force, shape (n,).
+        ranges: Lower and upper bound of each joint force or torque [N or N m], shape (n, 2).
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)

@@ -536,6 +536,8 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Compute the targets of the sphere centres on rigid ground: {contact point: (3,) [m]}.
 
+    Targets are in the world frame.
+
     A sole lies flat on its plane or slope, rotated from its default orientation by the shortest
     rotation. A swing foot is translated by its height: upward, or along the normal if the foot has
     a plane of its own.

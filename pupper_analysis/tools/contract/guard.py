@@ -19,8 +19,8 @@ def guard(
     compared. No stand is computed.
 
     Args:
-        models: URDF, MJCF, or both.
-        sources: Files, ``FILE:NAME``, or folders.
+        models: Path of the URDF or MJCF, or of both.
+        sources: Paths of files or folders, or ``FILE:NAME`` to select a configuration in a file.
         names: {joint name in a source: joint name in the MJCF, or in the URDF without an MJCF}.
 
     Returns:
