@@ -1,6 +1,6 @@
 """Compute what an arm's motors hold.
 
-Robots whose base is held: postures, what motors hold in them, and in the worst of all.
+Statics, simulation, payload and force limits of postures of robots with a fixed base.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

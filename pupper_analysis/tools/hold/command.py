@@ -1,4 +1,4 @@
-"""``pupper-analysis hold``: what a robot that is bolted down holds, at a posture."""
+"""``pupper-analysis hold``: statics and simulation of a posture of a robot with a fixed base."""
 
 from __future__ import annotations
 
@@ -82,20 +82,20 @@ def command(
     from pupper_analysis.tools.hold.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
-    asked = RobotAndTask.of_fixed_base(**robot_options)
-    robot = asked.robot(words)
-    kp, kd = asked.gains(robot)
+    options = RobotAndTask.of_fixed_base(**robot_options)
+    robot = options.robot(words)
+    kp, kd = options.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
         result = hold_posture(
             robot,
             joints,
-            keyframe=asked.which.keyframe,
+            keyframe=options.which.keyframe,
             tool=tool,
             payload=payload,
             kp=kp,
             kd=kd,
         )
-    asked.show(result, robot)
+    options.show(result, robot)
     if figure is not None:
         from pupper_analysis.tools.hold.figures import hold_figure
 

@@ -1,4 +1,4 @@
-"""The document of a posture that is held: what it costs, and whether it holds."""
+"""Document of a posture of a robot with a fixed base: statics, simulation, verdict, tool limits."""
 
 from __future__ import annotations
 
@@ -29,41 +29,35 @@ from pupper_analysis.tools.hold.force import ToolForce
 from pupper_analysis.tools.hold.hold import VERIFIED_FRACTION, Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
-_RINGS = 12
-"""Distances of the tool that are told apart: some 50 random postures each."""
+_NUM_DISTANCE_BINS = 12
+"""Number of bins of tool distances in the plot over the reach, with 50 of the 600 random postures
+each on average. Chosen, not tuned."""
 
 
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
-
-    `build_document` calls this function for a `Hold`.
-
-    Args:
-        hold: Result.
-        robot: Robot of the result, for notes; None if it is not available.
-    """
+    """Create the document of a posture, with its verdict; see ``build_document``."""
     limits, run = hold.limits.tolist(), hold.verification
     return judged_document(
         text("held-posture"),
         hold,
         (
-            _torques(hold, limits),
+            _make_torque_table(hold, limits),
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
-            _tool(hold),
-            _worst(hold.worst, shown_scales(hold.units)),
+            _make_tool_table(hold),
+            _make_worst_table(hold.worst, shown_scales(hold.units)),
             reach_plot(hold.reach),
-            _payload(hold),
-            _force(hold),
+            _make_payload_table(hold),
+            _make_force_table(hold),
             force_plot(hold.force),
         ),
-        (_posture(hold), *_findings(hold)),
+        (_describe_posture(hold), *_list_findings(hold)),
         notes=robot_notes(robot),
     )
 
 
-def _torques(hold: Hold, limits: list[float]) -> doc.Table:
-    """Returns what every motor holds, and how far its joint sags."""
+def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
+    """Create the table of motor torques and joint deflections."""
     sag: list[float | None] = [None] * len(limits)
     scales = shown_scales(hold.units)
     if hold.settled is not None:
@@ -90,9 +84,9 @@ def _torques(hold: Hold, limits: list[float]) -> doc.Table:
     return replace(table, notes=tuple(notes))
 
 
-def _tool(hold: Hold) -> doc.Table:
-    """Returns where the tool is, and how far it sags."""
-    places = (
+def _make_tool_table(hold: Hold) -> doc.Table:
+    """Create the table of tool position and tool displacement."""
+    vectors = (
         ("tool-position", hold.tool_position, "+.1f"),
         ("tool-sag", hold.tool_sag, "+.2f"),
         ("tool-sag-simulated", hold.simulated_tool_sag, "+.2f"),
@@ -100,11 +94,11 @@ def _tool(hold: Hold) -> doc.Table:
     rows = [
         (
             text(name),
-            doc.vector_cell(1e3 * place, form),
-            doc.number_cell(float(np.linalg.norm(place)), form[1:], scale=1e3),
+            doc.vector_cell(1e3 * vector, form),
+            doc.number_cell(float(np.linalg.norm(vector)), form[1:], scale=1e3),
         )
-        for name, place, form in places
-        if place is not None
+        for name, vector, form in vectors
+        if vector is not None
     ]
     columns = (
         doc.Column(text("quantity"), left=True),
@@ -115,15 +109,16 @@ def _tool(hold: Hold) -> doc.Table:
 
 
 def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return factors, shape (nu,), that convert joint positions to the displayed units.
+    """Return the factors (nu,) from joint positions to printed positions: to degrees, or to mm.
 
     Args:
-        units: Unit of each joint position: rad (displayed in degrees) or m (displayed in mm).
+        units: Units of the positions, rad or m, shape (nu,).
     """
     return np.array([READ_IN[unit][0] for unit in units])
 
 
-def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
+def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
+    """Create the table of the worst posture of each motor."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
@@ -147,135 +142,155 @@ def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
     return doc.Table(text("worst-postures"), columns, tuple(rows), notes=notes)
 
 
-def _payload(hold: Hold) -> doc.Table:
+def _make_payload_table(hold: Hold) -> doc.Table:
+    """Create the table of the payload limits at the tool."""
     payload = hold.payload
-    known = (
+    limits = (
         ("payload-here", payload.mass, payload.joint),
         ("payload-by-servos", payload.servos, payload.servo),
         ("payload-somewhere", payload.somewhere, payload.weakest),
     )
-    rows = [(text(name), mass, joint) for name, mass, joint in known]
-    first, most = doc.Column(text("quantity"), left=True), doc.Column(text("mass"), "kg")
-    return _limits(text("payload-at-the-tool"), first, most, rows, (*_tried(hold),))
+    rows = [(text(name), mass, joint) for name, mass, joint in limits]
+    return _make_limit_table(
+        text("payload-at-the-tool"),
+        doc.Column(text("quantity"), left=True),
+        doc.Column(text("mass"), "kg"),
+        rows,
+        (*_describe_trial(hold),),
+    )
 
 
-def _limits(
+def _make_limit_table(
     title: doc.Text,
-    first: doc.Column,
-    most: doc.Column,
+    quantity_column: doc.Column,
+    limit_column: doc.Column,
     rows: Iterable[tuple[doc.Cell, float, str]],
     notes: tuple[doc.Text, ...],
 ) -> doc.Table:
-    """Returns a table of greatest values, and whose motor is at its limit with each."""
-    cells = tuple((what, _limit_cell(value), doc.Name(joint or "-")) for what, value, joint in rows)
-    last = doc.Column(text("motor-at-its-limit"), left=True)
-    return doc.Table(title, (first, most, last), cells, notes=notes)
+    """Create a table of limits, each with the joint whose motor reaches its effort limit.
+
+    Rows are (quantity, limit, joint); "" for no joint.
+    """
+    cells = tuple(
+        (quantity, _make_limit_cell(limit), doc.Name(joint or "-"))
+        for quantity, limit, joint in rows
+    )
+    joint_column = doc.Column(text("motor-at-its-limit"), left=True)
+    return doc.Table(title, (quantity_column, limit_column, joint_column), cells, notes=notes)
 
 
-def _limit_cell(value: float) -> doc.Cell:
-    """Return a greatest value; a word if torque limits that it depends on are unknown."""
+def _make_limit_cell(value: float) -> doc.Cell:
+    """Create a cell with a limit; a word for NaN, a limit that depends on unknown effort limits."""
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 
-def _tried(hold: Hold) -> Iterator[doc.Text]:
-    """Yields what became of the payload that was simulated, if one was."""
-    trial, share = hold.payload_trial, f"{VERIFIED_FRACTION:.0%}"
+def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
+    """State the result of the simulation with a payload; nothing without a simulation."""
+    trial, fraction = hold.payload_trial, f"{VERIFIED_FRACTION:.0%}"
     if trial is not None and trial.passed:
-        yield text("payload-trial-holds", share=share)
+        yield text("payload-trial-holds", share=fraction)
     elif trial is not None:
-        why = join_words(map(doc.diagnostic_text, trial.failures), "semicolon")
-        yield text("payload-trial-fails", share=share, why=why)
+        reasons = join_words(map(doc.diagnostic_text, trial.failures), "semicolon")
+        yield text("payload-trial-fails", share=fraction, why=reasons)
 
 
-def _force(hold: Hold) -> doc.Table:
-    """Returns how hard the tool can be pushed, each way."""
+def _make_force_table(hold: Hold) -> doc.Table:
+    """Create the table of the forces on the tool that the motors withstand."""
     force = hold.force
-    ways = (
+    limits = (
         *zip(force.directions, force.forces.tolist(), force.joints, strict=True),
         (force.weakest_direction, force.weakest, force.weakest_joint),
     )
-    rows = [(doc.vector_cell(way, "+.2f"), limit, joint) for way, limit, joint in ways]
-    first, most = doc.Column(text("direction-x-y-z"), left=True), doc.Column(text("force"), "N")
-    return _limits(text("force-on-the-tool"), first, most, rows, (text("last-row-is-the-weakest"),))
+    rows = [
+        (doc.vector_cell(direction, "+.2f"), limit, joint) for direction, limit, joint in limits
+    ]
+    return _make_limit_table(
+        text("force-on-the-tool"),
+        doc.Column(text("direction-x-y-z"), left=True),
+        doc.Column(text("force"), "N"),
+        rows,
+        (text("last-row-is-the-weakest"),),
+    )
 
 
 def force_plot(force: ToolForce) -> doc.LinePlot:
-    """Create the plot of the largest forces on a tool in three sections, in N, world axes."""
+    """Create a plot of three sections of the polytope of forces on a tool."""
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
     for name, radii in (*sections, ("section-y-z", force.frontal)):
-        around = np.append(np.arange(len(radii)), 0)
-        lengths = np.where(np.isfinite(radii), radii, np.nan)[around]
-        turned = force.angles[around]
-        across, up = lengths * np.cos(turned), lengths * np.sin(turned)
-        series.append(doc.Series(text(name), across, up))
-    axis = doc.Axis(text("force-along-first-axis"), "N", ".0f")
-    other = doc.Axis(text("force-along-second-axis"), "N", ".0f")
-    return doc.LinePlot(text("forces-withstood"), axis, other, series)
+        closed = np.append(np.arange(len(radii)), 0)  # the curve ends at its first point
+        lengths = np.where(np.isfinite(radii), radii, np.nan)[closed]
+        angles = force.angles[closed]
+        first, second = lengths * np.cos(angles), lengths * np.sin(angles)
+        series.append(doc.Series(text(name), first, second))
+    first_axis = doc.Axis(text("force-along-first-axis"), "N", ".0f")
+    second_axis = doc.Axis(text("force-along-second-axis"), "N", ".0f")
+    return doc.LinePlot(text("forces-withstood"), first_axis, second_axis, series)
 
 
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
-    """Create the plot of motor utilisation over the tool's distance from the first joint.
-
-    It shows the maximum and the mean over random postures, in percent over mm.
-    """
-    edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _RINGS + 1)
-    ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
-    full = np.unique(ring)
-    middle = 1e3 * (edges[full] + edges[full + 1]) / 2
+    """Create a plot of the largest and the mean motor utilisation over the distance of the tool."""
+    edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
+    bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
+    filled = np.unique(bins)
+    centres = 1e3 * (edges[filled] + edges[filled + 1]) / 2
     shares = np.where(np.isfinite(reach.utilisation), reach.utilisation, np.nan)
-    per_ring = [100 * shares[ring == one] for one in full]
-    axis = doc.Axis(text("distance-from-the-first-joint"), "mm", ".0f")
-    share = doc.Axis(text("utilisation"), "%", ".1f")
+    bin_shares = [100 * shares[bins == index] for index in filled]
+    distance_axis = doc.Axis(text("distance-from-the-first-joint"), "mm", ".0f")
+    share_axis = doc.Axis(text("utilisation"), "%", ".1f")
     lines = (
-        doc.Series(text("greatest-found"), middle, np.array([one.max() for one in per_ring])),
-        doc.Series(text("mean-of-postures"), middle, np.array([one.mean() for one in per_ring])),
+        doc.Series(text("greatest-found"), centres, np.array([part.max() for part in bin_shares])),
+        doc.Series(
+            text("mean-of-postures"), centres, np.array([part.mean() for part in bin_shares])
+        ),
     )
-    return doc.LinePlot(text("utilisation-over-the-reach"), axis, share, lines)
+    return doc.LinePlot(text("utilisation-over-the-reach"), distance_axis, share_axis, lines)
 
 
-def _posture(hold: Hold) -> doc.Words:
+def _describe_posture(hold: Hold) -> doc.Words:
+    """State the source of the posture, the given joint positions, and the payload."""
     posture = hold.posture
-    at = {
+    positions = {
         joint: format(Quantity(position, unit), "read:.4g")
         for joint, position, unit in zip(posture.joint_names, posture.qpos, hold.units, strict=True)
     }
-    places = [text("joint-at", joint=joint, position=at[joint]) for joint in posture.given]
-    given = join_words(places) if places else ""
+    parts = [text("joint-at", joint=joint, position=positions[joint]) for joint in posture.given]
+    given = join_words(parts) if parts else ""
     if posture.keyframe:
-        where = text("posture-of-keyframe", keyframe=posture.keyframe, given=given)
+        description = text("posture-of-keyframe", keyframe=posture.keyframe, given=given)
     else:
-        where = text("posture-of-middle", given=given)
+        description = text("posture-of-middle", given=given)
     if hold.hangs:
-        where = text("posture-hanging", where=where)
+        description = text("posture-hanging", where=description)
     if not hold.carried:
-        return where
-    return text("posture-with-payload", where=where, mass=f"{hold.carried:g}")
+        return description
+    return text("posture-with-payload", where=description, mass=f"{hold.carried:g}")
 
 
 def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
-    """Yield a sentence that names the motor with the largest utilisation.
+    """State the motor with the largest finite utilisation.
 
-    Nothing is yielded if no motor has a limit, or if a motor has no torque.
+    Nothing is stated if no utilisation is known, or an unloaded motor has a limit of zero.
 
     Args:
-        statics: Torques of the motors.
+        statics: Static motor torques.
         limits: Effort limits, shape (nu,) [N m].
     """
-    used = statics.motor_utilisation
-    limited = np.isfinite(limits) & np.isfinite(used)
+    shares = statics.motor_utilisation
+    limited = np.isfinite(limits) & np.isfinite(shares)
     if limited.any() and limits[limited].all():
-        worst = int(np.argmax(np.where(limited, used, -1.0)))
+        worst = int(np.argmax(np.where(limited, shares, -1.0)))
         yield text(
             "motor-that-holds-most",
             joint=doc.Name(statics.joint_names[worst]),
-            share=f"{used[worst]:.1%}",
+            share=f"{shares[worst]:.1%}",
             torque=f"{statics.joint_torques[worst]:.3g}",
             limit=f"{limits[worst]:.3g}",
         )
 
 
-def _findings(hold: Hold) -> Iterable[doc.Words]:
+def _list_findings(hold: Hold) -> Iterable[doc.Words]:
+    """List the findings: largest utilisation, sag, weak motors, payload and force limits."""
     yield from hardest_motor(hold.statics, hold.limits)
     if hold.tool_sag is not None:
         yield text(
@@ -288,13 +303,13 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
         yield text("no-sag-predicted", why=doc.diagnostic_text(hold.unsettled))
     weak = [
         name
-        for name, used in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
-        if used > 1
+        for name, share in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
+        if share > 1
     ]
     if weak:
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")
     if hold.payload.unknown:
-        yield _unknown(hold).with_mark("warn")
+        yield _describe_unknown_limits(hold).with_mark("warn")
         return
     if hold.payload.servos < hold.payload.mass:
         yield text(
@@ -306,30 +321,30 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
     yield text(
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
-        here=_limit(hold.payload.mass),
-        somewhere=_limit(hold.payload.somewhere),
-        force=_limit(hold.force.weakest),
+        here=_format_limit(hold.payload.mass),
+        somewhere=_format_limit(hold.payload.somewhere),
+        force=_format_limit(hold.force.weakest),
     )
     if hold.payload_trial is not None and not hold.payload_trial.passed:
-        yield from (words.with_mark("warn") for words in _tried(hold))
+        yield from (words.with_mark("warn") for words in _describe_trial(hold))
 
 
-def _unknown(hold: Hold) -> doc.Text:
-    """Return that no file states what the motors carry, and the torques that they need."""
+def _describe_unknown_limits(hold: Hold) -> doc.Text:
+    """State that effort limits of bearing motors are unknown, and the torques that are required."""
     worst = np.abs(hold.worst.joint_torques)
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
-    hardest = max(joints, key=lambda joint: float(worst[joint]))
+    most_loaded = max(joints, key=lambda joint: float(worst[joint]))
     return text(
         "tool-payload-unknown",
         tool=doc.Name(hold.tool.name),
         count=len(joints),
         joints=join_words(map(doc.Name, hold.payload.unknown)),
         here=f"{float(np.abs(hold.statics.joint_torques[joints]).max()):.3g}",
-        worst=f"{float(worst[hardest]):.3g}",
-        hardest=doc.Name(hold.worst.joint_names[hardest]),
+        worst=f"{float(worst[most_loaded]):.3g}",
+        hardest=doc.Name(hold.worst.joint_names[most_loaded]),
     )
 
 
-def _limit(most: float) -> str:
-    """Writes a limit; nothing where there is none."""
-    return (f"{most:.3g}" if most < 1e3 else f"{most:.0f}") if math.isfinite(most) else ""
+def _format_limit(limit: float) -> str:
+    """Format a limit; "" if it is not finite."""
+    return (f"{limit:.3g}" if limit < 1e3 else f"{limit:.0f}") if math.isfinite(limit) else ""

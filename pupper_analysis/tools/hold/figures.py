@@ -1,4 +1,4 @@
-"""The figure of a posture that is held: torques, the tool's reach, and forces on the tool."""
+"""Figure of a posture of a robot with a fixed base: torques, reach, and forces on the tool."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pupper_analysis.tools.hold.hold import Hold
 
 
 def hold_figure(hold: Hold, path: str | Path) -> None:
-    """Draws what a posture asks of the motors, over the tool's reach, and which forces they bear.
+    """Draw motor torques, utilisation over the reach, and forces on the tool, in one figure.
 
     Args:
-        hold: What is drawn.
-        path: The PNG to write.
+        hold: Posture with its results.
+        path: PNG file to write.
 
     Raises:
         OutputError: If the file cannot be written.
     """
     simulated, limits = hold.verification.joint_torques.tolist(), hold.limits.tolist()
-    drawn = {
+    plots = {
         "Motor torques": torque_plot(hold.statics, simulated, limits),
         "Utilisation over the reach": reach_plot(hold.reach),
         "Forces on the tool": force_plot(hold.force),
     }
     title = Name(f"{hold.name}: a posture that is held, and its tool ({hold.tool.name})")
-    write_plots(list(drawn.values()), path, title=title, names=list(drawn))
+    write_plots(list(plots.values()), path, title=title, names=list(plots))

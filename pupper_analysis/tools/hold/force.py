@@ -1,4 +1,11 @@
-"""The forces at the tool that the motors of a posture withstand: a polytope."""
+"""Compute the external forces on a tool that the motors withstand in a posture.
+
+With the static load l, the Jacobian J (3, nu) of the tool and the effort limits, an external force
+f on the tool is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to the
+motors. These forces are a convex polytope, whose faces are the limits of single motors:
+`force_polytope` returns its inequalities, and `tool_force` its extent along the world axes, in
+three plane sections, and in its weakest direction.
+"""
 
 from __future__ import annotations
 
@@ -16,35 +23,40 @@ from pupper_analysis.stance.posture import Posture
 
 Array = NDArray[np.float64]
 
-_AROUND = 72
-"""Directions in a section: every 5 degrees."""
+_NUM_SECTION_DIRECTIONS = 72
+"""Number of directions in a section of the polytope, one every 5 degrees. Chosen, not tuned."""
 
-_IDLE = 1e-9
-"""m: a force on a shorter lever turns no joint."""
+_MIN_LEVER_ARM = 1e-9
+"""Lever arm of a force about a hinge [m], or its component along a slide [1], below which the motor
+does not bear the force (rounding)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolForce(Tabular):
-    """How hard a tool can be pushed, each way, before a motor gives in.
+    """Largest external forces on a tool that the motors withstand in a posture.
 
-    With l what the motors hold in the posture, and J the tool's Jacobian, a force f from outside
-    leaves l - J^T f to the motors: the forces that they withstand, |l - J^T f| <= limits, are a
-    polytope. Along a unit vector d its edge is where the first motor is at its limit. Where gravity
-    alone is beyond a motor's limit nothing is withstood: all is 0, by that motor.
+    A force is withstood if |l - J^T f| <= limits (see the module). If the static load alone
+    exceeds the limit of a motor, no force is withstood: forces are 0, also in directions that would
+    relieve that motor.
 
     Attributes:
-        directions: (6, 3) of the force: along +x, -x, +y, -y, +z, -z of the world.
-        forces: (6,) the greatest (N); infinite if no motor bears it, not a number if a motor that
-            bears it has an unknown limit.
-        joints: (6,) whose motor then is at its limit; "" if none is.
-        weakest: The least force of all directions that is not withstood (N); not a number if a
-            motor that bears a force has an unknown limit.
-        weakest_direction: (3,) a unit vector; zero if every force is withstood, or none.
-        weakest_joint: Whose motor gives in.
-        angles: (n,) about the sections' normals, from their first axis to their second (rad).
-        horizontal: (n,) the greatest forces in the section of x and y (N).
-        sagittal: (n,) in that of x and z.
-        frontal: (n,) in that of y and z.
+        directions: (6, 3) directions +x, -x, +y, -y, +z, -z of the force, in world axes.
+        forces: (6,) largest force in each direction (N); NaN if a motor that bears the force has an
+            unknown limit. Otherwise 0 if the static load alone exceeds a limit, and infinite if no
+            motor bears the force.
+        joints: (6,) joint whose motor reaches its limit first; "" if the force is infinite or NaN.
+        weakest: Smallest force, over all directions, at which a motor reaches its limit (N);
+            infinite if no motor bears forces. NaN if a motor that bears forces has an unknown
+            limit, unless the static load alone exceeds another limit.
+        weakest_direction: (3,) direction of the smallest force, a unit vector in world axes; zero
+            if this force is infinite or NaN, or if the static load alone exceeds a limit.
+        weakest_joint: Joint whose motor reaches its limit at the smallest force; "" if this force
+            is infinite or NaN.
+        angles: (n,) angles of the directions in the sections, from the first axis of a section
+            towards its second axis (rad).
+        horizontal: (n,) largest forces in the x-y section (N); infinite or NaN as for ``forces``.
+        sagittal: (n,) largest forces in the x-z section (N).
+        frontal: (n,) largest forces in the y-z section (N).
     """
 
     directions: Array = field(metadata={"unit": "1"})
@@ -58,9 +70,9 @@ class ToolForce(Tabular):
     sagittal: Array = field(metadata={"unit": "N"})
     frontal: Array = field(metadata={"unit": "N"})
 
-    def _columns(self) -> dict[str, object]:  # type: ignore[override]  # one is a list of tuples
+    def _columns(self) -> dict[str, object]:  # type: ignore[override]  # directions are tuples
         return {
-            "direction": [tuple(one) for one in self.directions.tolist()],
+            "direction": [tuple(direction) for direction in self.directions.tolist()],
             "force": self.forces,
             "joint": self.joints,
         }
@@ -70,30 +82,27 @@ class ToolForce(Tabular):
 def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     """Compute the largest external forces on a tool that the motors withstand in a posture.
 
-    The forces are computed along the axes of the world frame, over three sections, and in the
-    weakest direction. Each is added to the load of gravity.
-
     Args:
         robot: Robot with a fixed base.
-        posture: Posture.
+        posture: Posture of the robot.
         tool: Point on which the force acts.
     """
     rows, room = force_polytope(robot, posture, tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
-    forces, numbers = force_limits_along(rows, room, directions)
-    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    round_about = np.column_stack([np.cos(angles), np.sin(angles)])
+    forces, limiting = force_limits_along(rows, room, directions)
+    angles = 2 * np.pi * np.arange(_NUM_SECTION_DIRECTIONS) / _NUM_SECTION_DIRECTIONS
+    plane_directions = np.column_stack([np.cos(angles), np.sin(angles)])
     sections = [
-        force_limits_along(rows, room, round_about @ np.eye(3)[list(axes)])[0]
+        force_limits_along(rows, room, plane_directions @ np.eye(3)[list(axes)])[0]
         for axes in ((0, 1), (0, 2), (1, 2))
     ]
-    weakest, way, joint = _weakest(rows, room)
+    weakest, direction, joint = _find_weakest_direction(rows, room)
     return ToolForce(
         directions=directions,
         forces=forces,
-        joints=tuple(robot.joint_names[number] if number >= 0 else "" for number in numbers),
+        joints=tuple(robot.joint_names[index] if index >= 0 else "" for index in limiting),
         weakest=weakest,
-        weakest_direction=way,
+        weakest_direction=direction,
         weakest_joint=robot.joint_names[joint] if joint >= 0 else "",
         angles=angles,
         horizontal=sections[0],
@@ -105,43 +114,43 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
 def force_limits_along(
     rows: Array, room: Array, directions: Array
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Compute the largest forces in a polytope rows f <= room along given directions.
+    """Compute the extent of a force polytope in given directions.
 
     Args:
-        rows: Normals of the faces, shape (2 nu, 3), from `force_polytope`.
-        room: Right-hand side, shape (2 nu,) [N m], from `force_polytope`.
-        directions: Unit vectors, shape (n, 3), in the world frame.
+        rows: Left-hand sides, shape (2 nu, 3) [m, 1]; see `force_polytope`.
+        room: Right-hand sides, shape (2 nu,) [N m, N].
+        directions: Unit vectors, shape (n, 3).
 
     Returns:
-        Forces, shape (n,) [N]: infinite if no motor bears the force, NaN if a motor that bears it
-        has an unknown limit, 0 if a motor is overloaded without the force; and the index of the
-        motor at its limit, shape (n,), -1 for infinity and NaN.
+        Largest forces, shape (n,) [N]: infinite if no motor bears the force, NaN if a motor that
+        bears the force has an unknown limit, 0 if an element of ``room`` is negative; and indices
+        (n,) of the joints whose motors reach their limits first, -1 if the force is not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(along > _IDLE, room / along, np.inf)
-    if room.min() < 0:  # a force that would relieve that motor is none that is withstood from rest
+        ends = np.where(along > _MIN_LEVER_ARM, room / along, np.inf)
+    if room.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
         ends[:, room < 0] = 0.0
     nearest = ends.argmin(axis=1)
     forces = ends[np.arange(len(ends)), nearest]
-    forces[(np.abs(along[:, np.isinf(room)]) > _IDLE).any(axis=1)] = np.nan  # an unknown limit
+    forces[(np.abs(along[:, np.isinf(room)]) > _MIN_LEVER_ARM).any(axis=1)] = (
+        np.nan
+    )  # a limit is unknown
     return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
 
 
 def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
-    """Return the polytope of external forces f on a tool that the motors withstand at rest.
-
-    With the load l of the motors and the Jacobian J of the tool, |l - J^T f| <= limits is written
-    as rows f <= room.
+    """Return the inequalities ``rows @ f <= room`` of the forces on a tool that are withstood.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture.
+        posture: Posture of the robot.
         tool: Point on which the force acts.
 
     Returns:
-        rows, shape (2 nu, 3) [m], and room, shape (2 nu,) [N m], for f in world axes [N]; the lower
-        limits of all motors, then the upper limits.
+        Rows, shape (2 nu, 3) [m, or 1 for a slide], and room, shape (2 nu,) [N m, N]: distance of
+        the static load from the lower effort limits of all motors, then from the upper limits.
+        The force f is expressed in world axes [N].
     """
     config, limits = Configuration(robot, posture.qpos), robot.effort_limits
     load = config.by_motors(config.load())
@@ -150,16 +159,23 @@ def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, A
     return np.concatenate([rows, -rows]), room
 
 
-def _weakest(rows: Array, room: Array) -> tuple[float, Array, int]:
-    """Returns the distance of the nearest face of a polytope, the way to it, and which it is."""
+def _find_weakest_direction(rows: Array, room: Array) -> tuple[float, Array, int]:
+    """Find the smallest force at which a motor reaches its limit.
+
+    Returns:
+        Distance of the nearest face of the polytope from the origin [N], unit normal (3,) of this
+        face, and index of the joint; see `ToolForce.weakest` for values without such a face.
+    """
     if room.min() < 0:
         return 0.0, np.zeros(3), int(room.argmin()) % (len(rows) // 2)
     lengths = np.linalg.norm(rows, axis=1)
-    if (lengths[np.isinf(room)] > _IDLE).any():  # an unknown limit
+    if (lengths[np.isinf(room)] > _MIN_LEVER_ARM).any():  # a limit is unknown
         return float("nan"), np.zeros(3), -1
-    distances = np.where(lengths > _IDLE, room / np.maximum(lengths, _IDLE), np.inf)
+    distances = np.where(
+        lengths > _MIN_LEVER_ARM, room / np.maximum(lengths, _MIN_LEVER_ARM), np.inf
+    )
     nearest = int(distances.argmin())
     if not np.isfinite(distances[nearest]):
         return float("inf"), np.zeros(3), -1
-    way = rows[nearest] / lengths[nearest]
-    return float(distances[nearest]), way, nearest % (len(rows) // 2)
+    normal = rows[nearest] / lengths[nearest]
+    return float(distances[nearest]), normal, nearest % (len(rows) // 2)

@@ -1,6 +1,9 @@
-"""What a posture of a robot whose base is held costs, whether it holds, and what its tool carries.
+"""Evaluate a posture of a robot with a fixed base: torques, sag, verdict, and limits of its tool.
 
-In that posture, in every posture, and over the reach of the tool.
+`hold_posture` computes the motor torques in the posture, predicts the static deflection of the
+position servos without feed-forward, and verifies both in MuJoCo. It also computes the largest
+payload at the tool (`tool_payload`), in the posture and over all postures of a search, the forces
+on the tool that the motors withstand, and the motor utilisation over the reach (`reach_load`).
 """
 
 from __future__ import annotations
@@ -49,19 +52,20 @@ from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
 
-_POSTURES = 600
-"""Random postures: a section of an arm's reach is seen in some hundred points."""
+_NUM_REACH_POSTURES = 600
+"""Number of random postures of `reach_load`. Chosen, not tuned: enough for a plot over distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReachLoad(Tabular):
-    """What motors hold in random postures, by where the tool is.
+    """Motor utilisation and tool position in random postures.
 
     Attributes:
-        distances: (n,) of the tool from the vertical through the chain's first joint (m).
-        heights: (n,) of the tool in the world (m).
-        utilisation: (n,) of the motor that is nearest to its limit; infinite if a motor without
-            torque has to hold something, not a number if no motor has a stated limit.
+        distances: (n,) horizontal distances of the tool from the first joint of its chain (m); from
+            the world's z axis if no joint moves the tool.
+        heights: (n,) heights of the tool in the world (m).
+        utilisation: (n,) largest motor utilisation; infinite if a motor with a limit of zero must
+            exert a torque, NaN if no motor has a stated limit.
     """
 
     distances: Array = field(metadata={"unit": "m"})
@@ -78,60 +82,68 @@ class ReachLoad(Tabular):
 
 @check_arguments
 def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
-    """Compute the motor utilisation at rest in random postures, over the reach of a tool.
+    """Compute the largest motor utilisation in random postures, over the reach of a tool.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture of the robot, with closed loops.
-        tool: Tool whose position is recorded.
-
-    Returns:
-        Tool position and largest motor utilisation (torque / limit) of each posture.
+        posture: Posture of the robot, with closed loops; loops keep its assembly mode.
+        tool: Point of which the position is returned.
     """
-    found = []
-    for qpos in JointMotions(robot, posture).random(_POSTURES):
+    samples = []
+    for qpos in JointMotions(robot, posture).random(_NUM_REACH_POSTURES):
         config = Configuration(robot, qpos)
-        place = tool.position(config)
-        middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
-        most = peak_utilisation(utilise(robot, config.by_motors(config.load())))
-        found.append((float(np.hypot(*(place - middle)[:2])), float(place[2]), most))
-    distances, heights, utilisation = np.array(found).T
+        position = tool.position(config)
+        centre = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
+        peak = peak_utilisation(utilise(robot, config.by_motors(config.load())))
+        samples.append((float(np.hypot(*(position - centre)[:2])), float(position[2]), peak))
+    distances, heights, utilisation = np.array(samples).T
     return ReachLoad(distances, heights, utilisation)
 
 
 UNLIMITED_MASS_RATIO = 1e4
-"""A payload above this many times the robot's mass is as good as unlimited."""
+"""Payload / mass of the robot above which a payload counts as unlimited: the lever arm of the
+motors is then rounding. Chosen, not tuned."""
 
-_ROUNDS = 6
-"""Worst postures for lesser and lesser payloads: two or three mostly suffice."""
+_MAX_PAYLOAD_ROUNDS = 6
+"""Maximum number of searches for the worst postures with decreasing payloads: two or three mostly
+suffice."""
 
-_SETTLED = 1e-4
-"""A search ends where a payload changes by less of itself."""
+_PAYLOAD_RTOL = 1e-4
+"""Relative change of the payload at which the iteration over worst postures stops. Chosen, not
+tuned."""
 
-_SOFTENS = 1e-6
-"""Less of the servos' stiffness that the robot's mass would take, at the tool, is rounding."""
+_MIN_SOFTENING = 1e-6
+"""Fraction of the servo stiffness that a payload as heavy as the robot must cancel to count as
+destabilising; less is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolPayload(Result):
-    """The greatest point masses that the motors hold at a tool.
+    """Largest point masses at a tool that motors and servos hold.
+
+    A motor may bear the mass if its joint moves the tool, or is coupled to such a joint.
 
     Attributes:
-        mass: Largest mass in the posture (kg). 0 if a motor exceeds its limit without the mass, or
-            a motor that may bear the mass has no torque. Otherwise not a number if a motor that
-            bears the mass has an unknown limit, and infinite if no motor bears the mass.
-        joint: Whose motor then is at its limit; "" if none is.
-        servos: The greatest that its servos hold in the posture (kg), whatever the motors do: with
-            more, gravity turns it over against their stiffness, or one is commanded beyond its
-            ``ctrlrange``. Infinite if no mass is too much.
-        servo: Whose command that is; "" if gravity turns it over.
-        somewhere: With more than this, a posture was found that is not held (kg); not a number if a
-            motor that may bear it has an unknown limit.
-        weakest: The joint whose motor is beyond its limit there; "" if none is.
-        posture: (nu,) that posture (rad, m).
-        code: ``unknown`` if a motor that may bear the mass has an unknown limit, ``zero`` if one
-            has no torque, else ``stated``.
-        unknown: Joints that may bear the mass and whose torque limit no file states.
+        mass: Largest mass that the motors hold in the posture (kg); 0 if the static load alone
+            exceeds a limit, or a motor that may bear the mass has a limit of zero. Otherwise NaN if
+            a motor that bears the mass has an unknown limit, and infinite if no motor bears the
+            mass.
+        joint: Joint whose motor limits the mass in the posture; "" if this mass is infinite or NaN.
+        servos: Largest mass that the servos hold in the posture, without regard to effort limits
+            (kg): with more, gravity exceeds the servo stiffness, or a command exceeds its
+            ``ctrlrange``. Infinite if no mass is too large.
+        servo: Joint whose command limits the mass that the servos hold; "" if the stiffness does,
+            or nothing.
+        somewhere: Smallest limit of all postures in a search (kg): with a larger mass, a posture
+            was found that the motors do not hold. 0 if a motor that may bear the mass has a limit
+            of zero, otherwise NaN if such a motor has an unknown limit.
+        weakest: Joint whose motor limits the mass in all postures; "" if this mass is infinite or
+            NaN.
+        posture: (nu,) posture with the smallest limit (rad or m); the given posture if there was no
+            search.
+        code: ``zero`` if a motor that may bear the mass has a limit of zero; else ``unknown`` if
+            such a motor has an unknown limit; else ``stated``.
+        unknown: Joints that may bear the mass, and whose effort limit no file states.
     """
 
     mass: float = field(metadata={"unit": "kg"})
@@ -154,28 +166,29 @@ def tool_payload(
     *,
     kp: ArrayLike | None = None,
 ) -> ToolPayload:
-    """Compute the largest point masses that the motors hold at a tool, at rest.
+    """Compute the largest point masses at a tool that motors and servos hold.
 
-    In one posture, torques are linear in the mass, so the limit has a closed form. Over all
-    postures, an upper bound of the mass is lowered: the worst postures for a mass M are searched,
-    and M is reduced to the largest mass that the motors hold there.
+    In one posture, torques are linear in the mass, and the limit is in closed form. Over all
+    postures, a mass M is reduced iteratively: the worst postures with payload M are searched, and M
+    becomes the smallest limit of these postures. The iteration stops if this changes M by at most
+    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture.
-        tool: Point at which the mass is attached.
+        posture: Posture of the robot.
+        tool: Point that carries the mass.
         worst: Worst postures without the mass.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
     """
     mass, joint = posture_payload(robot, posture.qpos, tool)
     servos, servo = servo_payload(robot, posture, tool, kp)
-    bears = _bearing(robot, posture, tool)
+    may_bear = _find_bearing_motors(robot, posture, tool)
     names = np.array(robot.joint_names)
-    unknown = tuple(names[bears & np.isinf(robot.effort_limits)].tolist())
-    null = names[bears & [limit.without_torque for limit in robot.efforts]].tolist()
+    unknown = tuple(names[may_bear & np.isinf(robot.effort_limits)].tolist())
+    null = names[may_bear & [limit.without_torque for limit in robot.efforts]].tolist()
     known: dict[str, Any] = {
         "servos": servos,
         "servo": servo,
@@ -190,25 +203,27 @@ def tool_payload(
         return ToolPayload(
             mass=mass, joint=joint, somewhere=math.nan, weakest="", code=code, **known
         )
-    most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
-    most = min(most, UNLIMITED_MASS_RATIO * robot.total_mass)
+    smallest, weakest, qpos = _find_smallest_payload(robot, tool, [posture.qpos, *worst.postures])
+    smallest = min(smallest, UNLIMITED_MASS_RATIO * robot.total_mass)
     loaded = worst
-    for _ in range(_ROUNDS if most > 0 else 0):
-        loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
-        lower, name, at = _least(robot, tool, list(loaded.postures))
-        before = most
-        if lower < most:
-            most, weakest, place = lower, name, at
-        if lower > (1 - _SETTLED) * before:
+    for _ in range(_MAX_PAYLOAD_ROUNDS if smallest > 0 else 0):
+        loaded = worst_postures(
+            robot, posture, tool, payload=smallest, near=loaded, bearing=may_bear
+        )
+        lower, lower_joint, lower_qpos = _find_smallest_payload(robot, tool, list(loaded.postures))
+        before = smallest
+        if lower < smallest:
+            smallest, weakest, qpos = lower, lower_joint, lower_qpos
+        if lower > (1 - _PAYLOAD_RTOL) * before:
             break
     return ToolPayload(
         mass=mass,
         joint=joint,
         servos=servos,
         servo=servo,
-        somewhere=most if weakest else math.inf,
+        somewhere=smallest if weakest else math.inf,
         weakest=weakest,
-        posture=place,
+        posture=qpos,
         code=EffortCode.STATED,
         unknown=(),
     )
@@ -233,107 +248,131 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     config, limits = Configuration(robot, qpos), robot.effort_limits
     empty = config.by_motors(config.load())
     rates = config.by_motors(tool.load_per_mass(config))
-    over = np.abs(empty) > limits
-    if over.any():
+    if (np.abs(empty) > limits).any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
     mass = borne_by_motors(empty, rates, limits)
     if (np.abs(rates)[np.isinf(limits)] > MIN_TORQUE_PER_MASS).any():
         return math.nan, ""
-    if not mass <= UNLIMITED_MASS_RATIO * robot.total_mass:  # a lever that is all but none
+    if not mass <= UNLIMITED_MASS_RATIO * robot.total_mass:  # the lever arm is rounding
         return math.inf, ""
-    left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
-    return mass, robot.joint_names[int(np.argmin(left))]
+    margins = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
+    return mass, robot.joint_names[int(np.argmin(margins))]
 
 
 def servo_payload(
     robot: Robot, posture: Posture, tool: Tool, kp: ArrayLike | None = None
 ) -> tuple[float, str]:
-    """Compute the largest mass [kg] at a tool that servos hold in a posture.
+    """Compute the largest mass at a tool that position servos hold in a posture.
 
-    The stiffness of servos and gravity together, in the velocities W that couplings allow, is
-    W^T (K + G_0 + m G_1) W, linear in the mass; it loses definiteness at the least m > 0 of a
-    generalised eigenvalue problem. The command with feed-forward, q + tau / kp, is linear in the
-    mass, too. Effort limits are ignored.
+    With servo stiffness K, derivatives G_0 and m G_1 of the static load without mass and of the
+    mass m, and a basis W of the joint velocities that loops and couplings permit, the stiffness is
+    W^T (K + G_0 + m G_1) W. It is positive definite up to the smallest positive eigenvalue m of the
+    generalised problem. The commands q + tau(m) / kp with feed-forward must be within their ranges.
+    Effort limits are ignored.
+
+    Args:
+        robot: Robot with a fixed base.
+        posture: Posture of the robot.
+        tool: Point that carries the mass.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
     Returns:
-        Mass, and the joint whose command is at the end of its range; "" if the stiffness limits the
-        mass, or nothing does (infinite mass). The mass is 0 if the stiffness is too low without it.
+        Mass [kg], 0 if the stiffness is not positive definite without mass, infinite without limit;
+        and the joint whose command reaches the end of its range, "" if the stiffness limits the
+        mass, or nothing.
+
+    Raises:
+        ModelError: If the model has no position servos and no kp is given.
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)
     gains = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
-    empty, hung = config.static_rates({}), np.append(robot.gravity, np.zeros(3))
-    loaded = config.pushed_rates(tool.twist_jacobian(config)[None], hung[None])
-    held = basis.T @ (empty + np.diag(gains)) @ basis
+    empty, wrench_per_mass = config.static_rates({}), np.append(robot.gravity, np.zeros(3))
+    loaded = config.pushed_rates(tool.twist_jacobian(config)[None], wrench_per_mass[None])
+    stiffness = basis.T @ (empty + np.diag(gains)) @ basis
     added = basis.T @ (loaded - empty) @ basis
-    held, added = (held + held.T) / 2, (added + added.T) / 2
-    if linalg.eigvalsh(held)[0] <= 0:
+    stiffness, added = (stiffness + stiffness.T) / 2, (added + added.T) / 2
+    if linalg.eigvalsh(stiffness)[0] <= 0:
         return 0.0, ""
-    softening = float(linalg.eigh(-added, held, eigvals_only=True)[-1])
-    # What is left of a mass that stiffens it everywhere is rounding.
-    stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
+    # Largest softening per mass [1/kg]; rounding if the mass stiffens all motions.
+    softening = float(linalg.eigh(-added, stiffness, eigvals_only=True)[-1])
+    stable = 1 / softening if softening > _MIN_SOFTENING / robot.total_mass else math.inf
     lead = compute_command_lead(config.by_motors(config.load()), gains)
     borne = config.by_motors(tool.load_per_mass(config))
     rates = compute_command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)
     low, high = command_ranges(robot).T - posture.qpos
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = (np.where(rates > 0, high, low) - lead) / rates
-    room = np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)
-    first = int(np.argmin(room))
-    return (float(room[first]), robot.joint_names[first]) if room[first] < stable else (stable, "")
+        masses = (np.where(rates > 0, high, low) - lead) / rates
+    masses = np.where(np.isfinite(masses), np.maximum(masses, 0.0), math.inf)
+    first = int(np.argmin(masses))
+    if masses[first] < stable:
+        return float(masses[first]), robot.joint_names[first]
+    return stable, ""
 
 
-def _least(robot: Robot, tool: Tool, postures: list[Array]) -> tuple[float, str, Array]:
-    """Returns the least that is carried in some postures, whose motor binds there, and where."""
-    found = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
-    return min(found, key=lambda one: one[0])
+def _find_smallest_payload(
+    robot: Robot, tool: Tool, postures: list[Array]
+) -> tuple[float, str, Array]:
+    """Return the smallest `posture_payload` of several postures, its joint, and its posture."""
+    limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
+    return min(limits, key=lambda limit: limit[0])
 
 
-def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
-    """Tells which motors (nu,) may bear a payload: those that move it, or what moves with them."""
-    bears = np.isin(robot.joint_names, tool.chain)
+def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
+    """Return a mask (nu,) of the motors that may bear a mass at a tool.
+
+    These are the joints of the tool's chain and all joints that are coupled to these, without
+    dependent joints, which have no motor.
+    """
+    may_bear = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure
     for joints in [] if closure is None else group_coupled_joints(closure, posture.qpos):
-        bears[joints] |= bears[joints].any()
+        may_bear[joints] |= may_bear[joints].any()
     if closure is not None:
-        bears[closure.following] = False
-    return bears
+        may_bear[closure.following] = False
+    return may_bear
 
 
 VERIFIED_FRACTION = 0.95
-"""Part of the payload that is simulated, the lesser of what motors and servos hold: at the
-limit rounding decides whether it holds."""
+"""Fraction of the payload limit (the smaller limit of motors and servos) that is simulated: at the
+limit itself, rounding decides whether the posture holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hold(Tabular):
-    """A posture of a robot whose base is held, what it costs, and whether it holds.
+    """Posture of a robot with a fixed base: statics, simulation, verdict, and limits of its tool.
 
     Attributes:
-        name: The robot's name.
-        hangs: Whether its base, which is held, is free in the MJCF; the ground touches nothing.
-        posture: Where it is commanded to be.
-        units: (nu,) of the joints' positions: rad, or m of one that slides; of its motor, N for
-            N m.
-        tool: Where it carries, and is pushed.
-        tool_position: (3,) in the world (m).
-        limits: (nu,) of the motors' torques, the least that both files state (N m).
-        limit_origins: (nu,) which statement of which file each is; None without a limit.
-        statics: What the motors hold.
-        verification: The simulation, with feed-forward.
-        sagging: The simulation without.
-        settled: Where servos let it come to rest without; None where that is not predicted.
-        unsettled: Why ``settled`` is None; None where it is not.
-        tool_sag: (3,) how far the tool then is from where the posture has it (m); likewise.
-        simulated_tool_sag: (3,) the same, simulated; not a number if that diverged.
-        verdict: Whether it holds, and what that rests on.
-        worst: The worst posture of each motor.
-        carried: Mass at the tool, which all is of (kg).
-        payload: What the motors hold at the tool besides.
-        payload_trial: The simulation, with feed-forward, of ``VERIFIED_FRACTION`` of it in the
-            posture; None where nothing is carried, or nothing limits it.
-        force: How hard the tool can be pushed.
-        reach: What the motors hold over the tool's reach.
+        name: Name of the robot.
+        hangs: Whether the base, which is fixed here, is free in the MJCF; the ground then touches
+            nothing.
+        posture: Commanded posture.
+        units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
+            in place of N m.
+        tool: Point that carries payloads and external forces.
+        tool_position: (3,) position of the tool in the posture, in the world (m).
+        limits: (nu,) effort limits, the smallest that both files state (N m); infinite without a
+            stated limit.
+        limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
+        statics: Motor torques in the posture.
+        verification: Simulation with feed-forward.
+        sagging: Simulation without feed-forward.
+        settled: Predicted equilibrium of the servos without feed-forward; None if there is no
+            equilibrium.
+        unsettled: Reason for which ``settled`` is None; else None.
+        tool_sag: (3,) displacement of the tool from the posture to ``settled``, in world axes (m);
+            None without ``settled``.
+        simulated_tool_sag: (3,) displacement of the tool in the simulation without feed-forward, in
+            world axes (m); NaN if the simulation diverged.
+        verdict: Verdict on the posture, with its assumptions.
+        worst: Worst posture of each motor, with ``carried``.
+        carried: Payload at the tool that all results include (kg).
+        payload: Largest masses at the tool in addition to ``carried``.
+        payload_trial: Simulation, with feed-forward, of the posture with ``VERIFIED_FRACTION`` of
+            the smaller of ``payload.mass`` and ``payload.servos``; None if this mass is 0, infinite
+            or NaN.
+        force: External forces on the tool that the motors withstand.
+        reach: Motor utilisation over the reach of the tool.
     """
 
     name: str
@@ -361,7 +400,7 @@ class Hold(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict on the held posture is positive."""
+        """Whether the verdict passes."""
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -384,26 +423,21 @@ def hold_posture(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Hold:
-    """Analyse a static posture of a robot with a fixed base, and simulate whether it holds.
-
-    The result contains motor torques, sag on the servos, worst postures, and the payload and push
-    force that the tool can bear.
+    """Evaluate and simulate a posture of a robot with a fixed base.
 
     Args:
-        robot: Robot with a fixed base: an arm, a hand, or a robot that was loaded with
+        robot: Robot with a fixed base: an arm, a hand, or a robot that is loaded with
             ``fixed_base=True``.
-        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}.
-        keyframe: Keyframe of the MJCF for the other joints. Default: ``home``, or the first
-            keyframe; without keyframes, the middle of the joint ranges.
-        tool: Link of the URDF, or site, body or geom of the MJCF. Default: the end of the longest
-            chain of joints.
-        payload: Mass [kg] that is attached to the tool in the whole analysis.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}; see `find_posture`.
+        keyframe: Keyframe of the MJCF for other joints; see `find_posture` for the default.
+        tool: Link of the URDF, or site, body or geom of the MJCF; see `find_tool` for the default.
+        payload: Point mass at the tool [kg] that all results include.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); default: values of the model.
 
     Raises:
-        ConfigurationError: If the base is free, or an argument is invalid for the robot.
-        UnknownNameError: If there is no such joint, keyframe or tool.
+        ConfigurationError: If the base is free, or an argument is not valid for the robot.
+        UnknownNameError: If the robot has no such joint, keyframe or tool.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
@@ -419,16 +453,16 @@ def hold_posture(
         unsettled = error.diagnostic
     fed = verify_stand(robot, held, kp=kp, kd=kd)
     alone = verify_stand(robot, held, feedforward=False, kp=kp, kd=kd, settled=settled)
-    rest, simulated = alone.joint_positions, np.full(3, np.nan)
-    if np.isfinite(rest).all():
-        simulated = point.position(Configuration(robot, rest)) - point.position(config)
+    end_qpos, simulated = alone.joint_positions, np.full(3, np.nan)
+    if np.isfinite(end_qpos).all():
+        simulated = point.position(Configuration(robot, end_qpos)) - point.position(config)
     worst = worst_postures(robot, posture, point)
-    more = tool_payload(robot, posture, point, worst, kp=kp)
-    trial, most = None, min(more.mass, more.servos)
-    if 0 < most < math.inf:
-        loaded = with_payload(robot, VERIFIED_FRACTION * most, point)
-        stood = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
-        trial = verify_stand(loaded, stood, kp=kp, kd=kd)
+    limits = tool_payload(robot, posture, point, worst, kp=kp)
+    trial, max_mass = None, min(limits.mass, limits.servos)
+    if 0 < max_mass < math.inf:
+        loaded = with_payload(robot, VERIFIED_FRACTION * max_mass, point)
+        loaded_stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
+        trial = verify_stand(loaded, loaded_stand, kp=kp, kd=kd)
     return Hold(
         name=robot.name,
         hangs=has_free_joint(robot.description.mjcf),
@@ -447,7 +481,7 @@ def hold_posture(
         simulated_tool_sag=simulated,
         verdict=judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         worst=worst,
-        payload=more,
+        payload=limits,
         carried=float(payload),
         payload_trial=trial,
         force=tool_force(robot, posture, point),

@@ -1,4 +1,9 @@
-"""How joints of a robot whose base is held move: alone, with others, in loops."""
+"""Motions of a robot with a fixed base that keep its loops and joint couplings closed.
+
+`JointMotions` defines one motion per independent joint. The dependent joints follow in proportion
+(no coupling, or a linear one), or so that a loop stays closed, which requires Newton iterations.
+Searches over postures and samples of random postures use these motions.
+"""
 
 from __future__ import annotations
 
@@ -16,50 +21,57 @@ from pupper_analysis.stance.posture import Posture
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_OPEN = 1e-6
-"""Joints that follow in proportion leave their loop open by no more, wherever they are (m, rad)."""
+_MAX_LINEAR_OPENING = 1e-6
+"""Largest opening of a loop [m, rad] with which its dependent joints count as moving in proportion
+to the independent joint."""
 
-_UNMOVED = 1e-9
-"""A joint that moves by less of what leads it does not follow it (rad/rad)."""
+_MIN_COUPLING_RATIO = 1e-9
+"""Ratio of joint velocities, or element of the loops' Jacobian, below which a joint counts as not
+coupled (rounding; rad and m mixed)."""
 
-_SHARES = (0.29, 0.71, 1.0)
-"""Parts of a range, either way, at which it is seen whether joints follow in proportion."""
+_TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
+"""Fractions of the distance to either end of the range at which a loop is tested for proportional
+motion. Chosen, not tuned."""
 
-_SAMPLES = 24
-"""Looks along a joint that others follow in proportion, where torques are no single wave."""
+_NUM_LINEAR_SAMPLES = 24
+"""Number of samples along a proportional motion. Used if the torque along the motion is not a
+single sinusoid in closed form. Chosen, not tuned."""
 
-_PLACES = 25
-"""Of a joint that leads a loop, which takes 15 ms to close: 3 degrees apart for a gripper."""
+_NUM_LOOP_SAMPLES = 25
+"""Number of samples along the only independent joint of a loop: 3 degrees apart for a gripper.
+Bounds the computing time, since closing a loop takes 15 ms."""
 
-_FEWER = 9
-"""Of each of several joints that lead one loop, which is closed at their combinations."""
+_NUM_COMBINED_SAMPLES = 9
+"""Number of samples along each of several independent joints of one loop. The loop is closed at
+combinations of these samples, so that there are fewer than `_NUM_LOOP_SAMPLES`."""
 
-_BEYOND = 1e-6
-"""How far joints of a closed loop may be beyond their limits, by rounding (rad, m)."""
+_LIMIT_ATOL = 1e-6
+"""Largest distance [rad, m] of a dependent joint beyond its limits that counts as rounding."""
 
 
 class JointMotions:
-    """Independent joint motions of a robot with a fixed base, including coupled joints.
-
-    A motion is that of one independent (leading) joint, and of the joints that loops and couplings
-    make follow it.
+    """Motions of the independent joints of a robot, with the joints that depend on them.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture.
+        posture: Posture of the robot, with closed loops.
 
     Attributes:
         origin: Joint positions of the posture, shape (nu,) [rad, m].
-        free: Indices of the n independent joints, one for each motion.
-        steps: Movement of all joints per movement of the leading joint, near the posture, shape
-            (nu, n).
-        moved: For each motion, the indices of the joints that move.
-        bent: Whether joints follow the motion nonlinearly (in a closed loop), shape (n,).
-        ranges: Limits of the joints, shape (nu, 2) [rad, m]; one turn for joints without limits.
-        shares: Fraction of each joint's load that each motor holds in the posture, shape (nu, nu).
-        constant: Whether these fractions are equal in all postures, shape (nu,).
-        slides: Whether the joint is a slide, shape (nu,).
-        endless: Whether a slide has no limits.
+        free: Indices of the independent joints, one per motion; n is their number.
+        steps: Velocities of all joints per velocity of each independent joint, at the posture,
+            shape (nu, n).
+        moved: Indices of the joints that move with each motion; for a bent motion, all joints that
+            are coupled to its independent joint.
+        bent: Whether the motion is part of a loop whose joints do not move in proportion, shape
+            (n,).
+        ranges: Joint ranges, shape (nu, 2) [rad, m]. An infinite limit is replaced by the posture
+            -+ pi.
+        shares: Motor torques per load of the joints, shape (nu, nu), at the posture.
+        constant: Whether the row of ``shares`` is taken as the same in all postures, shape (nu,):
+            false for joints of bent motions.
+        slides: Whether a joint is a slide, shape (nu,).
+        endless: Whether a slide lacks a limit.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:
@@ -76,44 +88,45 @@ class JointMotions:
         self.constant = np.ones(count, dtype=bool)
         self.bent = np.zeros(count, dtype=bool)
         self.moved = [np.array([joint]) for joint in self.free]
-        self._loop = [np.array([joint]) for joint in self.free]
-        self._closed: dict[tuple[float, ...], Array | None] = {}
+        # Per motion: all joints that are coupled to the independent joint, including that joint.
+        self._coupled_joints = [np.array([joint]) for joint in self.free]
+        # {indices of the other joints of a loop, then their positions: positions of the dependent
+        # joints, or None if the loop cannot be closed within the joint ranges}.
+        self._closed_positions: dict[tuple[float, ...], Array | None] = {}
         if self._closure is not None:
-            self._bind(self._closure)
+            self._add_couplings(self._closure)
 
     def random(self, count: int) -> list[Array]:
-        """Return random postures, shape (nu,) [rad, m] each, with closed loops.
+        """Return random postures (nu,) with closed loops; the same postures in each call.
 
-        The seed of the generator is fixed, so that each call returns the same postures.
-
-        Args:
-            count: Number of postures.
+        Along a bent motion, positions are restricted to the samples of `places`. A position at
+        which its loop cannot be closed is skipped.
         """
-        random, found = np.random.default_rng(0), []
+        random, postures = np.random.default_rng(0), []
         for _ in range(count):
             qpos = self.origin.copy()
-            for way in range(len(self.free)):
-                share, (low, high) = random.uniform(), self.span(qpos, way)
-                if self.bent[way]:
-                    last = self.places(way) - 1
-                    share = round(share * last) / last
-                there = self.along(qpos, way, low + share * (high - low))
-                qpos = qpos if there is None else there
-            found.append(qpos)
-        return found
+            for motion in range(len(self.free)):
+                fraction, (low, high) = random.uniform(), self.span(qpos, motion)
+                if self.bent[motion]:
+                    last = self.places(motion) - 1
+                    fraction = round(fraction * last) / last
+                moved = self.along(qpos, motion, low + fraction * (high - low))
+                qpos = qpos if moved is None else moved
+            postures.append(qpos)
+        return postures
 
     def span(self, qpos: Array, way: int) -> tuple[float, float]:
-        """Return the range of a motion from a posture, within the joint limits.
+        """Return the displacements (low, high) [rad, m] along a motion to the ends of the ranges.
+
+        The displacement is that of the independent joint. For a bent motion, only the range of the
+        independent joint counts: the ranges of the dependent joints are checked by `along`.
 
         Args:
-            qpos: Posture, shape (nu,) [rad, m].
+            qpos: Posture, shape (nu,).
             way: Index of the motion.
-
-        Returns:
-            Smallest and largest displacement of the leading joint [rad, m].
         """
         moving, lead = self.moved[way], self.free[way]
-        if self.bent[way]:  # closing the loop shows how far the joints that follow let it go
+        if self.bent[way]:
             low, high = self.ranges[lead] - qpos[lead]
             return float(low), float(high)
         ends = (self.ranges[moving] - qpos[moving, None]) / self.steps[moving, way, None]
@@ -121,96 +134,109 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def places(self, way: int) -> int:
-        """Return the number of samples along a motion. Loops are closed once at each sample."""
+        """Return the number of samples along a motion, given its index.
+
+        Samples of a bent motion are equally spaced over its range, so that the closed positions of
+        its loop are computed once, and then cached.
+        """
         if not self.bent[way]:
-            return _SAMPLES
-        return _PLACES if len(np.intersect1d(self._loop[way], self.free)) == 1 else _FEWER
+            return _NUM_LINEAR_SAMPLES
+        return (
+            _NUM_LOOP_SAMPLES
+            if len(np.intersect1d(self._coupled_joints[way], self.free)) == 1
+            else _NUM_COMBINED_SAMPLES
+        )
 
     def along(self, qpos: Array, way: int, length: float) -> Array | None:
-        """Return the posture after a displacement along a motion, with closed loops.
+        """Move a posture along a motion, and close its loop.
 
         Args:
-            qpos: Posture, shape (nu,) [rad, m].
+            qpos: Posture, shape (nu,).
             way: Index of the motion.
-            length: Displacement of the leading joint [rad, m].
+            length: Displacement of the independent joint [rad, m].
 
         Returns:
-            Posture, shape (nu,). None if the loop cannot be closed, or if closing the loop moves
-            other joints beyond their ranges.
+            Posture, shape (nu,). None for a bent motion if the loop cannot be closed in its
+            assembly mode, or if a dependent joint exceeds its range.
         """
         if not self.bent[way]:
             moved: Array = qpos + length * self.steps[:, way]
             return moved
         assert self._closure is not None
-        bent, loop = qpos.copy(), self._loop[way]
+        bent, loop = qpos.copy(), self._coupled_joints[way]
         bent[self.free[way]] += length
         following = np.intersect1d(loop, self._closure.following)
         leading = np.setdiff1d(loop, following)
         key = (*leading.tolist(), *bent[leading].round(9).tolist())
-        if key not in self._closed:  # once for all searches
+        if key not in self._closed_positions:  # the cache is shared by all searches
             moving = np.isin(np.arange(len(qpos)), following).astype(np.float64)
-            closed, own = self._closure.closed(bent, moving), None
+            closed, positions = self._closure.closed(bent, moving), None
             if closed is not None:
                 low, high = self.ranges[following].T
                 near = np.clip(closed[following], low, high)
-                own = near if (np.abs(near - closed[following]) <= _BEYOND).all() else None
-            self._closed[key] = own
-        followed = self._closed[key]
+                positions = (
+                    near if (np.abs(near - closed[following]) <= _LIMIT_ATOL).all() else None
+                )
+            self._closed_positions[key] = positions
+        followed = self._closed_positions[key]
         if followed is None:
             return None
         bent[following] = followed
         return bent
 
-    def _bind(self, closure: Closure) -> None:
-        """Takes loops and couplings into account."""
+    def _add_couplings(self, closure: Closure) -> None:
+        """Set the motions of a robot with loops or couplings."""
         count, following = len(self.origin), closure.following
         rows = closure.rows(self.origin)
         self.free = tuple(joint for joint in range(count) if joint not in following)
         self.steps = np.eye(count)[:, list(self.free)]
-        held = np.linalg.lstsq(rows[:, following], rows[:, list(self.free)], rcond=None)[0]
-        self.steps[following] = np.where(np.abs(held) > _UNMOVED, -held, 0.0)
-        self.moved = [np.flatnonzero(np.abs(step) > _UNMOVED) for step in self.steps.T]
+        ratios = np.linalg.lstsq(rows[:, following], rows[:, list(self.free)], rcond=None)[0]
+        self.steps[following] = np.where(np.abs(ratios) > _MIN_COUPLING_RATIO, -ratios, 0.0)
+        self.moved = [np.flatnonzero(np.abs(step) > _MIN_COUPLING_RATIO) for step in self.steps.T]
         self.shares = np.eye(count) - closure.push(self.origin)
         self.bent = np.zeros(len(self.free), dtype=bool)
         loops = group_coupled_joints(closure, self.origin)
-        self._loop = [
-            next((one for one in loops if lead in one), np.array([lead])) for lead in self.free
+        self._coupled_joints = [
+            next((loop for loop in loops if lead in loop), np.array([lead])) for lead in self.free
         ]
-        for way, loop in enumerate(self._loop):
-            if len(loop) > 1 and self._opens(closure, way):
+        for motion, loop in enumerate(self._coupled_joints):
+            if len(loop) > 1 and self._opens_loop(closure, motion):
                 self.bent |= [lead in loop for lead in self.free]
                 self.constant[loop] = False
-        for way in np.flatnonzero(self.bent).tolist():
-            self.moved[way] = self._loop[way]
+        for motion in np.flatnonzero(self.bent).tolist():
+            self.moved[motion] = self._coupled_joints[motion]
 
-    def _opens(self, closure: Closure, way: int) -> bool:
-        """Tells whether joints that follow a way in proportion leave its loop open somewhere."""
-        ends = np.array(self.span(self.origin, way))
+    def _opens_loop(self, closure: Closure, motion: int) -> bool:
+        """Return True if proportional motion opens the loop at a tested fraction of the range."""
+        ends = np.array(self.span(self.origin, motion))
         return any(
-            closure.open_by(self.origin + share * end * self.steps[:, way]) > _OPEN
-            for share in _SHARES
+            closure.open_by(self.origin + fraction * end * self.steps[:, motion])
+            > _MAX_LINEAR_OPENING
+            for fraction in _TESTED_RANGE_FRACTIONS
             for end in ends
         )
 
 
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
-    """Return groups of joints that loops and couplings connect near a posture.
+    """Return the sets of joints that loops and couplings connect, as sorted joint indices.
+
+    Two joints are connected if the same constraint depends on both, at the posture or at one of two
+    random postures nearby (in a singular posture, single elements of the Jacobian vanish).
 
     Args:
-        closure: Loops and couplings of the robot.
-        qpos: Posture, shape (nu,) [rad, m].
-
-    Returns:
-        Sorted joint indices of each group.
+        closure: Loops and couplings.
+        qpos: Posture, shape (nu,).
     """
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]
-    binds = np.any([np.abs(closure.rows(one)) > _UNMOVED for one in near], axis=0)
+    depends = np.any(
+        [np.abs(closure.rows(sample)) > _MIN_COUPLING_RATIO for sample in near], axis=0
+    )
     sets: list[set[int]] = []
-    for equation in binds:
+    for equation in depends:
         joints = set(np.flatnonzero(equation).tolist())
-        for other in [one for one in sets if one & joints]:
-            sets.remove(other)
-            joints |= other
+        for connected in [members for members in sets if members & joints]:
+            sets.remove(connected)
+            joints |= connected
         sets += [joints] if joints else []
-    return [np.array(sorted(one)) for one in sets]
+    return [np.array(sorted(members)) for members in sets]

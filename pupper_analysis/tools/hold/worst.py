@@ -1,6 +1,10 @@
-"""The worst posture of each motor: the one in which gravity asks most of it.
+"""Find the posture with the largest static torque of each motor.
 
-Searched for from several postures, joint by joint.
+Inputs are a robot with a fixed base, its tool and a payload; `worst_postures` returns a torque and
+a posture per motor. Method (`TorqueSearch`): coordinate search from several postures. Along one
+joint, the torque is a sinusoid plus a linear term, with a maximum in closed form. Along coupled
+joints, and with other forces at rest (for example, tendon springs), the torque is sampled. The
+largest torque found is not proven to be the global maximum.
 """
 
 from __future__ import annotations
@@ -27,95 +31,113 @@ from pupper_analysis.tools.hold.motions import JointMotions
 
 Array = NDArray[np.float64]
 
-_AGREED = 3
-"""Searches that end at the same torque, and then no other is begun."""
+_NUM_AGREEING_SEARCHES = 3
+"""Number of searches that must end at the largest torque found; then no further search starts.
+Chosen, not tuned."""
 
-_SAME = 1e-9  # in parts of the torque
+_SAME_TORQUE_RTOL = 1e-9
+"""Relative difference of two torques that count as the same maximum."""
 
-_SWEEPS = 30
-_GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
+_MAX_SWEEPS = 30
+"""Maximum number of sweeps over all joints in one search. Chosen, not tuned."""
 
-_PEAK = 1e-6
-"""How closely a greatest torque is sought between looks (rad, m): it is 1e-12 of it off."""
+_TORQUE_GAIN_RTOL = 1e-10
+"""Relative gain of a sweep at which a search stops, and relative variation of samples that count as
+constant (rounding)."""
 
-_OUT = 1e300
-"""Above any torque [N m]. Its negative is the value where a loop cannot be closed."""
+_PEAK_POSITION_ATOL = 1e-6
+"""Tolerance [rad, m] of the position of a maximum between samples. The error of the torque is of
+second order, about 1e-12 of the torque."""
 
-_NO_SHARE = 1e-12
+_UNDEFINED_TORQUE = 1e300
+"""Larger than any torque [N m, N]. Its negative is the value of a posture in which a loop cannot be
+closed or is singular."""
+
+_MIN_LOAD_FRACTION = 1e-12
+"""Fraction of a joint's load below which a motor does not bear that load (rounding)."""
 
 
 class TorqueSearch:
-    """Climbs from posture to posture to where a motor holds most.
+    """Coordinate search for the posture with the largest static torque of a motor.
 
     Args:
-        robot: A robot whose base is held.
-        motions: How its joints move.
-        tool: Where it carries.
-        payload: What it carries there (kg).
+        robot: Robot with a fixed base.
+        motions: Motions of its joints.
+        tool: Point that carries the payload.
+        payload: Point mass at the tool [kg].
+
+    Attributes:
+        stiffness: Linear spring stiffness of the joints in MuJoCo, shape (nu,) [N m/rad, N/m].
     """
 
     def __init__(self, robot: Robot, motions: JointMotions, tool: Tool, payload: float) -> None:
         self._robot, self._motions, self._tool, self._payload = robot, motions, tool, payload
-        model, joints = robot.structure.model, robot.mj_model.jnt_stiffness
-        numbers = [robot.structure.joints[name] for name in robot.joint_names]
-        carried = np.array([[other in model.supports[one] for other in numbers] for one in numbers])
-        self.stiffness = joints[[robot.mj_model.joint(name).id for name in robot.joint_names]]
-        # What gravity and springs of joints ask is a wave, and a line; and so is what carries.
+        model, stiffness = robot.structure.model, robot.mj_model.jnt_stiffness
+        indices = [robot.structure.joints[name] for name in robot.joint_names]
+        carried = np.array(
+            [[support in model.supports[joint] for support in indices] for joint in indices]
+        )
+        self.stiffness = stiffness[[robot.mj_model.joint(name).id for name in robot.joint_names]]
+        # The torques of gravity (also if compensated) and of joint springs are a sinusoid plus a
+        # linear term in each joint position. Other forces at rest have no such form.
         plain = copy.copy(robot.mj_model)
         plain.jnt_stiffness[:] = plain.body_gravcomp[:] = 0.0
-        self._waves = not acts_at_rest(plain)
-        self._matters = carried | carried.T | (not self._waves)
+        self._is_sinusoidal = not acts_at_rest(plain)
+        # (nu, nu): whether the load of joint i may depend on the position of joint j.
+        self._load_depends = carried | carried.T | (not self._is_sinusoidal)
 
     def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
-        """Search the largest torque of a motor in one direction from several postures.
+        """Find the largest torque of a motor by searches from several postures.
 
-        The search ends early if several start postures lead to the same torque.
+        No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
+        torque. Samples along loops are refined from the best posture only.
 
         Args:
             joint: Index of the joint.
-            sign: Direction of the torque, 1 or -1.
-            starts: Start postures, shape (nu,) [rad, m] each.
+            sign: 1 or -1: direction in which the torque is maximised.
+            starts: Start postures, each of shape (nu,).
 
         Returns:
-            sign x torque [N m, N], and the posture, shape (nu,).
+            ``sign`` times the torque [N m, N], and its posture (nu,).
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
             ends.append(self.climb(joint, sign, start))
             best = max(ends, key=lambda end: end[0])
-            alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
-            if alike >= _AGREED:
+            agreeing = sum(end[0] >= best[0] - _SAME_TORQUE_RTOL * abs(best[0]) for end in ends)
+            if agreeing >= _NUM_AGREEING_SEARCHES:
                 break
-        # Loops are closed between their places where it is worth it.
         return self.climb(joint, sign, best[1], fine=True) if self._motions.bent.any() else best
 
     def climb(
         self, joint: int, sign: float, qpos: Array, *, fine: bool = False
     ) -> tuple[float, Array]:
-        """Search the largest torque of a motor in one direction, motion by motion from a posture.
+        """Find a local maximum of the torque of a motor by sweeps along the joint motions.
 
         Args:
             joint: Index of the joint.
-            sign: Direction of the torque, 1 or -1.
-            qpos: Start posture, shape (nu,) [rad, m].
-            fine: Refine maxima between the samples of closed loops.
+            sign: 1 or -1: direction in which the torque is maximised.
+            qpos: Start posture, shape (nu,).
+            fine: Also search between the samples of motions whose loops are closed numerically.
 
         Returns:
-            sign x torque [N m, N], and the posture, shape (nu,).
+            ``sign`` times the torque [N m, N], and its posture (nu,).
         """
-        best = self._torque(joint, sign, qpos)
-        loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
-        matter = self._matters[loads].any(axis=0)
-        chosen = [way for way, moved in enumerate(self._motions.moved) if matter[moved].any()]
-        for _ in range(_SWEEPS):
+        best = self._evaluate_torque(joint, sign, qpos)
+        borne = np.abs(self._motions.shares[joint]) > _MIN_LOAD_FRACTION
+        relevant = self._load_depends[borne].any(axis=0)
+        chosen = [
+            motion for motion, moved in enumerate(self._motions.moved) if relevant[moved].any()
+        ]
+        for _ in range(_MAX_SWEEPS):
             before = best
-            for way in chosen:
-                length = self._peak(joint, sign, qpos, way, best, fine=fine)
-                there = self._motions.along(qpos, way, length)
-                found = -math.inf if there is None else self._torque(joint, sign, there)
-                if there is not None and found > best:
-                    best, qpos = found, there
-            if best - before <= _GAIN * abs(best):
+            for motion in chosen:
+                length = self._find_peak(joint, sign, qpos, motion, best, fine=fine)
+                moved = self._motions.along(qpos, motion, length)
+                torque = -math.inf if moved is None else self._evaluate_torque(joint, sign, moved)
+                if moved is not None and torque > best:
+                    best, qpos = torque, moved
+            if best - before <= _TORQUE_GAIN_RTOL * abs(best):
                 break
         return best, qpos
 
@@ -123,130 +145,147 @@ class TorqueSearch:
         """Return the motor torques in a posture, shape (nu,) [N m or N]; zeros at a singularity."""
         config = Configuration(self._robot, qpos)
         try:
-            return config.by_motors(self._load(config))
+            return config.by_motors(self._compute_load(config))
         except ConfigurationError:
             return np.zeros(len(qpos))
 
-    def _peak(
-        self, joint: int, sign: float, qpos: Array, way: int, here: float, *, fine: bool
+    def _find_peak(
+        self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Returns where along a way a torque is greatest (rad, m)."""
+        """Return the displacement along a motion [rad, m] with the largest torque.
+
+        `current` is the torque at zero displacement. The maximum is in closed form for one hinge;
+        along slides, where the torque is linear, it is an end of the range. Else it is sampled.
+        """
         motions = self._motions
-        low, high = motions.span(qpos, way)
+        low, high = motions.span(qpos, motion)
 
-        def at(length: float) -> float:
-            there = motions.along(qpos, way, length)
-            return -_OUT if there is None else self._torque(joint, sign, there)
+        def evaluate(length: float) -> float:
+            moved = motions.along(qpos, motion, length)
+            return (
+                -_UNDEFINED_TORQUE if moved is None else self._evaluate_torque(joint, sign, moved)
+            )
 
-        moved = motions.moved[way]
-        if self._waves and not motions.bent[way] and motions.slides[moved].all():
-            return max((low, high), key=at)  # a line
-        if len(moved) > 1 or not self._waves:
-            looks = np.linspace(low, high, motions.places(way))
-            bent = bool(motions.bent[way])
-            return _sampled(at, looks, fine=fine or not bent, everywhere=bent)
+        moved = motions.moved[motion]
+        if self._is_sinusoidal and not motions.bent[motion] and motions.slides[moved].all():
+            return max((low, high), key=evaluate)
+        if len(moved) > 1 or not self._is_sinusoidal:
+            samples = np.linspace(low, high, motions.places(motion))
+            bent = bool(motions.bent[motion])
+            return _maximize_sampled(evaluate, samples, fine=fine or not bent, everywhere=bent)
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
         third = 2 * math.pi / 3
-        ahead, behind = at(third) - spring * third, at(-third) + spring * third
-        mean = (here + ahead + behind) / 3
-        sine, cosine = (ahead - behind) / math.sqrt(3), here - mean
-        return _crest(cosine, sine, spring, low, high)
+        ahead = evaluate(third) - spring * third
+        behind = evaluate(-third) + spring * third
+        mean = (current + ahead + behind) / 3
+        sine, cosine = (ahead - behind) / math.sqrt(3), current - mean
+        return _maximize_sinusoid(cosine, sine, spring, low, high)
 
-    def _load(self, config: Configuration) -> Array:
+    def _compute_load(self, config: Configuration) -> Array:
+        """Return the static load of the joints with the payload, shape (nu,) [N m, N]."""
         load = config.load()
         return load + self._payload * self._tool.load_per_mass(config) if self._payload else load
 
-    def _torque(self, joint: int, sign: float, qpos: Array) -> float:
+    def _evaluate_torque(self, joint: int, sign: float, qpos: Array) -> float:
+        """Return `sign` times a motor torque [N m, N]; `-_UNDEFINED_TORQUE` at a singularity."""
         config = Configuration(self._robot, qpos)
-        load = self._load(config)
+        load = self._compute_load(config)
         if self._motions.constant[joint]:
             return sign * float(self._motions.shares[joint] @ load)
         try:
             return sign * float(config.by_motors(load)[joint])
-        except ConfigurationError:  # at a dead point nothing holds the loop
-            return -_OUT
+        except ConfigurationError:  # singular: nothing holds the loop
+            return -_UNDEFINED_TORQUE
 
 
-def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
-    """Returns where in [low, high] a cos x + b sin x + r x is greatest."""
-    ends, size = [low, high], math.hypot(cosine, sine)
-    if abs(rate) <= size and size > 0:
-        # b cos x - a sin x + r = 0; of its two solutions in a turn one is a crest.
-        first, swing = math.atan2(sine, cosine), math.asin(rate / size)
-        base = first + swing
+def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
+    """Return the argument of the maximum of a cos x + b sin x + r x in [low, high]."""
+    candidates, amplitude = [low, high], math.hypot(cosine, sine)
+    if abs(rate) <= amplitude and amplitude > 0:
+        # Stationary points: b cos x - a sin x + r = 0; one of the two per turn is a maximum.
+        base = math.atan2(sine, cosine) + math.asin(rate / amplitude)
         turns = range(
             math.floor((low - base) / (2 * math.pi)) + 1,
             math.floor((high - base) / (2 * math.pi)) + 1,
         )
-        ends += [base + 2 * math.pi * turn for turn in turns]
-    return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
+        candidates += [base + 2 * math.pi * turn for turn in turns]
+    return max(candidates, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
 
 
-def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool, everywhere: bool) -> float:
+def _maximize_sampled(
+    function: Callable[[float], float], samples: Array, *, fine: bool, everywhere: bool
+) -> float:
     """Return the argument of the maximum of a function on an interval.
 
-    The function is evaluated at `looks`. With `fine`, a bounded scalar minimisation (scipy) follows
-    around the largest value, or, with `everywhere`, around each local maximum: between samples of
-    a closed loop the global maximum need not be next to the largest sample.
+    The function is evaluated at `samples`. With `fine`, a bounded scalar minimisation (scipy)
+    follows around the largest value, or, with `everywhere`, around each local maximum: between
+    samples of a closed loop the global maximum need not be next to the largest sample.
     """
     from scipy import optimize  # slow to import
 
-    found = np.array([at(look) for look in looks])
-    top = int(np.argmax(found))
-    if not fine or np.ptp(found) <= _GAIN * abs(found[top]):
-        return float(looks[top])
-    beside = np.concatenate([[-math.inf], found, [-math.inf]])
-    peaks = (found > -_OUT) & (found >= np.maximum(beside[:-2], beside[2:]))
-    chosen = [float(looks[top])]
-    for number in np.flatnonzero(peaks).tolist() if everywhere else [top]:
-        ends = looks[max(number - 1, 0)], looks[min(number + 1, len(looks) - 1)]
-        low, high = (_nearest(at, float(looks[number]), float(end)) for end in ends)
-        if high - low > _PEAK:
+    values = np.array([function(sample) for sample in samples])
+    top = int(np.argmax(values))
+    if not fine or np.ptp(values) <= _TORQUE_GAIN_RTOL * abs(values[top]):
+        return float(samples[top])
+    padded = np.concatenate([[-math.inf], values, [-math.inf]])
+    peaks = (values > -_UNDEFINED_TORQUE) & (values >= np.maximum(padded[:-2], padded[2:]))
+    candidates = [float(samples[top])]
+    for peak in np.flatnonzero(peaks).tolist() if everywhere else [top]:
+        ends = samples[max(peak - 1, 0)], samples[min(peak + 1, len(samples) - 1)]
+        low, high = (_find_last_defined(function, float(samples[peak]), float(end)) for end in ends)
+        if high - low > _PEAK_POSITION_ATOL:
             best = optimize.minimize_scalar(
-                lambda length: -at(length),
+                lambda length: -function(length),
                 bounds=(low, high),
                 method="bounded",
-                options={"xatol": _PEAK},
+                options={"xatol": _PEAK_POSITION_ATOL},
             )
-            chosen += [low, best.x, high]
-    return float(max(chosen, key=at))
+            candidates += [low, best.x, high]
+    return float(max(candidates, key=function))
 
 
-def _nearest(at: Callable[[float], float], here: float, end: float) -> float:
-    """Return the last argument between `here` and `end` at which the function is defined."""
-    if at(end) > -_OUT:
+def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
+    """Return the last argument from `start` to `end` at which a function is defined, by bisection.
+
+    The function must be defined at `start`.
+    """
+    if function(end) > -_UNDEFINED_TORQUE:
         return end
-    while abs(end - here) > _PEAK:
-        middle = (here + end) / 2
-        here, end = (middle, end) if at(middle) > -_OUT else (here, middle)
-    return here
+    while abs(end - start) > _PEAK_POSITION_ATOL:
+        middle = (start + end) / 2
+        start, end = (middle, end) if function(middle) > -_UNDEFINED_TORQUE else (start, middle)
+    return start
 
 
-_STARTS = 12
-"""Random postures that a search begins from, besides the one that is asked about."""
+_NUM_RANDOM_STARTS = 12
+"""Number of random start postures of the searches of a motor, besides the given posture. Chosen,
+not tuned."""
 
-_POOL = 500
+_NUM_POOL_POSTURES = 500
 """Number of random postures of a robot with loops whose joints do not move in proportion. Searches
 start from the worst of them, too: such loops have many local maxima. Chosen, not tuned."""
 
-_WORST = 3
-"""Number of those postures from which a search starts."""
+_NUM_POOL_STARTS = 3
+"""Number of the postures with the largest torques in that sample from which searches start. Chosen,
+not tuned."""
 
-_NOTHING = 1e-14
-"""N m per N of weight: what joints about vertical axes hold is rounding."""
+_MIN_TORQUE_PER_WEIGHT = 1e-14
+"""Torque per weight of the robot [N m/N] below which a torque is set to 0: the torque of hinges
+with vertical axes is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorstPostures(Tabular):
-    """The posture in which gravity asks most of each motor.
+    """Posture with the largest static torque of each motor, as found by search.
 
     Attributes:
-        joint_names: In actuator order.
-        joint_torques: (nu,) the greatest found, with its sign (N m, N).
-        postures: (nu, nu) where; a row for each motor (rad, m).
-        limits: (nu,) of the motors (N m, N).
-        utilisation: (nu,) the greatest found / limit.
-        endless: Why there may be no greatest torque; None if there is.
+        joint_names: Names of the joints, in actuator order.
+        joint_torques: (nu,) torques of largest magnitude found, with sign (N m or N).
+        postures: (nu, nu) posture of each torque, one row per motor (rad or m).
+        limits: (nu,) effort limits (N m or N); infinite if no file states a limit.
+        utilisation: (nu,) |torque| / limit; 0 without torque. With torque, NaN for an unknown limit
+            and, beyond rounding, infinite for a limit of zero.
+        endless: Reason for which the torques may be unbounded; None if all are bounded.
     """
 
     joint_names: tuple[str, ...]
@@ -274,57 +313,65 @@ def worst_postures(
     near: WorstPostures | None = None,
     bearing: NDArray[np.bool_] | None = None,
 ) -> WorstPostures:
-    """Search for each motor the posture in which gravity and joint springs load it most.
+    """Find the posture with the largest static torque of each motor.
 
-    As a function of one joint angle q, a torque is a + b cos q + c sin q (a + b q for a slide; a
-    spring at the joint adds k q). Three samples therefore give the maximum over one joint in closed
-    form. A search maximises over one joint after another until the torque no longer increases. It
-    is repeated from random postures until several searches agree. The result is no proof: another
-    posture may have a larger torque. None of 20,000 random postures of seven arms and hands did.
+    As a function of the angle q of one joint, with all other joints at rest, the torque of gravity
+    and joint springs is a + b cos q + c sin q + k q (a + b q for a slide). Three evaluations give
+    its maximum over q in closed form. A search maximises joint by joint until a sweep gains
+    nothing. Searches start from random postures until several end at the same torque. The result is
+    not proven: another posture may require a larger torque. Of 20,000 random postures of each of
+    seven arms and hands, none did.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture; supplies the positions of joints that do not affect a torque.
-        tool: Point at which the payload is attached.
-        payload: Mass at the tool [kg].
-        near: Worst postures for another payload, as additional start.
-        bearing: Motors that bear the payload, shape (nu,). With ``near``, only these are searched;
-            the results of other motors are copied.
+        posture: One of the start postures, with closed loops.
+        tool: Point that carries the payload.
+        payload: Point mass at the tool [kg].
+        near: Worst postures for another payload, from which searches start first.
+        bearing: Whether a motor may bear the payload, shape (nu,). The results of all other motors
+            are copied from ``near``; without ``near`` this argument is ignored.
     """
     motions = JointMotions(robot, posture)
-    starts = motions.random(_STARTS)
-    asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
+    starts = motions.random(_NUM_RANDOM_STARTS)
+    searched = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
     search = TorqueSearch(robot, motions, tool, payload)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
-        torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
-    pool = motions.random(_POOL) if motions.bent.any() and near is None else []
+        torques[~searched] = near.joint_torques[~searched]
+        postures[~searched] = near.postures[~searched]
+    pool = motions.random(_NUM_POOL_POSTURES) if motions.bent.any() and near is None else []
     sampled = np.array([search.torques(qpos) for qpos in pool])
-    for joint in np.flatnonzero(asked).tolist():
-        begin = [posture.qpos, *starts]
+    for joint in np.flatnonzero(searched).tolist():
+        first_starts = [posture.qpos, *starts]
         if near is not None:
-            begin.insert(0, near.postures[joint])
+            first_starts.insert(0, near.postures[joint])
         for sign in (1.0, -1.0):
-            most = np.argsort(-sign * sampled[:, joint])[:_WORST] if pool else ()
-            found, at = search.highest(
-                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]]
+            largest = np.argsort(-sign * sampled[:, joint])[:_NUM_POOL_STARTS] if pool else ()
+            pool_starts = [pool[index] for index in largest]
+            torque, qpos = search.highest(
+                joint, sign, [*first_starts[:1], *pool_starts, *first_starts[1:]]
             )
-            if found > abs(torques[joint]):
-                torques[joint], postures[joint] = sign * found, at
-    torques[np.abs(torques) <= _NOTHING * robot.weight] = 0.0
+            if torque > abs(torques[joint]):
+                torques[joint], postures[joint] = sign * torque, qpos
+    torques[np.abs(torques) <= _MIN_TORQUE_PER_WEIGHT * robot.weight] = 0.0
     return WorstPostures(
         joint_names=robot.joint_names,
         joint_torques=torques,
         postures=postures,
         limits=robot.effort_limits,
         utilisation=np.where(torques != 0, utilise(robot, torques), 0.0),
-        endless=_endless(robot, motions, search.stiffness),
+        endless=_explain_unbounded_torque(robot, motions, search.stiffness),
     )
 
 
-def _endless(robot: Robot, motions: JointMotions, stiffness: Array) -> Diagnostic | None:
-    """Returns why a torque may have no greatest: a slide, or a spring, goes on without end."""
+def _explain_unbounded_torque(
+    robot: Robot, motions: JointMotions, stiffness: Array
+) -> Diagnostic | None:
+    """Return the reason for which torques may be unbounded, or None.
+
+    Reasons are a slide without a limit, and a spring at a joint without a limit.
+    """
     if motions.endless:
         return diagnose("slide-not-limited")
-    free = ~np.isfinite(joint_ranges(robot)).all(axis=1)
-    return diagnose("springs-turn-freely") if (free & (stiffness != 0)).any() else None
+    unlimited = ~np.isfinite(joint_ranges(robot)).all(axis=1)
+    return diagnose("springs-turn-freely") if (unlimited & (stiffness != 0)).any() else None
