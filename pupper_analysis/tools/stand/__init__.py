@@ -1,3 +1,3 @@
-"""Solve a stance: what it costs, and if it holds."""
+"""Solve a stance, and verify it by simulation."""
 
 HEADING = "Stance"

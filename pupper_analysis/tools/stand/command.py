@@ -1,4 +1,4 @@
-"""``pupper-analysis stand``: whether a robot holds a stance."""
+"""``pupper-analysis stand``: solve a stance, and verify it by simulation."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def command(
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     if explain:
-        refuse_unused("--explain", {"--explain": _EXPLAINED})
-        _explain(asked, words, json_path)
+        refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})
+        _explain_preparation(asked, words, json_path)
         return
     from pupper_analysis.tools.stand.stance import study_stance
 
@@ -103,17 +103,19 @@ def command(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-_EXPLAINED = {
+_EXPLAIN_PARAMETERS = {
     "words",
     "explain",
     *("as_is", "style", "everything", "json_path"),
-    *(one.name for one in fields(RobotOptions)),
+    *(option.name for option in fields(RobotOptions)),
 }
-"""Parameters that ``--explain`` uses."""
+"""Parameters of the command that have an effect together with ``--explain``."""
 
 
-def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None) -> None:
-    """Lists what two files lack to be a robot that can stand, and what is done about it."""
+def _explain_preparation(
+    asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
+) -> None:
+    """Print the passes that prepare a robot from its files; ``--explain``."""
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet
@@ -121,28 +123,28 @@ def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
     from pupper_analysis.tools.stand.document import preparation_document
     from pupper_analysis.tools.stand.stance import explain_loading
 
-    meant = asked.which.select_robot(words)
-    if not isinstance(meant, RobotFiles):
+    files = asked.which.select_robot(words)
+    if not isinstance(files, RobotFiles):
         raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
-    said = meant.options
+    options = files.options
     with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
         request = LoadRequest(
-            feet=parse_feet(said["feet"]) if "feet" in said else None,
+            feet=parse_feet(options["feet"]) if "feet" in options else None,
             fixed_base=False,
-            joints=said.get("joints"),
-            keyframe=said.get("keyframe"),
+            joints=options.get("joints"),
+            keyframe=options.get("keyframe"),
             as_is=asked.as_is,
         )
         pair = read_pair(
-            *meant.models,
-            take=said.get("take"),
-            body=said.get("body"),
-            packages=said.get("packages"),
+            *files.models,
+            take=options.get("take"),
+            body=options.get("body"),
+            packages=options.get("packages"),
         )
-        messages, robot = explain_loading(pair.urdf, pair.mjcf, request)
-        messages = replace(messages, notes=pair.mark(robot).notes)
-    document = preparation_document(messages)
+        preparation, robot = explain_loading(pair.urdf, pair.mjcf, request)
+        preparation = replace(preparation, notes=pair.mark(robot).notes)
+    document = preparation_document(preparation)
     shared.show_report(
         Report(document.title, (document,)), asked.style, everything=asked.everything
     )
-    shared.finish_command(json_path, messages, passed=True)
+    shared.finish_command(json_path, preparation, passed=True)

@@ -1,4 +1,4 @@
-"""The documents of a stance, and of what was added to a robot on loading."""
+"""Documents of a stance, and of the preparation of a robot from its files."""
 
 from __future__ import annotations
 
@@ -30,10 +30,7 @@ from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 @build_document.register(Preparation)
 def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
-    """Create the report of how a robot was loaded: preparation passes and their changes.
-
-    `build_document` calls this function for a `Preparation`.
-    """
+    """Create the document of the preparation of a robot, pass by pass; see ``build_document``."""
     robot = text(
         "robot-free" if loading.floating else "robot-held",
         mass=f"{loading.mass:.3f}",
@@ -45,7 +42,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
     return doc.Document(
         text("loading-title"),
         doc.Name(loading.name),
-        (_passes(loading),) if loading.passes else (),
+        (_make_pass_table(loading),) if loading.passes else (),
         findings=(robot, *ready),
         notes=tuple(
             map(
@@ -56,12 +53,13 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
     )
 
 
-def _passes(loading: Preparation) -> doc.Table:
+def _make_pass_table(loading: Preparation) -> doc.Table:
+    """Create the table of passes, one row per change that a pass made."""
     rows: list[tuple[doc.Cell, ...]] = []
     for run in loading.passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
         rows += [(doc.Name(run.name), word(run.does), done[0])]
-        rows += [(doc.Name(""), doc.Name(""), more) for more in done[1:]]
+        rows += [(doc.Name(""), doc.Name(""), change) for change in done[1:]]
     columns = tuple(
         doc.Column(text(key), left=True)
         for key in ("pass-of-loading", "what-it-does", "what-it-did")
@@ -70,19 +68,13 @@ def _passes(loading: Preparation) -> doc.Table:
 
 
 MAX_BALANCE_RESIDUAL = 1e-4
-"""What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
+"""Largest residual of the static balance in MuJoCo's terms (`StandVerification.mujoco_residual`)
+[N, N m] without a warning that the two models differ. Chosen, not tuned."""
 
 
 @build_document.register(Stance)
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a stance: torques, contact forces, simulation and verdict.
-
-    `build_document` calls this function for a `Stance`.
-
-    Args:
-        stance: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
-    """
+    """Create the document of a stance, with its verdict; see ``build_document``."""
     run = stance.verification
     stand = stance.stand
     blocks = [
@@ -103,32 +95,32 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         text("stance"),
         stance,
         blocks,
-        (task_text(stance.stand.task), *_answer(stance), *_disagreement(run)),
-        details=_details(stance),
+        (task_text(stance.stand.task), *_list_findings(stance), *_warn_of_model_mismatch(run)),
+        details=_list_details(stance),
         notes=robot_notes(robot),
     )
 
 
-def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
-    """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
+def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
+    """Warn that URDF and MJCF differ, if the predicted forces do not balance in MuJoCo."""
     if run.mujoco_residual > MAX_BALANCE_RESIDUAL:
         yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
             "warn"
         )
 
 
-def _answer(stance: Stance) -> Iterable[doc.Words]:
-    """Says what is asked first: how hard the motors work, and what it does without feed-forward."""
+def _list_findings(stance: Stance) -> Iterable[doc.Words]:
+    """List the findings: peak utilisation, presses, behaviour without feed-forward, minimum kp."""
     limited = np.isfinite(stance.statics.motor_utilisation)
     if limited.any() and not np.isinf(stance.statics.motor_utilisation).any():
         shares = np.where(limited, stance.statics.motor_utilisation, -1.0)
-        most = int(np.argmax(shares))
-        share = f"{100 * float(shares[most]):.0f}"
+        peak = int(np.argmax(shares))
+        share = f"{100 * float(shares[peak]):.0f}"
         yield text(
             "load-of-motors",
             ground=ground_word(stance.stand.depths.values()),
             share=share,
-            joint=doc.Name(stance.statics.joint_names[most]),
+            joint=doc.Name(stance.statics.joint_names[peak]),
         )
     for press in stance.presses:
         yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
@@ -138,7 +130,7 @@ def _answer(stance: Stance) -> Iterable[doc.Words]:
     if stance.unsettled is not None:
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     if settled is not None and (settled.failures or settled.release_margin < RELEASE_MARGIN):
-        yield _settles(stance, settled)
+        yield _describe_settled_state(stance, settled)
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
@@ -146,29 +138,30 @@ def _answer(stance: Stance) -> Iterable[doc.Words]:
         )
 
 
-def _settles(stance: Stance, settled: SteadyState) -> doc.Words:
-    """Says where it settles without feed-forward."""
-    settles = text(
+def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
+    """State the height and the failures of the equilibrium without feed-forward."""
+    description = text(
         "settles-at",
-        # Above the ground where the task has its height, which on a slope is not the world's z.
+        # Height above the ground as in the task; on a slope, not the world's z.
         height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
         loss=f"{1e3 * settled.height_loss:z.2f}",
         servo=f"{1e3 * settled.servo_sag:z.2f}",
         contact=f"{1e3 * settled.contact_sag:z.2f}",
     )
     if settled.failures:
-        why = join_words(map(doc.diagnostic_text, settled.failures), "semicolon")
-        settles = text("settles-but", settles=settles, why=why)
+        reasons = join_words(map(doc.diagnostic_text, settled.failures), "semicolon")
+        description = text("settles-but", settles=description, why=reasons)
     elif settled.release_margin < RELEASE_MARGIN:
-        settles = text(
+        description = text(
             "settles-if-let-down-slowly",
-            settles=settles,
+            settles=description,
         )
-    return settles
+    return description
 
 
-def _details(stance: Stance) -> Iterable[doc.Words]:
+def _list_details(stance: Stance) -> Iterable[doc.Words]:
+    """List the details: equilibrium without feed-forward, unless a finding, and the ground."""
     settled = stance.settled
     if settled is not None and not settled.failures and settled.release_margin >= RELEASE_MARGIN:
-        yield _settles(stance, settled)
+        yield _describe_settled_state(stance, settled)
     yield ground_text(stance.stand.depths.values())

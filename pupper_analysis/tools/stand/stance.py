@@ -1,4 +1,9 @@
-"""What one stance costs, and whether it holds."""
+"""Evaluate a stance: statics, sag, presses, simulation and verdict.
+
+`study_stance` solves a stand task, computes torques and contact forces, predicts the equilibrium
+without feed-forward, and verifies both in MuJoCo. `largest_presses` computes the largest force of
+each hand; `explain_loading` prepares a robot and lists the passes.
+"""
 
 from __future__ import annotations
 
@@ -35,25 +40,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Stance(Tabular):
-    """A stance, what it costs, and whether it holds.
+    """Stance of a robot with its statics, simulations and verdict.
 
     Attributes:
-        name: The robot's name.
-        joint_positions: (nu,) of ``stand``, in actuator order (rad).
-        limits: (nu,) of the motors' torques, the least that both files state (N m).
-        limit_origins: (nu,) which statement of which file each is; None without a limit.
-        stand: How it stands, its feet sunk into MuJoCo's ground, which all that is shown is of; on
-            rigid ground, without ``depths``, where that is out of reach.
-        statics: Torques and contact forces: those that last.
-        min_max_torque: The same of least peak motor utilisation.
-        verification: The simulation, with feed-forward.
-        sagging: The simulation without.
-        verdict: Whether it holds, and what that rests on.
-        settled: Where it settles without feed-forward; None where that is not predicted.
-        unsettled: Why ``settled`` is None; None where it is not.
-        presses: How hard each hand can press in it; none if it has no hands.
-        minimum_stiffness: Below which no equilibrium is left without feed-forward (N m/rad), if it
-            is asked for; None also where there is none at all.
+        name: Name of the robot.
+        joint_positions: (nu,) joint positions of ``stand``, in actuator order (rad).
+        limits: (nu,) effort limits, the smallest that both files state (N m); infinite without a
+            stated limit.
+        limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
+        stand: Stand on MuJoCo's soft ground, to which all other results refer; on rigid ground,
+            with ``depths`` of 0, if the legs are too short or the depths of soft loops do not
+            converge.
+        statics: Motor torques and contact forces with minimum tangential forces.
+        min_max_torque: Motor torques and contact forces with the smallest peak motor utilisation.
+        verification: Simulation with feed-forward.
+        sagging: Simulation without feed-forward.
+        verdict: Verdict on the stance, with its assumptions.
+        settled: Predicted equilibrium without feed-forward; None if there is no equilibrium.
+        unsettled: Reason for which ``settled`` is None; else None.
+        presses: Largest press of each hand; empty without hands, or if the task fixes a part of the
+            robot to the world. Hands are omitted if the force is unlimited, or if no forces balance
+            the stance within the effort limits.
+        minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
+            (N m/rad); None if not requested, or if no tested kp suffices.
     """
 
     name: str
@@ -82,30 +91,30 @@ class Stance(Tabular):
         }
 
     def to_csv(self, path: str | Path, *, force: bool = False) -> None:
-        """Write positions, torques and limits of the joints as CSV, with units in the header.
+        """Write the table of joints as CSV, with a header line that names the units.
 
         Args:
-            path: Output file.
-            force: Also replace an existing file that is not such a table.
+            path: File to write.
+            force: Replace an existing file even if it is not such a table.
 
         Raises:
-            OutputError: If the file cannot be written, or must not be replaced.
+            OutputError: If the file cannot be written, or exists and is not such a table.
         """
         units = ("", " (rad)", " (N m)", " (N m)", "", " (N m)")
         columns = self._columns()
         header = [name + unit for name, unit in zip(columns, units, strict=True)]
-        rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
+        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
         with write_atomically(Path(path), STAND_TABLE, force=force) as file:
             file.write(csv_text([header, *rows]).encode())
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors above their limits, with minimum tangential contact forces."""
+        """Motors above their effort limits in ``statics``, without those with a limit of zero."""
         return self.verdict.overloaded
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict on the stance is positive."""
+        """Whether the verdict passes."""
         return self.verdict.passed
 
 
@@ -117,23 +126,23 @@ def study_stance(
     kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
-    """Solve a stance, compute its torques and contact forces, and simulate whether it holds.
+    """Solve a stance, evaluate its statics, and verify it by simulation.
 
     Args:
-        robot: Robot.
-        stance: Stance to be solved, or a stand that is already solved.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
-        stiffness: Also search the minimum stiffness of the servos (a second or two).
+        robot: The robot.
+        stance: Stand task, or a stand that satisfies a task on rigid ground.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); default: values of the model.
+        stiffness: Also compute the minimum stiffness of the servos (a second or two).
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
-        StaticsInfeasibleError: If the stance is reachable, but slides or tips.
-        ConfigurationError: If the task, or another argument, is invalid for the robot.
+        StaticsInfeasibleError: If no contact forces balance the stance: the robot slides or tips.
+        ConfigurationError: If the task, or another argument, is not valid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    settled, unsettled, least = None, None, None
+    settled, unsettled, min_kp = None, None, None
     robot = stand.check(robot)
     held = solve_stand_as_simulated(robot, stand)
     try:
@@ -142,7 +151,7 @@ def study_stance(
         unsettled = error.diagnostic
     if stiffness:
         with contextlib.suppress(NoStiffnessError):
-            least = minimum_stiffness(robot, held)
+            min_kp = minimum_stiffness(robot, held)
     statics = stand_statics(robot, held)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
@@ -160,17 +169,18 @@ def study_stance(
         settled=settled,
         unsettled=unsettled,
         presses=largest_presses(robot, held),
-        minimum_stiffness=least,
+        minimum_stiffness=min_kp,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class LargestPress(Result):
-    """How hard a hand can press against its plane in a stance, whatever else that takes.
+    """Largest force with which a hand can press against its plane in a stance.
 
     Attributes:
-        hand: What presses.
-        force: The largest force along the plane's normal, of which balance is left (N).
+        hand: Name of the hand.
+        force: Largest force along the normal of the plane with which the robot stays in balance,
+            within friction cones and effort limits (N).
     """
 
     hand: str
@@ -178,51 +188,48 @@ class LargestPress(Result):
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
-    """Compute the largest normal force with which each hand can press in a stand.
+    """Compute the largest normal force of each hand in a stand, by a cone program.
 
-    One cone program per hand maximises the force under balance, friction cones and effort limits. A
-    force that the task states is ignored. A hand is left out if its force is unlimited, or if the
-    motors are too weak to stand.
+    All contact forces are variables, within friction cones, balance and effort limits; a hand force
+    that the task states is ignored. A hand is omitted if the program is infeasible or unbounded.
 
     Args:
-        robot: Robot.
-        stand: Stand.
-
-    Returns:
-        Result of each hand; empty if a part of the robot is welded.
+        robot: The robot.
+        stand: The stand. The result is empty if its task fixes a part of the robot to the world
+            (weld or grip), since this constraint limits the force.
     """
     robot = stand.check(robot)
     carrying = replace(stand_contacts(robot, stand), stated=None)
     if robot.welds:
         return ()
     config, limits = Configuration(robot, stand.qpos), robot.effort_limits
-    load, transposed = (config.by_motors(one) for one in (config.load(), carrying.jacobian(config)))
+    load, transposed = map(config.by_motors, (config.load(), carrying.jacobian(config)))
     problem, rated = carrying.balance(transposed, load), np.isfinite(limits)
     joints, torques = problem.joint_rows[rated], problem.joint_load[rated]
-    most = np.concatenate([limits[rated] + torques, limits[rated] - torques])
-    found = []
+    upper = np.concatenate([limits[rated] + torques, limits[rated] - torques])
+    presses = []
     for hand in robot.hands:
         own = np.array([[point in robot.feet[hand]] for point in carrying.feet])
         linear = (own * problem.normals).ravel()
         rows = np.concatenate([joints, -joints])
-        forces = problem.maximize(linear, carrying.friction, rows, most)
+        forces = problem.maximize(linear, carrying.friction, rows, upper)
         if forces is not None:
-            found.append(LargestPress(hand, float(linear @ forces)))
-    return tuple(found)
+            presses.append(LargestPress(hand, float(linear @ forces)))
+    return tuple(presses)
 
 
 @dataclass(frozen=True)
 class Preparation(Result):
-    """How two files became a robot.
+    """Preparation of a robot from two files.
 
     Attributes:
-        name: The robot's name.
-        mass: What it weighs (kg).
-        floating: Whether its base is free.
-        joints: Its joints, in the order of its coordinates.
-        feet: Its feet.
-        passes: What was run to make it ready, in this order; none if the files were ready.
-        notes: What was found, and which defaults were added.
+        name: Name of the robot.
+        mass: Total mass (kg).
+        floating: Whether the base is free.
+        joints: Names of the joints, in actuator order.
+        feet: Names of the feet.
+        passes: Passes that were run, in this order; empty if none was needed.
+        notes: Findings in the files, and defaults that were added.
     """
 
     name: str
@@ -237,22 +244,14 @@ class Preparation(Result):
 def explain_loading(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Preparation, Robot]:
-    """Build a robot from a URDF and an MJCF, and report the preparation passes.
-
-    Args:
-        urdf: URDF.
-        mjcf: MJCF of the same robot.
-        request: Options of the user.
-
-    Returns:
-        Report of the passes, and the robot.
+    """Prepare a robot from two files, and list the passes.
 
     Raises:
-        ModelError: If no robot can be built from the files.
-        UnknownNameError: If a requested foot, joint or keyframe does not exist.
+        ModelError: If no robot can be made from the files.
+        UnknownNameError: If a foot, joint or keyframe of the request does not exist.
     """
     robot, runs = prepare_robot(urdf, mjcf, request)
-    message = Preparation(
+    preparation = Preparation(
         name=robot.name,
         mass=robot.total_mass,
         floating=robot.floating,
@@ -261,4 +260,4 @@ def explain_loading(
         passes=tuple(runs),
         notes=robot.notes,
     )
-    return message, robot
+    return preparation, robot
