@@ -36,7 +36,14 @@ each on average. Chosen, not tuned."""
 
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a posture, with its verdict; see ``build_document``."""
+    """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
+
+    `build_document` calls this function for a `Hold`.
+
+    Args:
+        hold: Result.
+        robot: Robot of the result, for notes; None if it is not available.
+    """
     limits, run = hold.limits.tolist(), hold.verification
     return judged_document(
         text("held-posture"),

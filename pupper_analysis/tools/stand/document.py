@@ -30,7 +30,10 @@ from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 @build_document.register(Preparation)
 def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
-    """Create the document of the preparation of a robot, pass by pass; see ``build_document``."""
+    """Create the report of how a robot was loaded: preparation passes and their changes.
+
+    `build_document` calls this function for a `Preparation`.
+    """
     robot = text(
         "robot-free" if loading.floating else "robot-held",
         mass=f"{loading.mass:.3f}",
@@ -74,7 +77,14 @@ MAX_BALANCE_RESIDUAL = 1e-4
 
 @build_document.register(Stance)
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a stance, with its verdict; see ``build_document``."""
+    """Create the report of a stance: torques, contact forces, simulation and verdict.
+
+    `build_document` calls this function for a `Stance`.
+
+    Args:
+        stance: Result.
+        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+    """
     run = stance.verification
     stand = stance.stand
     blocks = [
