@@ -221,7 +221,7 @@ def _make_force_table(hold: Hold) -> doc.Table:
 
 
 def force_plot(force: ToolForce) -> doc.LinePlot:
-    """Create a plot of three sections of the polytope of forces on a tool."""
+    """Create the plot of the largest forces on a tool in three sections, in N, world axes."""
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
     for name, radii in (*sections, ("section-y-z", force.frontal)):
@@ -236,7 +236,10 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 
 
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
-    """Create a plot of the largest and the mean motor utilisation over the distance of the tool."""
+    """Create the plot of motor utilisation over the tool's distance from the first joint.
+
+    It shows the maximum and the mean over random postures, in percent over mm.
+    """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
     filled = np.unique(bins)
