@@ -94,7 +94,7 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 
 
 def list_candidate_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return the elements of an MJCF that may cause a difference; the prepared robot lacks them."""
+    """Return elements of an MJCF that may cause a difference, except physical causes."""
     model = published.model
     return [
         *_list_numerics(model),
