@@ -70,6 +70,8 @@ def judge_simulation(
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Raises:
+        StaticsInfeasibleError: If the stand is nudged here, and slides or tips.
+        NotSettlingError: If the stand is nudged here, and its penetration depths do not converge.
         ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
         ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
             given, or if the ground cannot be added (``build_on_ground``).
@@ -251,6 +253,7 @@ def judge_stand(
 
     Raises:
         StaticsInfeasibleError: If the stand slides or tips.
+        NotSettlingError: If the penetration depths of a robot without loops do not converge.
         ConfigurationError: If an argument is not valid for the robot.
         ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
             given, or if the ground cannot be added (``build_on_ground``).
