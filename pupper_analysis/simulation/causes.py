@@ -118,10 +118,10 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
 
 
 def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:
-    """Compute the creep speed of each foot, v = |f_t| / c, in MuJoCo's viscous friction [m/s].
+    """Compute the creep speed of each contact point, v = |f_t| / c, in MuJoCo's friction [m/s].
 
-    The viscosity c is that of ``GroundLaw`` at the foot's predicted depth; the speed is infinite if
-    the viscosity is zero.
+    The viscosity c is that of ``GroundLaw`` at the predicted depth of the point; the speed is
+    infinite if the viscosity is zero.
 
     Args:
         robot: The robot.
