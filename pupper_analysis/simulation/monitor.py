@@ -399,7 +399,7 @@ class ContactRecord:
         torques: Settled motor torques, shape (nu,) [N m].
         forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)
             [N].
-        feet_settled: Settled position of each foot centre in the world, shape (3,) [m].
+        feet_settled: {contact point: settled position of its centre in the world, shape (3,) [m]}.
         lifted: {light foot that left the ground: time at which the foot first did [s]}.
     """
 
@@ -411,7 +411,7 @@ class ContactRecord:
     lifted: dict[str, float] = field(default_factory=dict)
 
     def foot_drops(self, stand: Stand) -> dict[str, Array]:
-        """Compute target minus settled position of each stance foot, shape (3,) [m]."""
+        """Compute target minus settled position, {stance point: shape (3,) [m]}."""
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
         }
