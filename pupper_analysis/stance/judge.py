@@ -55,14 +55,14 @@ class Stand(Tabular):
     Attributes:
         task: Task, with its height and CoM filled in.
         qpos: Configuration, shape (nq,).
-        foot_targets: {foot: target of the centre of its sphere, shape (3,) (m)}.
-        depths: {stance foot: penetration of the ground (m)}; 0 on rigid ground.
-        stance_feet: Feet that carry load.
-        normals: {stance foot: unit normal out of the ground, shape (3,)}.
-        contact_points: {stance foot: position of its contact, shape (3,) (m)}.
-        foot_error: Largest distance of a foot from its target (m or rad). If larger: the opening of
-            a closed loop or joint coupling, the violation of a joint limit with margin, or another
-            violation without an error of its own (m, rad).
+        foot_targets: {contact point: target of the centre of its sphere, shape (3,) (m)}.
+        depths: {stance point: penetration of the ground (m)}; 0 on rigid ground.
+        stance_feet: Contact points that carry load; a sole has several.
+        normals: {stance point: unit normal out of the ground, shape (3,)}.
+        contact_points: {stance point: position of its contact, shape (3,) (m)}.
+        foot_error: Largest distance of a contact point from its target (m or rad). If larger: the
+            opening of a closed loop or joint coupling, the violation of a joint limit with margin,
+            or another violation without an error of its own (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
         com_error: Horizontal error of the CoM (m); of the base frame if the task has an offset;
@@ -156,7 +156,7 @@ class Stand(Tabular):
 
         Args:
             robot: Robot.
-            drops: {foot: target minus position, shape (3,) [m]}.
+            drops: {contact point: target minus position, shape (3,) [m]}.
         """
         apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
