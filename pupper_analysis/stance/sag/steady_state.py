@@ -397,12 +397,12 @@ RELEASE_MARGIN = 0.06
 to first order."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Height loss by creep within ``HOLD_DURATION`` [stand heights] that cannot end the equilibrium.
+"""Height loss by creep within ``HOLD_DURATION`` [base heights in the stand] that is not simulated.
 Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its ratio is 0.025."""
 
 HIGHEST_KP = 2500.0
-"""Upper bound of the kp that `minimum_stiffness` tests, in units of robot weight x stand height per
-radian: 2000 times the kp of v3. Chosen, not tuned."""
+"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
+2000 times the kp of v3. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,8 +420,8 @@ class SteadyState(Result):
         joint_torques: Motor torques, shape (nu,) (N m).
         stance_feet: Contact points that touch the ground, including swing feet that came down and
             without stance feet that were released.
-        contact_forces: {foot: force of the ground, shape (3,)} of all feet, in world axes (N); zero
-            without contact.
+        contact_forces: {contact point: force of the ground, shape (3,)} of all contact points, in
+            world axes (N); zero without contact.
         foot_creep: {touching contact point: creep speed in MuJoCo's friction} (m/s); zero for
             sliding feet.
         height_drift: Rate of the base height by creep (m/s). A simulated height is the predicted
