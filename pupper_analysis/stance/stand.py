@@ -60,8 +60,8 @@ def solve_stand(
         The stand; each error is below 1e-9 m or rad.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, or no stand can satisfy the
-            margins.
+        ConfigurationError: If no stand can satisfy the task: for example, the base is fixed, the
+            robot has no feet, or the margins are too large.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors and
