@@ -113,8 +113,9 @@ _PAYLOAD_RTOL = 1e-4
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Fraction of the servo stiffness that a payload as heavy as the robot must cancel to count as
-destabilising; less is rounding."""
+"""Lower bound of the fraction of the stiffness that a payload as heavy as the robot cancels, in the
+motion in which it cancels most. Below this bound the fraction is rounding, and the stiffness does
+not limit the mass. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,13 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _MAX_LINEAR_OPENING = 1e-6
-"""Largest opening of a loop [m, rad] with which its dependent joints count as moving in proportion
-to the independent joint."""
+"""Largest opening of a loop [m, rad], at `_TESTED_RANGE_FRACTIONS`, with which its dependent joints
+count as moving in proportion to the independent joint. With a larger opening, samples of the loop
+are closed numerically. Chosen, not tuned."""
 
 _MIN_COUPLING_RATIO = 1e-9
 """Ratio of joint velocities, or element of the loops' Jacobian, below which a joint counts as not
-coupled (rounding; rad and m mixed)."""
+coupled (rounding; rad and m mixed). Chosen, not tuned."""
 
 _TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
 """Fractions of the distance to either end of the range at which a loop is tested for proportional
@@ -46,7 +47,8 @@ _NUM_COMBINED_SAMPLES = 9
 combinations of these samples, so that there are fewer than `_NUM_LOOP_SAMPLES`."""
 
 _LIMIT_ATOL = 1e-6
-"""Largest distance [rad, m] of a dependent joint beyond its limits that counts as rounding."""
+"""Largest distance [rad, m] of a dependent joint beyond its limits that counts as rounding. Chosen,
+not tuned."""
 
 
 class JointMotions:
