@@ -42,11 +42,12 @@ class Tool(Result):
     """A point of a robot.
 
     Attributes:
-        name: Of the frame that was given or found: a link of the URDF, or a site, body or geom of
-            the MJCF.
-        link: The link of the URDF that carries it.
-        offset: (3,) from that link's frame to the point, in its axes (m).
-        chain: The joints that move it, from the base outwards.
+        name: Name of the given or found frame: a link of the URDF, or a site, body or geom of the
+            MJCF.
+        link: Link of the URDF that carries the point.
+        offset: Vector from the frame of the link to the point, in the axes of the link, shape (3,)
+            (m).
+        chain: Joints that move the point, from the base outwards.
     """
 
     name: str

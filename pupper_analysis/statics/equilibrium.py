@@ -40,8 +40,9 @@ class FootLoad(Result):
     """Load of one foot: force of the ground, summed over the contact points of the foot.
 
     Attributes:
-        force: (3,) in world axes (N).
-        centre_of_pressure: (3,) where the normal forces act together, in the world (m).
+        force: Force of the ground in world axes, shape (3,) (N).
+        centre_of_pressure: Mean of the contact points, weighted by their normal forces, in the
+            world frame, shape (3,) (m).
         friction_utilisation: Tangential force / (friction coefficient x normal force).
     """
 

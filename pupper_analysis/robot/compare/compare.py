@@ -322,33 +322,34 @@ def _rotation_in_root(urdf: etree._Element, link: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FilesCompared(Tabular):
-    """What became of the comparison of a URDF with an MJCF.
+    """Result of the comparison of a URDF with an MJCF.
 
     Attributes:
-        urdf: The URDF's path.
-        mjcf: The MJCF's path.
-        base: The base's name.
-        joints: The joints that both have, by the MJCF's names.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
-            the same but for prefixes and suffixes.
-        only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
-        only_mjcf: Joints of the MJCF alone, likewise.
-        parts: What one file has and the other lacks, as a whole with its joints; it was taken off
-            to compare the rest.
-        notes: What was assumed or left out.
-        differences: Of the files, the one with the greatest effect first.
-        causes: Slips that explain several differences each.
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        base: Name of the base.
+        joints: Joints of both files, with the names of the MJCF.
+        guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
+            by names without prefixes and suffixes.
+        only_urdf: Joints that only the URDF has, fixed at zero for the comparison.
+        only_mjcf: Joints that only the MJCF has, fixed at zero for the comparison.
+        parts: Diagnostics of parts that only one file has, with their joints; these parts were
+            removed for the comparison.
+        notes: Diagnostics of assumptions and omissions.
+        differences: Differences, the most urgent first; see `Difference.rank`.
+        causes: Mistakes that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
-        residual: {quantity: relative deviation that is left when all differences are taken away}.
-        explained: Share of the worst deviation that the differences explain (1 is all).
-        complete: Whether nothing is left unexplained.
-        mount: How a fixed base is tilted in one file, and what that does to the torque that differs
-            most; None if it is not, or the base is free.
-        objections: Why the files do not agree, besides the differences: what no difference
-            explains, and what differences within the tolerances add up to.
-        agree: Whether the models agree, within the tolerances: no difference, no joint in one file
+        residual: {quantity: relative deviation without all differences}.
+        explained: Fraction of the largest deviation that the differences explain.
+        complete: Whether each residual is at most 1e-9.
+        mount: Diagnostic of the tilt of a fixed base in one file; None as in `report_base_tilt`.
+        objections: Reasons against agreement besides the differences: an unexplained residual, a
+            total deviation of differences within the tolerances, a missing mass of a base with
+            legs, and (if names must be equal) the tilt of a fixed base.
+        agree: Whether the models agree within the tolerances: no difference, no joint in one file
             only, and no objection.
-        same_robot: Whether they agree, but for coordinates: joints' zeros, the base's frame.
+        same_robot: Whether the models agree except for the conventions: frame of the base and zeros
+            of joints.
     """
 
     urdf: str

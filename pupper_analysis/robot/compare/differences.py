@@ -122,20 +122,15 @@ class Stated:
     """Values of two files for one property.
 
     Attributes:
-        kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
-            ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
-            ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
-            `conventions`), or ``armature`` (which a URDF cannot state: of a free joint, or unlike
-            that of the mirror image); ``mimic``, that the URDF alone has; ``servo stiffness`` or
-            ``servo damping``, of another format; ``name``, where names count; or what the MJCF
-            alone has, the kinds of `mjcf_only.MjcfOnlyEffect`. Of two versions of a file also
-            ``joint``, that one of them lacks, and ``motor``.
-        element: The joint, the body (named by the joint that moves it, or the base) or the frame;
-            of what the MJCF alone has, its name there, or ``#3``.
-        urdf: The URDF's value, in the URDF's frames; None where it has none.
-        mjcf: The MJCF's, in the URDF's frames.
-        unit: Of both.
-        diagnostic: The difference, with both values, as a message.
+        kind: Kind of the property, an entry of ``KIND_ORDER``: for example ``mass``, ``lower
+            limit`` or ``effort``; ``base frame`` and ``zero`` for conventions; ``collision`` for the
+            shapes of a foot; ``joint`` for a joint that one of two versions lacks.
+        element: Name of the joint, of the frame, or of the body: the joint that moves the body, or
+            the base. For an element that only the MJCF has, its name there, or its number: ``#3``.
+        urdf: Value in the URDF, in the frames of the URDF; None if the URDF has none.
+        mjcf: Value in the MJCF, in the frames of the URDF; None if the MJCF has none.
+        unit: Unit of both values.
+        diagnostic: Message that describes the difference.
     """
 
     kind: str
@@ -159,13 +154,13 @@ class Stated:
 
 @dataclass(frozen=True, eq=False)
 class Difference(Stated, Result):
-    """One number, or vector, in which the two files differ; its first attributes are `Stated`'s.
+    """Property that differs between two files; for the inherited attributes see `Stated`.
 
     Attributes:
-        effects: {quantity: what it does}.
-        urdf_place: File and line, where known.
-        mjcf_place: File and line, where known.
-        made_of: Of which links or bodies the value is made, where there are several.
+        effects: {quantity: effect of the difference}; empty if there is none.
+        urdf_place: File and line in the URDF; None if unknown.
+        mjcf_place: File and line in the MJCF; None if unknown.
+        made_of: Links or bodies whose values form the value, if there are several.
     """
 
     effects: dict[str, Effect]
@@ -226,13 +221,13 @@ class Difference(Stated, Result):
 
 @dataclass(frozen=True, eq=False)
 class PatternCause(Result):
-    """One slip that explains several differences.
+    """Mistake in a file that explains two or more differences.
 
     Attributes:
-        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``geoms``,
-            ``equalities``, ``links``, ``scaled links``, ``moved link``, ``inertial`` or ``line``.
-        diagnostic: What it is, with its numbers.
-        differences: Which of the differences it explains, by number, from 0.
+        kind: Kind of the mistake: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``,
+            ``geoms``, ``equalities``, ``links``, ``scaled links``, ``inertial`` or ``line``.
+        diagnostic: Message that describes the mistake, with its numbers.
+        differences: Indices of the explained differences, from 0.
     """
 
     kind: str
@@ -256,16 +251,16 @@ class PatternCause(Result):
 
 @dataclass(frozen=True, eq=False)
 class Explanation(Result):
-    """Why two models disagree.
+    """Differences that explain the deviation between two models.
 
     Attributes:
-        differences: What a user must mend first, first: by tier, then by effect.
+        differences: Differences, the most urgent first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
-        residual: {quantity: relative deviation that is left when the URDF's model is given the
-            MJCF's value for every difference, and what the MJCF alone has is taken out of it}.
-        complete: Whether nothing is left.
-        notes: What the URDF was given of the MJCF's, and what it does: armature, and what it does
-            not state of damping and dry friction.
+        residual: {quantity: relative deviation between the URDF with all values of the MJCF, and
+            the MJCF without the elements that a URDF cannot specify}.
+        complete: Whether each residual is at most 1e-9.
+        notes: Diagnostics of values that the URDF got from the MJCF: armature, and damping and dry
+            friction that it does not specify.
     """
 
     differences: tuple[Difference, ...]
