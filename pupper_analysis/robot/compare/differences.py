@@ -122,9 +122,10 @@ class Stated:
     """Values of two files for one property.
 
     Attributes:
-        kind: Kind of the property, an entry of ``KIND_ORDER``: for example ``mass``, ``lower
-            limit`` or ``effort``; ``base frame`` and ``zero`` for conventions; ``collision`` for the
-            shapes of a foot; ``joint`` for a joint that one of two versions lacks.
+        kind: Kind of the property, an entry of ``KIND_ORDER``: for example ``mass``,
+            ``lower limit`` or ``effort``; ``base frame`` and ``zero`` for conventions;
+            ``collision`` for the shapes of a foot; ``joint`` for a joint that one of two versions
+            lacks.
         element: Name of the joint, of the frame, or of the body: the joint that moves the body, or
             the base. For an element that only the MJCF has, its name there, or its number: ``#3``.
         urdf: Value in the URDF, in the frames of the URDF; None if the URDF has none.
