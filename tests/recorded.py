@@ -170,7 +170,7 @@ def payload(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
     from pupper_analysis.tools.payload.limit import _PayloadSearch
 
     search = _PayloadSearch(robot, stand.task, find_place(robot, (0.01, 0.0, 0.05)), None, None)
-    return {name: bound.mass for name, bound in search.bounds().items()}
+    return {name: bound.mass for name, bound in search.find_bounds().items()}
 
 
 JOBS = {

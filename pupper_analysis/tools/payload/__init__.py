@@ -1,4 +1,4 @@
-"""Find how much a stance carries, and what fails."""
+"""Find the largest payload of a stance, and what fails beyond it."""
 
 HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
-"""``pupper-analysis payload``: how much a stance carries."""
+"""Command ``pupper-analysis payload``: find the largest payload of a stance."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from pupper_analysis.cli.stance_options import (
     "--continuous",
     multiple=True,
     metavar="[JOINTS=]NM",
-    help="What the motors of all joints that match a pattern give for as long as you like (N m): "
-    "the payload is then what lasts; e.g. 0.4, '*knee*=12'. Repeatable.",
+    help="Continuous torque of the motors of all joints that match a pattern (N m), instead of the "
+    "effort limits in the files; e.g. 0.4, '*knee*=12'. Repeatable.",
 )
 @shared.json_option
 @shared.report_option
@@ -37,14 +37,15 @@ def command(
 ) -> None:
     """Find the largest payload of a stance, and what fails beyond it.
 
-    It is sought at --payload-at, besides what --payload puts there: the largest mass with which
-    `stand --payload` holds: reach and contacts, motor torques and servo stiffness each set a
-    limit. The base moves from under the load where the CoM shall be over the feet. The robot is
-    then judged as by `stand` with 97 % of it, and simulated with that and with 105 % while it
-    is nudged from all sides. Robot and stance are given as for `stand`.
+    The payload is a point mass at --payload-at, in addition to --payload: the largest mass
+    with which `stand --payload` holds. Reach and contacts, motor torques and servo stiffness
+    each set a bound. If the CoM must be above the feet, the base shifts with the load. With
+    97 % of the smallest bound the robot is judged as by `stand`, and simulated with nudges in
+    twelve directions. Robot and stance are given as for `stand`.
 
-    The efforts that files state are peak torques: what they carry, they carry for moments. With
-    --continuous it is what lasts; motors that no pattern matches keep their peak torque.
+    The effort limits in the files are taken as peak torques: the payload can be carried for
+    moments. With --continuous the payload can be carried permanently; motors that no pattern
+    matches keep their peak torque.
 
     \b
     Examples:
@@ -54,20 +55,20 @@ def command(
       pupper-analysis payload original --swing FL=2cm --com inside \\
         --com-margin 1cm
 
-    Exit status: 0 it carries something, 1 nothing, or it falls in simulation,
-    2 out of reach, not holdable or bad input.
+    Exit status: 0 a payload is carried, 1 no payload, unknown limits, or a failed
+    simulation, 2 stance out of reach or not in balance, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.payload.limit import payload_limit
 
     task = asked.task()
     robot = asked.robot(words, payload_sought=True)
-    lasting = parse_efforts(continuous, robot, "continuous")
-    robot = with_efforts(robot, lasting)
+    continuous_efforts = parse_efforts(continuous, robot, "continuous")
+    robot = with_efforts(robot, continuous_efforts)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
         result = payload_limit(robot, task, asked.place, kp=kp, kd=kd)
-        result = replace(result, continuous=tuple(lasting))
+        result = replace(result, continuous=tuple(continuous_efforts))
     asked.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -1,4 +1,4 @@
-"""The document of a payload: what a stance can carry, and what the simulation makes of it."""
+"""Document of a payload limit: largest mass, table of the bounds, and nudged simulation."""
 
 from __future__ import annotations
 
@@ -23,36 +23,29 @@ from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTria
 
 @build_document.register(PayloadLimit)
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the largest payload of a stance: mass, bounds and simulations.
-
-    `build_document` calls this function for a `PayloadLimit`.
-
-    Args:
-        limit: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
-    """
-    found = () if limit.trial is None else (_trial(limit.trial),)
+    """Create the document of a payload limit; see ``build_document``."""
+    trial_texts = () if limit.trial is None else (_describe_trial(limit.trial),)
     return judged_document(
         text("payload-title"),
         limit,
         (view_block(robot, limit.stand, None), payload_table(limit)),
         (payload_text(limit), task_text(limit.stand.task)),
         details=(
-            *(found if limit.passed else ()),
+            *(trial_texts if limit.passed else ()),
             text(
                 "base-of-the-loaded-stand",
                 place=", ".join(f"{1e3 * value:z.1f}" for value in limit.offset),
             ),
             ground_text(limit.stand.depths.values()),
         ),
-        failures=() if limit.passed else found,
-        word=_word(limit),
+        failures=() if limit.passed else trial_texts,
+        word=_select_verdict_word(limit),
         notes=robot_notes(robot),
     )
 
 
-def _word(limit: PayloadLimit) -> doc.Words:
-    """Returns the verdict: whether it carries, and if that lasts."""
+def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
+    """Return the verdict, with the kind of its torque limits: peak, continuous or both."""
     if math.isnan(limit.mass):
         key = "UNKNOWN"
     elif not limit.passed:
@@ -67,7 +60,10 @@ def _word(limit: PayloadLimit) -> doc.Words:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """Return a sentence with the largest payload, its position, and the failure above it."""
+    """State the largest mass, its position, and the failure above.
+
+    If torque limits of motors that carry the load are unknown, state these motors instead.
+    """
     if limit.unknown_limits and limit.at_most > 0:
         return _unknown_text(limit)
     return text(
@@ -76,14 +72,14 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         link=limit.link,
         mass=mass_text(limit.at_most),
         ground=ground_word(limit.stand.depths.values()),
-        failure=_failure(limit.failure, limit.where),
+        failure=_describe_failure(limit.failure, limit.where),
     )
 
 
 def _unknown_text(limit: PayloadLimit) -> doc.Text:
-    """Return the joints without a stated limit, and the torque that the upper bound needs."""
+    """State the upper bound of the mass, and the largest torque of a motor without limit there."""
     torques = limit.torque_of
-    hardest = max(limit.unknown_limits, key=lambda name: abs(float(torques[name])))
+    hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
     return text(
         "payload-unknown",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
@@ -96,9 +92,12 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Return a table of the payload bounds: mass and failure above it, the smallest first."""
+    """Create the table of the bounds, the smallest first, with the failure above each bound.
+
+    The bound of the simulation is listed only if it is finite.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
-        (text(_BOUNDS[name]), mass_text(bound.mass), _then(bound))
+        (text(_BOUND_KEYS[name]), mass_text(bound.mass), _describe_bound_failure(bound))
         for name, bound in limit.bounds.items()
         if name != "simulation" or math.isfinite(bound.mass)
     ]
@@ -123,27 +122,32 @@ def payload_table(limit: PayloadLimit) -> doc.Table:
     )
 
 
-_BOUNDS = {
+_BOUND_KEYS = {
     "stance": "loaded-stance",
     "motors": "motors",
     "servos": "servos-stiffness",
     "simulation": "payload-nudged",
 }
+"""Catalogue key of each bound's name."""
 
 
-def _then(bound: Bound) -> doc.Words:
-    """Says what gives way beyond a bound; a dash where there is none."""
+def _describe_bound_failure(bound: Bound) -> doc.Words:
+    """Describe the failure above a bound; a dash if the bound is infinite."""
     if math.isinf(bound.mass):
         return doc.Name("-")
-    return _failure(bound.failure, bound.where)
+    return _describe_failure(bound.failure, bound.where)
 
 
-def _failure(failure: Failure, where: Iterable[str]) -> doc.Words:
-    failed, named = word(failure.value), ", ".join(where)
-    return text("failure-where", failure=failed, where=named) if named else failed
+def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
+    """Describe a failure with its motors, joints, feet or bodies."""
+    failure_text, names = word(failure.value), ", ".join(where)
+    if not names:
+        return failure_text
+    return text("failure-where", failure=failure_text, where=names)
 
 
-def _trial(trial: PayloadTrial) -> doc.Text:
+def _describe_trial(trial: PayloadTrial) -> doc.Text:
+    """Describe the nudged simulation of a payload."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         return text("simulated-with-mass", mass=mass, seconds=seconds)
@@ -152,5 +156,5 @@ def _trial(trial: PayloadTrial) -> doc.Text:
         mass=mass,
         seconds=seconds,
         time=f"{trial.time:.2f}",
-        failure=_failure(trial.failure, trial.where),
+        failure=_describe_failure(trial.failure, trial.where),
     )

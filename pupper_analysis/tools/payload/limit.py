@@ -1,7 +1,8 @@
 """Largest payload of a stance, and the failure that limits the payload.
 
-`payload_limit` evaluates the loaded stance for increasing masses, bisects four bounds (stance,
-motors, servos, simulation), and returns the smallest with its cause.
+`payload_limit` solves the loaded stance for increasing masses, bisects the mass at which the
+stance, the motors and the servos fail, verifies the smallest of these bounds by simulation, and
+returns the smallest bound with its cause. `simulate_payload` simulates one mass.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class PayloadTrial(NudgeTrial):
     """Simulations of a loaded stand that is nudged in twelve directions.
 
     Attributes:
-        mass: Mass of the payload (kg).
+        mass: Mass of the payload [kg].
     """
 
     mass: float = field(metadata={"unit": "kg"})
@@ -88,9 +89,11 @@ def simulate_payload(
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        ModelError: If the model has no position servos, and kp and kd are not both given.
+        ModelError: If the model has no position servos, and kp and kd are not both given; or the
+            robot has no such frame.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
+        NotSettlingError: If the penetration depths of the loaded feet do not converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
     trial = simulate_nudges(loaded, stand, kp=kp, kd=kd, duration=duration)
@@ -108,31 +111,33 @@ MAX_BOUND_RATIO = 10.0
 larger bounds are reported as infinite. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
-"""Fraction of the limit with which the loaded stance is judged, and simulated with nudges: below
-the limit, since no servo, floor or hand is exact to a percent. Chosen, not tuned."""
+"""Fraction of the limit with which the loaded stance is judged, and simulated with nudges. Chosen,
+not tuned."""
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance of a mass bisected by simulations, if the limit of the equilibrium does not
-hold. The squared value, relative to the limit of the equilibrium, is the absolute tolerance.
-Chosen, not tuned."""
+"""Relative tolerance of a mass that is bisected by simulations: the bound of the simulation, and
+the bound of the servos if a simulation contradicts the spectrum. For the bound of the simulation,
+the squared value relative to the smallest static bound is the absolute tolerance. Chosen, not
+tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
-"""Relative tolerances of the binding bound (rounded down) and of the other bounds of motors and
-stance. Chosen, not tuned."""
+"""Relative tolerances of the bounds of stance, motors and servos. The first one applies to the
+smallest bound, except if the servos set this bound. The second one is relative to the first mass
+that fails. Each bound is the lower end of its bracket. Chosen, not tuned."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
 
 _MASS_GROWTH = 1.5
-"""Factor between successive masses before the first bound: a narrower window of failure may be
-missed. Chosen, not tuned."""
+"""Factor between successive masses before the first failure. A failure that occurs only in a
+narrower interval of masses may be missed. Chosen, not tuned."""
 
 _FAST_MASS_GROWTH = 3.0
-"""Factor between successive masses beyond the first bound. Chosen, not tuned."""
+"""Factor between successive masses after the first failure. Chosen, not tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
-"""Largest friction coefficient of a stance that slides; if more is needed, the stance tips. Chosen,
-not tuned."""
+"""Largest friction coefficient that balances a stance whose failure is called sliding. If balance
+needs more, or no friction is sufficient, the failure is called tipping. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +145,7 @@ class Bound(Result):
     """One bound of a payload.
 
     Attributes:
-        mass: Largest mass below the bound (kg); infinite without a bound, or if the bound is larger
+        mass: Largest mass below the bound [kg]; infinite without a bound, or if the bound is larger
             than all searched masses (``MAX_BOUND_RATIO``).
         failure: Failure above the bound.
         where: Motors, joints, feet or bodies of the failure.
@@ -153,39 +158,45 @@ class Bound(Result):
 
 @dataclass(frozen=True, eq=False)
 class PayloadLimit(Result):
-    """The greatest mass with which a stance holds, and what that rests on.
+    """Largest payload of a stance, with its bounds and assumptions.
 
-    All is of the loaded stand: the robot with the mass on it, its com where the task says, its feet
-    sunk into the ground that is simulated (``solve_loaded_stand``).
+    The values belong to the loaded stand (``solve_loaded_stand``): the mass is welded to the robot,
+    the CoM is at the place that the task requires, and the feet penetrate the simulated ground.
 
     Attributes:
-        name: The robot's name.
-        mass: kg; the least of the four bounds, infinite if none binds; not a number if a motor that
-            bears the load has an unknown torque limit, or a link an unknown mass.
-        at_most: kg; the least of the four bounds, without motors whose limit is unknown.
-        code: ``unknown`` if a motor that bears the load has an unknown torque limit, or a moving
-            link an unknown mass, ``zero`` if a motor has no torque, else ``stated``.
-        binding: Which of them it is: ``stance``, ``motors``, ``servos`` or ``simulation``.
-        stance: Up to where there is a loaded stand: the base comes where the load asks for it, and
-            the contacts bear it.
-        motors: Up to where no motor is beyond its effort limit, with the contact forces that last.
-        servos: Up to where the servos can be commanded so far, and no deviation grows within 12 s
-            by the spectrum of MuJoCo's step, without the help of dry friction, however strong the
-            motors are.
-        simulation: Up to where ``VERIFIED_FRACTION`` of it holds in simulation, where that is
-            less; 0 where the stance does not hold without payload.
-        point: (3,) where the mass is attached, in the frame of ``link`` (m).
-        link: Of the URDF, that carries it.
-        unknown_limits: The motors that bear the load and whose torque limit no file states.
-        stand: The loaded stand with ``mass``; without, if that is infinite.
-        offset: (2,) of the base from the centre of the feet in it, as ``StandTask.offset`` (m).
-        joint_names: (nu,) in actuator order.
-        joint_torques: (nu,) in it (N m).
-        contact_forces: {foot: (3,)} in it, in world axes (N).
-        verdict: The one judge's, of the stance with ``VERIFIED_FRACTION`` of ``mass``; without
-            payload, if that is nothing or infinite.
-        trial: The simulation of the same nudged from all sides; None without one.
-        continuous: Joints whose effort limit is a torque that lasts; of the others it is the peak.
+        name: Name of the robot.
+        mass: Largest payload [kg], equal to ``at_most``; not a number if ``code`` is ``unknown``
+            and ``at_most`` is not 0.
+        at_most: Smallest of the four bounds [kg]; motors with an unknown torque limit set no bound.
+        code: ``unknown`` if a motor that carries the load has an unknown torque limit, or if the
+            stance holds and a moving link has an unknown mass; else ``zero`` if a motor has no
+            torque, else ``stated``.
+        binding: Name of the smallest bound: ``stance``, ``motors``, ``servos`` or ``simulation``.
+        stance: Bound of the stance: a larger mass has no loaded stand within reach and in balance,
+            or brings another part of the robot to the ground.
+        motors: Bound of the motors: a larger mass needs more than the torque limit of a motor, with
+            the contact forces of smallest tangential component.
+        servos: Bound of the servos, for motors without torque limits: with a larger mass a servo
+            command exceeds its range, or a deviation leaves the stand within 12 s. Computed from
+            the eigenvalues of MuJoCo's step; simulations check the result near the smallest bound.
+        simulation: Bound of the simulation: largest mass of which ``VERIFIED_FRACTION`` holds in
+            simulation. Infinite if the smallest of the other bounds holds, or is 0 or infinite; 0
+            if the stance fails without payload.
+        point: (3,) position of the payload in the frame of ``link`` [m].
+        link: Link of the URDF that carries the payload.
+        unknown_limits: Motors that carry the load and whose torque limit no file states.
+        stand: Loaded stand with ``at_most``; stand without payload if ``at_most`` is infinite.
+        offset: (2,) position of the base of ``stand`` from the centre of the feet, as
+            ``StandTask.offset`` [m].
+        joint_names: (nu,) joints, in actuator order.
+        joint_torques: (nu,) motor torques in ``stand`` [N m].
+        contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
+        verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``at_most``; without payload if
+            ``at_most`` is 0 or infinite.
+        trial: Simulation with the mass of ``verdict``, nudged in twelve directions; None if
+            ``at_most`` is 0 or infinite.
+        continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
+            are peak torques.
     """
 
     name: str
@@ -211,35 +222,29 @@ class PayloadLimit(Result):
 
     @property
     def torque_of(self) -> dict[str, float]:
-        """{joint: motor torque [N m] in the loaded stand, ``stand``}."""
+        """Motor torques in ``stand``, {joint: torque} [N m]."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     @property
     def bounds(self) -> dict[str, Bound]:
-        """Bounds of the payload, {name: bound}, sorted by mass, the smallest first.
-
-        The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
-        """
+        """The four bounds by name, the smallest first."""
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
         return dict(sorted(bounds.items(), key=lambda item: item[1].mass))
 
     @property
     def failure(self) -> Failure:
-        """Kind of failure above the binding (smallest) bound."""
+        """Failure above the smallest bound."""
         return self.bounds[self.binding].failure
 
     @property
     def where(self) -> tuple[str, ...]:
-        """Names of the motors, joints, feet or bodies that fail above the binding bound."""
+        """Motors, joints, feet or bodies of that failure."""
         return self.bounds[self.binding].where
 
     @property
     def passed(self) -> bool:
-        """Whether the robot carries a known payload: ``mass`` > 0, and its simulations hold.
-
-        False if the mass is unknown (NaN).
-        """
+        """Whether ``mass`` is known and positive, and the stance holds with its payload."""
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.held)
 
 
@@ -256,9 +261,10 @@ def payload_limit(
 
     The result is the largest mass with which ``stand --payload`` holds. For each mass the loaded
     stance is solved on the simulated ground; if the task requires the CoM above the feet, the base
-    shifts. Servos are commanded the pose with the feed-forward torques of the loaded robot. The
-    limit of the equilibria is then judged as by ``stand``, and simulated with nudges in twelve
-    directions; if either fails, a smaller mass is bisected by simulation.
+    shifts. The servo commands are the joint positions with feed-forward for the loaded robot. The
+    stance with 97 % (``VERIFIED_FRACTION``) of the smallest bound is then judged as by ``stand``,
+    and simulated with nudges in twelve directions; if the stance fails, a smaller mass is bisected
+    by simulations.
 
     Args:
         robot: The robot.
@@ -273,8 +279,10 @@ def payload_limit(
     Raises:
         StanceUnreachableError: If the stance is out of reach without payload.
         StaticsInfeasibleError: If the stance slides or tips without payload.
+        NotSettlingError: If the penetration depths of the feet do not converge without payload.
         ConfigurationError: If an argument is out of its range, or invalid for the robot.
-        ModelError: If the model has no position servos, and kp and kd are not both given.
+        ModelError: If the model has no position servos, and kp and kd are not both given; or the
+            robot has no such frame.
     """
     place = find_place(robot, point)
     if isinstance(stance, Stand):
@@ -283,67 +291,72 @@ def payload_limit(
     else:
         task = stance or StandTask()
         robot = touching(robot, task.contacts)
-    # Without payload a refusal explains itself.
+    # Raise, with an explanation, if the stance has no stand without payload.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _PayloadSearch(robot, task, place, kp, kd)
-    bounds = search.bounds()
+    bounds = search.find_bounds()
     binding = min(bounds, key=lambda name: bounds[name].mass)
-    most = bounds[binding].mass
+    mass_limit = bounds[binding].mass
 
     @cache
-    def judged(mass: float) -> Verdict:
+    def judge_payload(mass: float) -> Verdict:
+        """Judge the stance with a mass [kg]."""
         loaded = with_payload(robot, mass, place)
-        trial = tried(mass) if mass else None
-        found = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
-        return replace(found, asked=Question.CARRIES)
+        trial = simulate_nudged(mass) if mass else None
+        verdict = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
+        return replace(verdict, asked=Question.CARRIES)
 
     @cache
-    def tried(mass: float) -> PayloadTrial:
+    def simulate_nudged(mass: float) -> PayloadTrial:
+        """Simulate the stance with a mass [kg]."""
         return simulate_payload(robot, task, mass, place, kp=kp, kd=kd)
 
     simulation = Bound(math.inf, Failure.NOTHING, ())
-    if 0 < most < math.inf:
-        simulation = _bisect_simulation_bound(most, judged, tried)
+    if 0 < mass_limit < math.inf:
+        simulation = _bisect_simulation_bound(mass_limit, judge_payload, simulate_nudged)
     bounds["simulation"] = simulation
-    if simulation.mass < most:
-        binding, most = "simulation", simulation.mass
-    carries = 0 < most < math.inf
-    held = search.stand_with(most if math.isfinite(most) else 0.0)
-    unknown = _find_unknown_limits(robot, place)
-    null = any(limit.without_torque for limit in list_driven_limits(robot))
-    known = EffortCode.ZERO if null else EffortCode.STATED
-    assert held.stand is not None
-    assert held.statics is not None
-    verdict = judged(VERIFIED_FRACTION * most if carries else 0.0)
-    massless = verdict.code is VerdictCode.MASSES_UNKNOWN
+    if simulation.mass < mass_limit:
+        binding, mass_limit = "simulation", simulation.mass
+    has_finite_limit = 0 < mass_limit < math.inf
+    loaded_stand = search.get_loaded_stand(mass_limit if math.isfinite(mass_limit) else 0.0)
+    unknown_limits = _find_unknown_limits(robot, place)
+    is_powerless = any(limit.without_torque for limit in list_driven_limits(robot))
+    assert loaded_stand.stand is not None
+    assert loaded_stand.statics is not None
+    verdict = judge_payload(VERIFIED_FRACTION * mass_limit if has_finite_limit else 0.0)
+    is_unknown = bool(unknown_limits) or verdict.code is VerdictCode.MASSES_UNKNOWN
+    known_code = EffortCode.ZERO if is_powerless else EffortCode.STATED
     return PayloadLimit(
         name=robot.name,
-        mass=math.nan if (unknown or massless) and most > 0 else most,
-        at_most=most,
-        code=EffortCode.UNKNOWN if unknown or massless else known,
+        mass=math.nan if is_unknown and mass_limit > 0 else mass_limit,
+        at_most=mass_limit,
+        code=EffortCode.UNKNOWN if is_unknown else known_code,
         binding=binding,
         **bounds,
         continuous=(),
         point=place.offset,
         link=place.link,
-        unknown_limits=unknown,
-        stand=held.stand,
-        offset=held.stand.qpos[:2] - held.stand.centre(robot)[:2],
+        unknown_limits=unknown_limits,
+        stand=loaded_stand.stand,
+        offset=loaded_stand.stand.qpos[:2] - loaded_stand.stand.centre(robot)[:2],
         joint_names=robot.joint_names,
-        joint_torques=held.statics.joint_torques,
-        contact_forces=held.statics.contact_forces,
+        joint_torques=loaded_stand.statics.joint_torques,
+        contact_forces=loaded_stand.statics.contact_forces,
         verdict=verdict,
-        trial=tried(VERIFIED_FRACTION * most) if carries else None,
+        trial=simulate_nudged(VERIFIED_FRACTION * mass_limit) if has_finite_limit else None,
     )
 
 
 def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
-    """Return the joints that carry a foot or the payload and whose torque limit no file states."""
+    """Return the joints without a stated torque limit that carry a foot or the payload.
+
+    Coupled joints count as joints that carry a foot.
+    """
     unloaded_joints = set(free_joints(robot)) - set(place.chain)
-    unknown = (
+    unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )
-    return tuple(name for name in unknown if name not in unloaded_joints)
+    return tuple(joint for joint in unknown_joints if joint not in unloaded_joints)
 
 
 FailureCause = tuple[Failure, tuple[str, ...]] | None
@@ -351,29 +364,32 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 
 
 def _bisect_simulation_bound(
-    static_limit: float, judged: Callable[[float], Verdict], tried: Callable[[float], PayloadTrial]
+    static_limit: float,
+    judge_payload: Callable[[float], Verdict],
+    simulate_nudged: Callable[[float], PayloadTrial],
 ) -> Bound:
     """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
 
-    The bound is infinite if ``static_limit`` holds, and 0 if the stance fails without payload.
-    Equilibria are exact for an undisturbed stand. Lifting feet, pivoting soles and saturating
-    motors after a nudge, and errors of the files, appear only in a simulation.
+    The bound is infinite if ``static_limit`` [kg] holds, and 0 if the stance fails without payload.
+    Static bounds apply to an undisturbed stand. Only a simulation shows a foot that lifts, a sole
+    that pivots or a motor that saturates after a nudge, and errors of the files.
     """
 
     def find_cause(mass: float) -> FailureCause:
-        trial = tried(VERIFIED_FRACTION * mass)
+        """Return the failure with ``VERIFIED_FRACTION`` of a mass [kg]."""
+        trial = simulate_nudged(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
             return trial.failure, trial.where
         return (
             None
-            if _holds_in_simulation(judged(VERIFIED_FRACTION * mass))
+            if _holds_in_simulation(judge_payload(VERIFIED_FRACTION * mass))
             else (Failure.SIMULATED, ())
         )
 
     cause = find_cause(static_limit)
     if cause is None:
         return Bound(math.inf, Failure.NOTHING, ())
-    if not _holds_in_simulation(judged(0.0)):
+    if not _holds_in_simulation(judge_payload(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
     return _bisect_mass(
         find_cause, 0.0, static_limit, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
@@ -401,21 +417,27 @@ def _bisect_mass(
         high: Mass with a failure [kg].
         cause: Failure with ``high``.
         tolerance: Absolute tolerance [kg].
-        relative_tolerance: Tolerance relative to the lower end, if larger.
+        relative_tolerance: Tolerance relative to the lower end of the bracket, used if larger.
     """
     assert cause is not None
     while high - low > max(tolerance, relative_tolerance * low):
         middle = (low + high) / 2
-        if (other := find_cause(middle)) is None:
+        if (middle_cause := find_cause(middle)) is None:
             low = middle
         else:
-            high, cause = middle, other
+            high, cause = middle, middle_cause
     return Bound(low, *cause)
 
 
 @dataclass(frozen=True, eq=False)
 class _LoadedStand:
-    """Loaded stand, or the cause if there is none."""
+    """Loaded stand; without a stand, the cause.
+
+    Attributes:
+        robot: Robot with the payload; without a stand, the robot without payload.
+        stand: Stand of the loaded robot; None if there is none.
+        cause: Reason why there is no stand; None with a stand.
+    """
 
     robot: Robot
     stand: Stand | None
@@ -423,12 +445,15 @@ class _LoadedStand:
 
     @cached_property
     def statics(self) -> GravityCompensation | None:
-        """Torques and contact forces of the stand with the trial payload; None without a stand."""
+        """Static equilibrium of the stand; None without a stand."""
         return None if self.stand is None else stand_statics(self.robot, self.stand)
 
 
 class _PayloadSearch:
-    """Search for the mass at which each bound fails."""
+    """Search for the bounds of stance, motors and servos.
+
+    Each ``find_..._failure`` method evaluates one mass [kg].
+    """
 
     def __init__(
         self,
@@ -440,12 +465,20 @@ class _PayloadSearch:
     ) -> None:
         self._robot, self._task, self._point = robot, task, point
         self._kp, self._kd = kp, kd
-        model_with_servos(robot, kp, kd)  # refuses what cannot be driven
-        self._last = 0.0, self._solve_stand(0.0)
+        model_with_servos(robot, kp, kd)  # raises ModelError if the robot has no servos
+        self._last_stand = 0.0, self._solve_stand(0.0)
 
-    def bounds(self) -> dict[str, Bound]:
-        """Return the bounds {name: bound} of stance, motors and servos."""
-        find_causes = {"stance": self.stance, "motors": self.motors, "servos": self.spectrum}
+    def find_bounds(self) -> dict[str, Bound]:
+        """Return the bounds {name: bound} of stance, motors and servos.
+
+        The mass grows until each bound has failed, the stance has failed, or the mass exceeds the
+        ceiling; then each bound that has failed is bisected.
+        """
+        find_causes = {
+            "stance": self.find_stance_failure,
+            "motors": self.find_motor_failure,
+            "servos": self.find_spectrum_failure,
+        }
         low = dict.fromkeys(find_causes, 0.0)
         high: dict[str, tuple[float, FailureCause]] = {}
         mass, ceiling = 0.0, UNLIMITED_MASS_RATIO * self._robot.total_mass
@@ -460,8 +493,8 @@ class _PayloadSearch:
                         break
             if high:
                 ceiling = min(ceiling, MAX_BOUND_RATIO * max(mass, self._robot.total_mass))
-            step = _MASS_GROWTH if not high else _FAST_MASS_GROWTH
-            mass = max(step * mass, _FIRST_MASS_RATIO * self._robot.total_mass)
+            growth = _MASS_GROWTH if not high else _FAST_MASS_GROWTH
+            mass = max(growth * mass, _FIRST_MASS_RATIO * self._robot.total_mass)
         unlimited = Bound(math.inf, Failure.NOTHING, ())
         bounds = {
             name: _bisect_mass(
@@ -472,100 +505,110 @@ class _PayloadSearch:
             for name in find_causes
         }
         bounds["servos"] = self._confirm_servo_bound(bounds)
-        first = min(bounds, key=lambda name: bounds[name].mass)
-        mass_limit = bounds[first].mass
-        if 0 < mass_limit < math.inf and first != "servos":  # whose edge is a doubling time
-            above = min(high[first][0], mass_limit * (1 + 2 * BOUND_RTOL))
-            cause = find_causes[first](above) or (bounds[first].failure, bounds[first].where)
-            bounds[first] = _bisect_mass(
-                find_causes[first], mass_limit, above, cause, BINDING_BOUND_RTOL * mass_limit
+        binding = min(bounds, key=lambda name: bounds[name].mass)
+        mass_limit = bounds[binding].mass
+        # The bound of the servos depends on a chosen doubling time, and is not refined.
+        if 0 < mass_limit < math.inf and binding != "servos":
+            above = min(high[binding][0], mass_limit * (1 + 2 * BOUND_RTOL))
+            cause = find_causes[binding](above) or (bounds[binding].failure, bounds[binding].where)
+            bounds[binding] = _bisect_mass(
+                find_causes[binding], mass_limit, above, cause, BINDING_BOUND_RTOL * mass_limit
             )
         return bounds
 
-    def stand_with(self, mass: float) -> _LoadedStand:
-        """Return the loaded stand with a mass [kg]; only the last one is cached, to save memory."""
-        if self._last[0] != mass:
-            self._last = mass, self._solve_stand(mass)
-        return self._last[1]
+    def get_loaded_stand(self, mass: float) -> _LoadedStand:
+        """Return the loaded stand with a mass [kg].
+
+        Only the last stand is cached: the model of each loaded robot contains its meshes.
+        """
+        if self._last_stand[0] != mass:
+            self._last_stand = mass, self._solve_stand(mass)
+        return self._last_stand[1]
 
     def _solve_stand(self, mass: float) -> _LoadedStand:
-        """Solve the loaded stand with a mass [kg]."""
+        """Solve the loaded stand with a mass [kg], or classify the failure."""
         try:
             return _LoadedStand(
                 *solve_loaded_stand(self._robot, self._task, mass, self._point), None
             )
         except StanceUnreachableError as error:
-            where = [*error.shortfall, *(one.subject.name for one in error.blocked if one.subject)]
-            return _LoadedStand(self._robot, None, (Failure.REACH, tuple(where)))
+            blocked = (reason.subject.name for reason in error.blocked if reason.subject)
+            return _LoadedStand(self._robot, None, (Failure.REACH, (*error.shortfall, *blocked)))
         except StaticsInfeasibleError as error:
             needed = error.friction_needed
             slides = needed is not None and needed <= _MAX_FRICTION_NEEDED
             failure = Failure.SLIDING if slides else Failure.TIPPING
             return _LoadedStand(self._robot, None, (failure, error.feet))
-        except NotSettlingError:  # it almost tips
+        except NotSettlingError:  # for example, a sole that is loaded at its edge
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
-    def stance(self, mass: float) -> FailureCause:
-        """Return why there is no loaded stand with a mass [kg]; None if there is one."""
-        loaded = self.stand_with(mass)
+    def find_stance_failure(self, mass: float) -> FailureCause:
+        """Return the reason why a loaded stand fails without considering its motors.
+
+        There is no stand, or a part other than a foot touches the ground.
+        """
+        loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
             return loaded.cause
         stand = loaded.stand
         with lend(loaded.robot, SearchContext) as context:
             shapes = context.shapes
-            # Parts at their actual positions, without the penetration that feet have.
+            # No depths: these would exempt parts from the penetration of the feet.
             geometry = shapes.move_to(stand.qpos), stand.task.ground, stand.rigid_targets
             lowest = shapes.lowest_part(*geometry, {})
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
-    def motors(self, mass: float) -> FailureCause:
-        """Return the motors above their limits with a mass [kg]; None if there are none."""
-        statics = self.stand_with(mass).statics
+    def find_motor_failure(self, mass: float) -> FailureCause:
+        """Return the motors above their torque limits; None without such a motor or a stand."""
+        statics = self.get_loaded_stand(mass).statics
         overloaded = () if statics is None else find_overloaded_motors(statics)
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
-        """Return the bound of the servos, after simulations just below and just above.
+        """Check the servo bound of the spectrum by simulations, and search again if it is wrong.
 
-        The spectrum gives the bound in milliseconds per mass; it is searched again by simulations
-        (``servos``) only if they disagree.
+        The spectrum is evaluated in milliseconds per mass. The simulations are run just below the
+        smallest bound and, if the servos set this bound, just above.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         if bound.failure is Failure.COMMAND or bound.mass == 0:
             return bound
-        most = min(bound.mass, *other_masses)
-        if not 0 < most < math.inf:
+        mass_limit = min(bound.mass, *other_masses)
+        if not 0 < mass_limit < math.inf:
             return bound
-        below = (1 - BOUND_RTOL) * most
-        if (cause := self.servos(below)) is not None:
-            if self.servos(0.0) is not None:
+        find_cause, below = self.find_servo_failure, (1 - BOUND_RTOL) * mass_limit
+        if (cause := find_cause(below)) is not None:
+            if find_cause(0.0) is not None:
                 return Bound(0.0, *cause)
-            return _bisect_mass(self.servos, 0.0, below, cause, BOUND_RTOL * below, SIMULATION_RTOL)
-        if bound.mass > most:
+            return _bisect_mass(find_cause, 0.0, below, cause, BOUND_RTOL * below, SIMULATION_RTOL)
+        if bound.mass > mass_limit:
             return bound
         low, high = bound.mass, (1 + SIMULATION_RTOL) * bound.mass
-        while (cause := self.servos(high)) is None:
+        while (cause := find_cause(high)) is None:
             low, high = high, _MASS_GROWTH * high
             if high > min(other_masses):
                 return Bound(math.inf, Failure.NOTHING, ())
-        return _bisect_mass(self.servos, low, high, cause, SIMULATION_RTOL * low)
+        return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
 
-    def spectrum(self, mass: float) -> FailureCause:
-        """Return why the servos do not hold a mass [kg], from the linearised dynamics only.
+    def find_spectrum_failure(self, mass: float) -> FailureCause:
+        """Return the servo failure according to the spectrum only; see ``find_servo_failure``.
 
-        The reasons are those of ``servos``, without simulation. Modes that dry friction hides are
-        omitted, and modes that depend on the finite-difference step: only a simulation decides on
-        both.
+        Two kinds of modes are omitted, since only a simulation decides on them: modes that dry
+        friction hides, and modes that depend on the finite-difference step.
         """
-        return self.servos(mass, simulated=False)
+        return self.find_servo_failure(mass, is_simulated=False)
 
-    def servos(self, mass: float, *, simulated: bool = True) -> FailureCause:
-        """Return why servos do not hold a mass [kg]: a command out of range, or a mode that grows.
+    def find_servo_failure(self, mass: float, *, is_simulated: bool = True) -> FailureCause:
+        """Return the reason why servos do not hold a stand; None without a failure or a stand.
 
-        Motor torques are unlimited here: a saturated motor has no stiffness, and is a bound of its
-        own.
+        A command is out of its range, or a mode leaves the stand. The motor torques are unlimited:
+        torque limits belong to the bound of the motors.
+
+        Args:
+            mass: Mass of the payload [kg].
+            is_simulated: Whether a simulation must confirm the growth of the modes.
         """
-        loaded = self.stand_with(mass)
+        loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
             return None
         start = make_stand_start(loaded.robot, loaded.stand, kp=self._kp, kd=self._kd)
@@ -573,13 +616,13 @@ class _PayloadSearch:
         lead = compute_command_lead(loaded.statics.joint_torques, drive.kp)
         target = loaded.stand.joint_positions(loaded.robot) + lead
         low, high = command_ranges(loaded.robot).T
-        if (beyond := (target < low) | (target > high)).any():
-            return Failure.COMMAND, tuple(names[index] for index in np.flatnonzero(beyond))
+        if (out_of_range := (target < low) | (target > high)).any():
+            return Failure.COMMAND, tuple(names[index] for index in np.flatnonzero(out_of_range))
         drive.model.actuator_forcelimited[:] = 0
         drive.model.jnt_actfrclimited[:] = 0
-        evaluate = evaluate_stability if simulated else evaluate_spectrum
+        evaluate = evaluate_stability if is_simulated else evaluate_spectrum
         leaving = evaluate(drive, start.start, start.ctrl).modes_growing_within()
-        if not simulated:
+        if not is_simulated:
             leaving = tuple(mode for mode in leaving if mode.repeated and not mode.freed)
         if not leaving:
             return None

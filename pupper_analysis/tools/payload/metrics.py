@@ -1,4 +1,4 @@
-"""What a study may measure: {name: the arguments of a metric of it}."""
+"""Metric of studies: the largest payload [kg]. ``METRICS``: {name: arguments of the metric}."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any
 from pupper_analysis.tools.payload.limit import payload_limit
 
 
-def _measure(design: Any) -> float:
+def _measure_payload(design: Any) -> float:
+    """Compute the largest payload of a design [kg]; not a number if the payload is unknown."""
     return payload_limit(design.robot, design.stand, design.point, **design.gains).mass
 
 
 METRICS: dict[str, dict[str, Any]] = {
-    "payload_limit": {"function": _measure, "unit": "kg", "simulates": True},
+    "payload_limit": {"function": _measure_payload, "unit": "kg", "simulates": True},
 }
