@@ -1,4 +1,4 @@
-"""Find how hard a push it withstands, and where."""
+"""Find the largest pushes from which a stand recovers."""
 
 HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

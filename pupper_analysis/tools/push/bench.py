@@ -1,7 +1,7 @@
 """Simulate stands with a force on the base, and judge whether the robot recovers.
 
-`PushBench` runs pushes in MuJoCo, fully or until the outcome is decided; `simulate_push` applies
-one push.
+`PushBench` simulates pushes in MuJoCo, to the end or until the outcome is decided. `simulate_push`
+simulates one push, and returns its outcome with the motion.
 """
 
 from __future__ import annotations
@@ -39,35 +39,36 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 PULSE_DURATION = 0.02
-"""Duration of the force of a push [s], rounded to whole time steps. Chosen, not tuned: short
+"""Duration of a push [s], rounded to whole time steps, at least one. Chosen, not tuned: short
 compared with a fall, which takes about 0.3 s."""
 
 MAX_RESTING_SPEED = 0.01
-"""Largest speed of the base in the last half second of a robot at rest [m/s]; the creep speed
-without a push is added. Chosen, not tuned."""
+"""Largest speed of the base in the last ``_REST_DURATION`` of a robot that has recovered [m/s]; the
+creep speed without a push is added. Chosen, not tuned."""
 
 _REST_DURATION = 0.5
 """Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
 _MIN_CHECK_INTERVAL = 0.5
-"""Simulated time between two tests whether a simulation can end early [s]. Measured on v3-long-leg:
-with half of the value, slow phases of a fall pass for rest, and its limits must be searched
-again."""
+"""Simulated time between two tests whether a simulation can end early [s]; at least the duration of
+the push. Measured on v3-long-leg: with half of the interval, slow phases of a fall are taken for
+rest, and the limits must be searched again."""
 
 _SLOW_DURATION = 0.1
 """Time in which all velocities must be small before the spectrum is evaluated [s]. Chosen, not
 tuned."""
 
-_REST_SPEED = 0.02
-"""Largest speed of a coordinate during ``_SLOW_DURATION`` [m/s or rad/s]. A robot that almost tips
-is as slow for a while; only the spectrum distinguishes this robot from a robot that stands. Chosen,
-not tuned."""
+_MAX_SLOW_SPEED = 0.02
+"""Largest velocity of a coordinate in ``_SLOW_DURATION`` [m/s, rad/s]. A robot that almost tips may
+be slower for a while; the spectrum then contains the mode of the fall. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.004
-"""Time between the states whose contacts are evaluated [s]. Chosen, not tuned."""
+"""Time between the states whose ground contacts or motor torques are evaluated [s]. Chosen, not
+tuned."""
 
 _MAX_BATCH_VALUES = 2**25
-"""Largest number of 8-byte values of one rollout. Chosen, not tuned."""
+"""Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has
+more. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,8 @@ class PushSettings(SimulationSettings):
     """Settings of the pushes and of their simulation.
 
     Attributes:
-        point: (3,) point of application in the world: CoM of the base body in the stand (m).
-        pulse: Duration of the push (s).
+        point: (3,) point of application in the world: CoM of the base body in the stand [m].
+        pulse: Duration of the push [s].
     """
 
     point: Array = field(metadata={"unit": "m"})
@@ -88,13 +89,13 @@ class PushBench:
     """Simulations of a stand with pushes on its base.
 
     Attributes:
-        held: Start of the simulation, at rest.
+        held: Initial state at rest, with the servo commands.
         axes: Push directions, horizontal unit vectors in the world, shape (n, 2).
         duration: Simulated time of a push [s].
-        feedforward: Whether the command contains the stand's torques.
+        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
         unpushed: Failures without a push, from ``verify_stand``; empty if the robot stays on its
             feet.
-        rollouts: Number of simulated pushes.
+        rollouts: Number of simulated pushes so far, including simulations without a push.
     """
 
     held: StandStart
@@ -120,46 +121,47 @@ class PushBench:
 
     @cached_property
     def creep(self) -> float:
-        """Largest speed of the base [m/s] at the end of a simulation without a push.
-
-        It is not zero on a slope, since MuJoCo's friction creeps.
-        """
+        """Largest final speed of the base without a push [m/s]: feet creep on MuJoCo's friction."""
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
-        return self._last_speed(states)
+        return self._measure_final_speed(states)
 
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes to the end; return for each its failure, None after a recovery."""
-        return [self.find_failure(run) for run in self.simulate_pushes(directions, impulses)]
+        """Simulate pushes to the end, and return the failure of each; None after a recovery.
+
+        Args:
+            directions: Indices of the axes, shape (n,).
+            impulses: Impulses, shape (n,) [N s].
+        """
+        return [self.find_failure(states) for states in self.simulate_pushes(directions, impulses)]
 
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes until each outcome is decided.
+        """Simulate pushes until each outcome is decided; see ``simulate_fully``.
 
-        The result has the form of ``simulate_fully``: a failure or None for each push. A simulation
-        ends early if it diverges, a body other than a foot touches the ground, or the
-        robot is at rest without a growing mode.
+        A simulation ends early if it diverges, if a body other than a foot touches the ground, or
+        if the robot is at rest and no mode leaves that state.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
         tails = [np.empty((0, len(self.start)))] * count
         running, starts = list(range(count)), np.tile(self.start, (count, 1))
-        forces = self._push_forces(directions, impulses)
-        part = max(self.pulse_steps, round(_MIN_CHECK_INTERVAL / self.timestep))
+        forces = self._compute_push_forces(directions, impulses)
+        interval = max(self.pulse_steps, round(_MIN_CHECK_INTERVAL / self.timestep))
         self.rollouts += count
-        for begin in range(0, self.steps, part):
-            steps = min(part, self.steps - begin)
-            ended, last = [], begin + steps == self.steps
-            runs = self._roll_out_batches(
+        for begin in range(0, self.steps, interval):
+            steps = min(interval, self.steps - begin)
+            ended, is_last = [], begin + steps == self.steps
+            rollouts = self._roll_out_batches(
                 starts[running], forces[running], steps, pushed=begin == 0
             )
-            for index, states in zip(list(running), runs, strict=True):
+            for index, states in zip(list(running), rollouts, strict=True):
                 starts[index] = states[-1]
                 tails[index] = np.concatenate([tails[index], states])[-self._num_rest_states :]
                 failure = self._find_early_failure(states)
-                if failure is None and last:
+                if failure is None and is_last:
                     failure = _combine_failures(self._find_end_failures(tails[index]))
                     ended.append(index)
                 elif failure is not None or self._is_at_rest(states):
@@ -171,7 +173,7 @@ class PushBench:
         return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
-        """Simulate pushes; yield the states after each step of each push, shape (n, size).
+        """Simulate pushes to the end, and yield the states of each push, shape (steps, size).
 
         Args:
             directions: Indices of the axes, shape (n,).
@@ -180,18 +182,21 @@ class PushBench:
         self.rollouts += len(directions)
         starts = np.tile(self.start, (len(directions), 1))
         yield from self._roll_out_batches(
-            starts, self._push_forces(directions, impulses), self.steps, pushed=True
+            starts, self._compute_push_forces(directions, impulses), self.steps, pushed=True
         )
 
-    def _push_forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
-        """Compute the forces of pushes, shape (n, 2) [N]."""
+    def _compute_push_forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
+        """Compute the horizontal forces of pushes, shape (n, 2) [N]: impulse / duration."""
         forces: Array = impulses[:, None] * self.axes[directions]
         return forces / (self.pulse_steps * self.timestep)
 
     def _roll_out_batches(
         self, starts: Array, forces: Array, steps: int, *, pushed: bool
     ) -> Iterator[Array]:
-        """Simulate steps from states (n, size), with forces in the first steps if ``pushed``."""
+        """Simulate steps from states (n, size), and yield the states (steps, size) of each.
+
+        If ``pushed``, the forces (n, 2) [N] act on the base during the first ``pulse_steps``.
+        """
         model = self.drive.model
         width = model.nu + 6 * model.nbody
         size = max(1, _MAX_BATCH_VALUES // (steps * (width + len(self.start))))
@@ -205,19 +210,19 @@ class PushBench:
             yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
     def find_failure(self, states: Array) -> Diagnostic | None:
-        """Return the failure of a push that was simulated to the end; None after a recovery.
-
-        Args:
-            states: MuJoCo states (mjSTATE_FULLPHYSICS) of the simulation, one per row.
-        """
-        broken = self._find_early_failure(states)
-        if broken is not None and monitor.has_diverged(states, self.timestep):
-            return broken
-        failures = [] if broken is None else [broken]
+        """Return the failure of a complete simulation; None if the robot recovers."""
+        early_failure = self._find_early_failure(states)
+        if early_failure is not None and monitor.has_diverged(states, self.timestep):
+            return early_failure
+        failures = [] if early_failure is None else [early_failure]
         return _combine_failures(failures + self._find_end_failures(states))
 
     def _find_early_failure(self, states: Array) -> Diagnostic | None:
-        """Return divergence, or a body other than a foot on the ground; None without either."""
+        """Return the failure that ends a simulation: divergence, or a body on the ground.
+
+        Returns:
+            The failure; None if the states are finite and only feet touch the ground.
+        """
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
         for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
@@ -227,12 +232,16 @@ class PushBench:
         return None
 
     def _find_end_failures(self, states: Array) -> list[Diagnostic]:
-        """Return the failures at the end of states that cover at least half a second."""
+        """Return the failures at the end of a simulation: a fall, or a base in motion.
+
+        Args:
+            states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
+        """
         failures = []
         if self.upright.has_fallen(states[-1]):
             height = float(monitor.base_heights(self.robot, states[-1]))
             failures.append(monitor.describe_fall(self.upright.tilt(states[-1]), height))
-        speed = self._last_speed(states)
+        speed = self._measure_final_speed(states)
         if speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep:
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
         return failures
@@ -242,18 +251,21 @@ class PushBench:
         """Number of final states in which the robot must be at rest."""
         return round(_REST_DURATION / self.timestep)
 
-    def _last_speed(self, states: Array) -> float:
-        """Return the largest final speed of the base [m/s]: linear + angular x CoM height."""
+    def _measure_final_speed(self, states: Array) -> float:
+        """Return the largest speed of the base in ``_REST_DURATION`` [m/s].
+
+        The speed is the sum of the linear speed and the angular speed times the CoM height.
+        """
         last = states[-self._num_rest_states :, 1 + self.drive.model.nq :]
         rates = last[:, self.robot.mj_convention.qvel_index[:6]]
         linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
         return float((linear + self.upright.com_height * angular).max())
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if the robot is slow, upright, and no mode of its spectrum grows."""
+        """Return True if the robot is slow and upright, and no mode leaves this state."""
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
-        if np.abs(rates).max(initial=0.0) > _REST_SPEED:
+        if np.abs(rates).max(initial=0.0) > _MAX_SLOW_SPEED:
             return False
         end = states[-1]
         if self.upright.has_fallen(end):
@@ -261,7 +273,7 @@ class PushBench:
         return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
 
     def peak_torques(self, direction: int, impulse: float) -> Array:
-        """Compute the largest torque magnitude of each motor during a push, shape (nu,) [N m].
+        """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
 
         Args:
             direction: Index of the axis.
@@ -276,7 +288,7 @@ class PushBench:
         return peaks
 
     def point(self) -> Array:
-        """Return MuJoCo's point of application, the CoM of the base body, shape (3,) [m]."""
+        """Return the point of application in the world: CoM of the base body, shape (3,) [m]."""
         data = self.robot.placed(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
@@ -313,7 +325,7 @@ def make_push_bench(
     integrator: str | None,
     verification: StandVerification | None = None,
 ) -> PushBench:
-    """Prepare the simulation of pushes on the base of a standing robot, as for ``push_recovery``.
+    """Create the simulations of a stand with pushes; see ``push_recovery``.
 
     Args:
         robot: The robot.
@@ -332,28 +344,28 @@ def make_push_bench(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
-    alone = verification or verify_stand(
+    unpushed = verification or verify_stand(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
-    held = make_stand_start(
+    start = make_stand_start(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
-    in_world = angles + math.atan2(forward[1], forward[0])
+    world_angles = angles + math.atan2(forward[1], forward[0])
     return PushBench(
-        held=held,
-        axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
+        held=start,
+        axes=np.column_stack([np.cos(world_angles), np.sin(world_angles)]),
         duration=duration,
         feedforward=feedforward,
-        unpushed=() if alone.stays else alone.failures,
+        unpushed=() if unpushed.stays else unpushed.failures,
     )
 
 
 _FRAME_TIME = 1 / 30
-"""Time between the configurations of the result [s]: a fall of 0.3 s has ten. Chosen, not
-tuned."""
+"""Time between the configurations of ``PushTrial.motion`` [s]: nine intervals in a fall of 0.3 s.
+Chosen, not tuned."""
 
 MAX_IMPULSE = 1e6
-"""Largest impulse [N s]; larger values overflow. Chosen, not tuned."""
+"""Largest valid impulse [N s]. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,11 +375,12 @@ class PushTrial(PushSettings):
     Attributes:
         recovered: Whether the robot recovers, as in ``push_recovery``.
         failure: Failure of the robot; None after a recovery.
-        impulse: Impulse (N s).
-        direction: Direction about the vertical (rad): 0 is the base's forward, pi/2 its left.
-        velocity_step: impulse / mass (m/s).
-        motion_time: (m,) times of the configurations, from the push on (s).
-        motion: (m, nq) configurations at these times, rounded to six digits, for animations.
+        impulse: Impulse of the push [N s].
+        direction: Direction of the push about the vertical [rad]: 0 is the base's forward, pi/2 its
+            left.
+        velocity_step: Change of the robot's velocity: impulse / mass [m/s].
+        motion_time: (m,) times of the configurations from the start of the push [s].
+        motion: (m, nq) configurations at these times, rounded to six decimals.
     """
 
     recovered: bool
@@ -392,25 +405,25 @@ def simulate_push(
     feedforward: bool = True,
     integrator: str | None = None,
 ) -> PushTrial:
-    """Simulate one push of a stand, and judge whether the robot recovers.
+    """Simulate one push on a stand; ``push_recovery`` finds the largest one with a recovery.
 
-    The push and the criteria of recovery are those of `push_recovery`, which searches for the
-    largest push. If the robot does not stand without a push, no push counts as recovered.
+    Push and recovery are defined in ``push_recovery``. A robot that does not stay on its feet
+    without a push does not recover.
 
     Args:
-        robot: Robot with a floating base.
-        stand: Stand.
-        impulse: Impulse [N s].
-        direction: Direction about the vertical [rad]: 0 is the base's forward, pi/2 its left; at
-            most 2 pi in magnitude.
-        duration: Simulated time from the start of the push [s], 2 to 600.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        robot: The robot.
+        stand: The stand.
+        impulse: Impulse of the push [N s].
+        direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
+            its left.
+        duration: Simulated time from the push on [s], at least 2.
+        kp: Servo stiffness [N m/rad]; the model's own by default.
+        kd: Servo damping [N m s/rad]; the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo integrator. Default: the model's.
 
     Returns:
-        Outcome and motion, without frames that are not finite.
+        The outcome, with the motion. If the simulation diverges, its finite states are included.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
@@ -441,7 +454,7 @@ def simulate_push(
     if bench.unpushed:
         failure = diagnose("without-a-push", failures=bench.unpushed)
     frames = states[:: max(1, round(_FRAME_TIME / bench.timestep))]
-    frames = frames[np.isfinite(frames).all(axis=1)]  # after a divergence the rest can be drawn
+    frames = frames[np.isfinite(frames).all(axis=1)]  # also after a divergence
     return PushTrial(
         recovered=failure is None,
         failure=failure,

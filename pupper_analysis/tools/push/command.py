@@ -1,4 +1,4 @@
-"""``pupper-analysis push``: find the largest push from which each robot recovers."""
+"""Command ``pupper-analysis push``: find the largest pushes from which robots recover."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Documents of pushes: the largest push of a stance in each direction, and a single push."""
+"""Documents of pushes: largest impulses of a stance by direction, and response to one push."""
 
 from __future__ import annotations
 
@@ -30,33 +30,37 @@ Array = NDArray[np.float64]
 
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
-    """Build the document of the largest pushes in each direction that the robot survives."""
+    """Create the document of the largest pushes of a stance; see ``build_document``."""
     unpushed = pushed.recovery.unpushed
     return judged_document(
         text("pushes"),
         pushed,
         (
             view_block(robot, pushed.stand, None),
-            _make_push_table(pushed),
+            _push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        (*_describe_weakest_direction(pushed), task_text(pushed.stand.task)),
+        (*_describe_weakest_push(pushed), task_text(pushed.stand.task)),
         details=(ground_text(pushed.stand.depths.values()),),
         failures=(text("it-does-not-stand-so"),) if unpushed else (),
         notes=robot_notes(robot),
     )
 
 
-def _describe_weakest_direction(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield the line with the weakest direction; the mass if the robot does not stand."""
+def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
+    """State the weakest direction, its impulse and its failure.
+
+    Of a robot that falls without a push, only the mass is stated. If torque limits are unknown, the
+    largest torque of a motor without limit is stated in place of the failure.
+    """
     recovery = pushed.recovery
     if recovery.unpushed:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
         return
     if pushed.peak_torques is not None:
         names, peaks = pushed.joint_names, pushed.peak_torques
-        indices = [names.index(name) for name in pushed.unknown_limits]
-        hardest = max(indices, key=lambda index: float(peaks[index]))
+        unlimited = [names.index(name) for name in pushed.unknown_limits]
+        hardest = max(unlimited, key=lambda joint: float(peaks[joint]))
         yield text(
             "push-unknown",
             impulse=f"{recovery.weakest_impulse:.2f}",
@@ -76,8 +80,8 @@ def _describe_weakest_direction(pushed: PushedStance) -> Iterable[doc.Words]:
     )
 
 
-def _make_push_table(pushed: PushedStance) -> doc.Table:
-    """Make the table with the largest push and its failure for each direction."""
+def _push_table(pushed: PushedStance) -> doc.Table:
+    """Create the table of the largest pushes, one direction per row."""
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -112,14 +116,14 @@ def _make_push_table(pushed: PushedStance) -> doc.Table:
 
 
 def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
-    """Make the plot of the largest pushes of several robots over the direction.
+    """Create the plot of the largest pushes over the direction, one line per robot.
 
     Args:
-        pushed: {name of the robot: result}.
-        rigid: Name of the robot whose tipping estimate is also drawn, if the estimate is finite.
+        pushed: {robot: largest pushes}.
+        rigid: Robot whose tipping estimate is drawn as well, if finite in all directions.
     """
     series = [
-        _make_closed_series(
+        _closed_series(
             doc.Name(name),
             recovery.directions,
             recovery.impulses,
@@ -128,12 +132,11 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
         )
         for name, recovery in pushed.items()
     ]
-    rigid_recovery = pushed[rigid]
-    if np.isfinite(rigid_recovery.tipping_estimate).all():
+    tipping = pushed[rigid]
+    if np.isfinite(tipping.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
-        estimate = rigid_recovery.tipping_estimate
         series.append(
-            _make_closed_series(name, rigid_recovery.directions, estimate, reference=True)
+            _closed_series(name, tipping.directions, tipping.tipping_estimate, reference=True)
         )
     return doc.LinePlot(
         text("largest-push-that-the-stand-survives"),
@@ -144,33 +147,31 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     )
 
 
-def _make_closed_series(
-    name: doc.Words, directions: Array, values: Array, **more: Any
-) -> doc.Series:
-    """Make a series over all directions, closed at 360 deg with the first value."""
+def _closed_series(name: doc.Words, directions: Array, values: Array, **options: Any) -> doc.Series:
+    """Create a line over directions [rad] that ends at the first value, drawn at 360 deg."""
     degrees = np.append(np.degrees(directions), 360.0)
-    return doc.Series(name, degrees, np.append(values, values[0]), points=True, **more)
+    return doc.Series(name, degrees, np.append(values, values[0]), points=True, **options)
 
 
 @compare_results.register(PushedStance)
 def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.Block, ...]:
-    """Make the table and plot of the largest pushes of several robots.
+    """Create a table and a plot of the largest pushes of several robots.
 
     Args:
-        first: Result of the first robot, whose tipping estimate is drawn.
-        results: Results of all robots.
+        first: First result.
+        results: Results of all robots, the first one included.
 
     Returns:
-        Table and plot; empty if the directions of the robots differ.
+        The blocks; none if the directions of the results differ.
     """
     pushes = cast("Sequence[PushedStance]", results)
     directions = first.recovery.directions
-    if len({result.recovery.directions.tobytes() for result in pushes}) != 1:
+    if len({pushed.recovery.directions.tobytes() for pushed in pushes}) != 1:
         return ()
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.number_cell(math.degrees(angle), ".0f"),
-            *(doc.number_cell(result.recovery.impulses[index], ".2f") for result in pushes),
+            *(doc.number_cell(pushed.recovery.impulses[index], ".2f") for pushed in pushes),
         )
         for index, angle in enumerate(directions)
     ]
@@ -178,18 +179,18 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         text("largest-push-that-the-stand"),
         (
             doc.Column(text("direction"), "°"),
-            *(doc.Column(doc.Name(result.name), "N s") for result in pushes),
+            *(doc.Column(doc.Name(pushed.name), "N s") for pushed in pushes),
         ),
         tuple(rows),
         (text("push-directions"),),
     )
-    recoveries = {result.name: result.recovery for result in pushes}
+    recoveries = {pushed.name: pushed.recovery for pushed in pushes}
     return table, push_plot(recoveries, first.name)
 
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Build the document of a single simulated push."""
+    """Create the document of one simulated push; see ``build_document``."""
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),

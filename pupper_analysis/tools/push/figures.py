@@ -1,4 +1,4 @@
-"""Figure of the largest pushes: impulse over direction, seen from above."""
+"""Figure of the largest pushes of robots: impulse over direction, seen from above."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from pupper_analysis.tools.push.recovery import PushRecovery
 
 
 def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
-    """Draw the largest push that each robot survives over its direction; forward is up.
+    """Draw the largest push of each robot over the direction, with forward upwards.
+
+    The tipping estimate of the first robot is drawn as well, if finite.
 
     Args:
-        results: {name in the legend: result}, at most five. The tipping estimate of the first
-            robot is also drawn.
-        path: PNG file to write.
+        results: {name in the legend: largest pushes}.
+        path: PNG file that is written.
 
     Raises:
         ConfigurationError: If there are more than five robots.
         OutputError: If the file cannot be written.
     """
-    if len(results) >= NUM_SERIES_STYLES:  # the tipping estimate needs a style as well
+    if len(results) >= NUM_SERIES_STYLES:  # one style is used by the tipping estimate
         raise ConfigurationError(
             "results", diagnose("too-many-to-tell-apart", most=NUM_SERIES_STYLES - 1)
         )

@@ -1,4 +1,4 @@
-"""Metrics of pushes for design studies."""
+"""Metric of studies: the weakest push [N s]. ``METRICS``: {name: arguments of the metric}."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 from pupper_analysis.tools.push.recovery import push_recovery, unknown_push_limits
 
 
-def _measure_weakest_impulse(design: Any) -> float:
-    """Compute the largest push in the weakest direction [N s]; not a number if unknown."""
+def _measure_weakest_push(design: Any) -> float:
+    """Compute the smallest push of a design [N s]; not a number if a torque limit is unknown."""
     if unknown_push_limits(design.robot):
         return math.nan
     return push_recovery(design.robot, design.held).weakest_impulse
 
 
 METRICS: dict[str, dict[str, Any]] = {
-    "push_recovery": {"function": _measure_weakest_impulse, "unit": "N s", "simulates": True},
+    "push_recovery": {"function": _measure_weakest_push, "unit": "N s", "simulates": True},
 }
 """{name of the metric: arguments of its `Metric`}."""

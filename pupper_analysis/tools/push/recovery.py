@@ -1,4 +1,8 @@
-"""Find the largest horizontal impulse, in each direction, from which a stand recovers."""
+"""Find the largest horizontal impulse, in each direction, from which a stand recovers.
+
+`push_recovery` bisects the impulses by simulations of a `PushBench`; `tipping_impulses` is the
+estimate for a rigid robot. `study_pushes` solves, judges and pushes several robots in one stance.
+"""
 
 from __future__ import annotations
 
@@ -35,25 +39,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PushedStance(Result):
-    """Stance with the largest pushes from which the robot recovers.
+    """A stance, and the largest pushes from which the robot recovers.
 
     Attributes:
         name: Name of the robot.
-        joint_names: (nu,) names of the joints in actuator order.
-        stand: Pushed stand, with the feet sunk into MuJoCo's soft ground; the stand on rigid ground
-            if the stand on soft ground cannot be solved.
-        recovery: Largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, because the
-            simulated torque of a motor with an unknown limit is not limited.
-        impulse: Largest push in the weakest direction (N s); not a number if ``code`` is
-            ``unknown``.
-        code: ``unknown`` if ``unknown_limits`` has an entry, otherwise ``zero`` if a motor has no
-            torque, otherwise ``stated``.
-        unknown_limits: Joints that carry a foot or are coupled, and whose torque limit no file
-            states.
-        peak_torques: (nu,) largest torque magnitude of each motor during the weakest push of
-            ``recovery`` (N m); None if ``code`` is not ``unknown``, or the robot does not stand.
-        verdict: Verdict of the stance without a push, with feed-forward. A robot that stands, but
-            not as predicted, is pushed nevertheless.
+        joint_names: (nu,) joints, in actuator order.
+        stand: Pushed stand: the feet penetrate the simulated ground; on rigid ground if that stand
+            is out of reach (``solve_stand_as_simulated``).
+        recovery: Largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, since a motor
+            without a torque limit is simulated with unlimited torque.
+        impulse: Impulse in the weakest direction [N s]; not a number if ``code`` is ``unknown``.
+        code: ``unknown`` if a motor that carries the robot has an unknown torque limit; else
+            ``zero`` if a motor has no torque, else ``stated``.
+        unknown_limits: Motors that carry the robot and whose torque limit no file states.
+        peak_torques: (nu,) largest |torque| of each motor during the weakest push of ``recovery``
+            [N m]; None if ``unknown_limits`` is empty, or the robot does not stand without a push.
+        verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on its
+            feet although the verdict fails is pushed as well.
     """
 
     name: str
@@ -68,7 +70,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the verdict without a push is a success."""
+        """Whether the stance holds without a push."""
         return self.verdict.passed
 
 
@@ -81,15 +83,15 @@ def study_pushes(
     directions: int = 12,
     resolution: float = 0.02,
 ) -> dict[str, PushedStance]:
-    """Find the largest pushes that robots withstand in a stance (about three seconds per robot).
+    """Find the largest pushes of robots in a stance (about three seconds per robot).
 
-    All stands are solved before the first push is simulated.
+    The stands of all robots are solved before the first robot is pushed.
 
     Args:
         robots: Robots with different names.
-        task: Stand task of all robots.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        task: Task of all stands.
+        kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
         directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
 
@@ -97,41 +99,40 @@ def study_pushes(
         {name of the robot: result}.
 
     Raises:
-        StanceUnreachableError: If the stance is out of reach of a robot.
-        StaticsInfeasibleError: If no contact forces balance the stance of a robot.
-        ConfigurationError: If the task or another argument is invalid for a robot.
+        StanceUnreachableError: If the stance is out of reach.
+        StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
+        ConfigurationError: If the task, or another argument, is invalid for a robot.
         ModelError: If a robot has no position servos, and kp and kd are not both given.
     """
     stands = [solve_stand(robot, task) for robot in robots]
     results = {}
-    for robot, stand in zip(robots, stands, strict=True):
-        sunk_stand = solve_stand_as_simulated(robot, stand)
-        verification = verify_stand(robot, sunk_stand, kp=kp, kd=kd, duration=HOLD_DURATION)
+    for robot, rigid_stand in zip(robots, stands, strict=True):
+        stand = solve_stand_as_simulated(robot, rigid_stand)
+        verification = verify_stand(robot, stand, kp=kp, kd=kd, duration=HOLD_DURATION)
         recovery = push_recovery(
             robot,
-            sunk_stand,
+            stand,
             kp=kp,
             kd=kd,
             directions=directions,
             resolution=resolution,
             verification=verification,
         )
-        statics = stand_statics(robot, sunk_stand)
+        statics = stand_statics(robot, stand)
         verdict = judge_simulation(
-            robot, stand, verification, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
+            robot, rigid_stand, verification, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
         )
-        unknown = unknown_push_limits(robot)
+        unknown_limits = unknown_push_limits(robot)
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
         if any(limit.without_torque for limit in list_driven_limits(robot)):
             code = EffortCode.ZERO
-        if unknown:
+        if unknown_limits:
             code, impulse = EffortCode.UNKNOWN, math.nan
             if not recovery.unpushed:
-                angle = np.array([recovery.weakest_direction])
                 bench = make_push_bench(
                     robot,
-                    sunk_stand,
-                    angle,
+                    stand,
+                    np.array([recovery.weakest_direction]),
                     duration=recovery.duration,
                     kp=kp,
                     kd=kd,
@@ -143,11 +144,11 @@ def study_pushes(
         results[robot.name] = PushedStance(
             name=robot.name,
             joint_names=robot.joint_names,
-            stand=sunk_stand,
+            stand=stand,
             recovery=recovery,
             impulse=impulse,
             code=code,
-            unknown_limits=unknown,
+            unknown_limits=unknown_limits,
             peak_torques=peaks,
             verdict=verdict,
         )
@@ -155,17 +156,17 @@ def study_pushes(
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that carry a foot or are coupled, and whose torque limit no file states."""
-    free = free_joints(robot)
-    unknown = (
+    """Return the joints that carry a foot, or are coupled, and have no stated torque limit."""
+    unloaded_joints = free_joints(robot)
+    unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )
-    return tuple(name for name in unknown if name not in free)
+    return tuple(joint for joint in unknown_joints if joint not in unloaded_joints)
 
 
 CHECKED_LEVELS = 8
-"""Number of smaller pushes per direction that are simulated after a limit is found. Chosen, not
-tuned."""
+"""Number of smaller pushes per direction, at equal distances, that are simulated after the
+bisection. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,21 +174,21 @@ class PushRecovery(PushSettings, Tabular):
     """Largest push in each of n directions from which a stand recovers, with the ``PushSettings``.
 
     Attributes:
-        directions: (n,) directions about the vertical (rad): 0 is the base's forward, pi/2 its
+        directions: (n,) directions about the vertical [rad]: 0 is the base's forward, pi/2 its
             left.
         impulses: (n,) largest push from which the robot recovers, as from each smaller simulated
-            push (N s); a push that is larger by at most ``resolution`` fails.
-        velocity_steps: (n,) impulse / mass (m/s).
+            push [N s]; a push that is larger by at most ``resolution`` fails.
+        velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
         failures: (n,) failure of the larger push.
-        bisected: (n,) result of the bisection (N s), before the check of smaller pushes; larger
-            than ``impulses`` if a smaller push failed, or the push failed when it was simulated to
-            the end.
-        tipping_estimate: (n,) impulse that tips the robot over if it were rigid (N s).
-        weakest_direction: Direction with the smallest impulse (rad).
-        weakest_impulse: Smallest impulse (N s).
+        bisected: (n,) result of the bisection [N s], before the check of smaller pushes; larger
+            than ``impulses`` if a smaller push failed.
+        tipping_estimate: (n,) impulse that tips the robot over if it were rigid [N s]; infinite if
+            the feet span no polygon.
+        weakest_direction: Direction with the smallest impulse [rad].
+        weakest_impulse: Smallest impulse [N s].
         weakest_failure: Failure in the weakest direction.
-        mass: Mass of the robot (kg).
-        resolution: Resolution of the impulses (N s).
+        mass: Mass of the robot [kg].
+        resolution: Resolution of the impulses [N s].
         rollouts: Number of simulated pushes.
         unpushed: Failures without a push, from ``verify_stand``; empty if the robot stands, as
             predicted or not.
@@ -208,6 +209,7 @@ class PushRecovery(PushSettings, Tabular):
     unpushed: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
+        """Return the columns of the table, one row per direction."""
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
         values = (
             self.directions,
@@ -220,8 +222,7 @@ class PushRecovery(PushSettings, Tabular):
 
 
 MIN_RESOLUTION = 1e-6
-"""Lower bound of the requested resolution of an impulse [N s]. Chosen, not tuned: simulations are
-not more accurate."""
+"""Smallest valid resolution of an impulse [N s]. Chosen, not tuned."""
 
 
 @check_arguments
@@ -242,22 +243,23 @@ def push_recovery(
 
     The push is a constant force for 20 ms from t = 0 on, at the CoM of the base body, on a robot at
     rest in balance. A force is defined for all contacts; an initial velocity would have to include
-    the feet, against friction, or exclude them, against the joints. The servos hold the stand.
+    the feet, against friction, or exclude the feet, against the joints. The servos hold the stand.
     (Without feed-forward the robot starts to sag during the push.)
 
-    A stand that ``verify_stand`` finds not to stay on its feet withstands no push.
+    A stand that does not stay on its feet in ``verify_stand`` withstands no push.
 
-    The robot recovers if only its feet touched the ground, and if at the end its base tilts by less
-    than 0.5 rad, has kept at least half of its height (measured at the CoM of the stand), and is at
-    rest. The robot may slide or turn about the vertical. A simulation ends early once another body
-    touches the ground, or the robot is at rest and no mode grows (``step_stability``); the returned
+    The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
+    base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
+    rest. The robot may slide or turn about the vertical. A simulation ends early if another body
+    touches the ground, or if the robot is at rest and no mode leaves this state; the returned
     limits were simulated to the end.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
-    example by sliding. Bisection finds one of possibly several boundaries, so 8 smaller pushes are
-    simulated afterwards; if one fails, the boundary below the smallest of these is returned. A
-    failure between these levels may remain undetected.
+    example by sliding. Bisection finds one of possibly several boundaries. Therefore 8 smaller
+    pushes are simulated afterwards, if their distance is larger than ``resolution``. If one fails,
+    the boundary below the smallest failed push is returned. A failure between these pushes may
+    remain undetected.
 
     Args:
         robot: The robot.
@@ -361,10 +363,10 @@ def tipping_impulses(
     if hull.geom_type != "Polygon":
         return impulses
     corners = np.array(hull.exterior.coords)
-    for first, second in pairwise(corners):
-        pivot = np.append(first, ground[:, 2].mean())
-        hinge = np.append(second - first, 0.0) / np.linalg.norm(second - first)
-        # A rotation about the hinge moves the CoM up and outwards.
+    for corner, next_corner in pairwise(corners):
+        pivot = np.append(corner, ground[:, 2].mean())
+        hinge = np.append(next_corner - corner, 0.0) / np.linalg.norm(next_corner - corner)
+        # A positive rotation about the hinge moves the CoM upwards and outwards.
         hinge *= math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
         lever = com - pivot - radius * UP
         rise = np.linalg.norm(np.cross(hinge, lever)) - lever[2]
@@ -383,14 +385,20 @@ def tipping_impulses(
 def _find_push_limits(
     bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
-    """Return the limits, the bisected limits before the check, and the failures."""
+    """Return the limits (n,), the bisected limits before the check (n,), and the failures.
+
+    Args:
+        bench: Simulations of the stand.
+        estimate: Initial impulses, shape (n,) [N s]; infinite values are replaced by 1 N s.
+        resolution: Resolution of the impulses [N s].
+    """
     count = len(bench.axes)
     if bench.unpushed:
-        idle = diagnose("without-a-push", failures=bench.unpushed)
-        return np.zeros(count), np.zeros(count), (idle,) * count
+        failure_without_push = diagnose("without-a-push", failures=bench.unpushed)
+        return np.zeros(count), np.zeros(count), (failure_without_push,) * count
     search = _LimitSearch(bench, np.zeros(count), np.full(count, np.inf), {})
-    first = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
-    search.bisect(first, resolution)
+    initial = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
+    search.bisect_limits(initial, resolution)
     bisected = search.survived.copy()
     monotonic = np.ones(count, dtype=np.bool_)
     for level in range(1, CHECKED_LEVELS + 1):
@@ -406,20 +414,20 @@ def _find_push_limits(
                 search.survived[index] = (level - 1) * step[index]
                 search.failed[index] = level * step[index]
                 search.failures[index] = failure
-    search.bisect(first, resolution)
-    search.prove(first, resolution)
+    search.bisect_limits(initial, resolution)
+    search.confirm_limits(initial, resolution)
     return search.survived, bisected, tuple(search.failures[index] for index in range(count))
 
 
 @dataclass(frozen=True, eq=False)
 class _LimitSearch:
-    """Largest survived push and smallest failed push of each direction, with the failure.
+    """Search for the limits of all directions, at the same time.
 
     Attributes:
-        bench: Simulations.
-        survived: Shape (n,) [N s].
-        failed: Shape (n,) [N s]; infinite before the first failure.
-        failures: {index of the direction: failure of the push ``failed``}.
+        bench: Simulations of the stand.
+        survived: Lower ends of the brackets, shape (n,) [N s]: a survived push, or 0.
+        failed: Upper ends of the brackets, shape (n,) [N s]: a failed push, or infinite.
+        failures: {direction: failure of ``failed``}.
     """
 
     bench: PushBench
@@ -427,25 +435,27 @@ class _LimitSearch:
     failed: Array
     failures: dict[int, Diagnostic]
 
-    def prove(self, first: Array, resolution: float) -> None:
+    def confirm_limits(self, initial: Array, resolution: float) -> None:
         """Simulate the survived pushes to the end; search again below a push that fails."""
-        doubtful = np.flatnonzero(self.survived > 0)
-        while doubtful.size:
-            ends = self.bench.simulate_fully(doubtful, self.survived[doubtful])
-            doubtful = doubtful[[failure is not None for failure in ends]]
-            for index, failure in zip(doubtful, filter(None, ends), strict=True):
+        unconfirmed = np.flatnonzero(self.survived > 0)
+        while unconfirmed.size:
+            outcomes = self.bench.simulate_fully(unconfirmed, self.survived[unconfirmed])
+            unconfirmed = unconfirmed[[failure is not None for failure in outcomes]]
+            for index, failure in zip(unconfirmed, filter(None, outcomes), strict=True):
                 self.failed[index], self.failures[index] = self.survived[index], failure
                 self.survived[index] = 0.0
-            self.bisect(first, resolution)
-            doubtful = doubtful[self.survived[doubtful] > 0]
+            self.bisect_limits(initial, resolution)
+            unconfirmed = unconfirmed[self.survived[unconfirmed] > 0]
 
-    def bisect(self, first: Array, resolution: float) -> None:
-        """Double impulses from ``first`` (n,) until the robot falls, then bisect."""
+    def bisect_limits(self, initial: Array, resolution: float) -> None:
+        """Double impulses from ``initial`` (n,) until the robot falls, then bisect."""
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
             low, high = self.survived[wide], self.failed[wide]
-            tried = np.where(np.isinf(high), np.maximum(2 * low, first[wide]), (low + high) / 2)
-            pushed = self.bench.simulate_until_decided(wide, tried)
-            for index, impulse, failure in zip(wide, tried, pushed, strict=True):
+            impulses = np.where(
+                np.isinf(high), np.maximum(2 * low, initial[wide]), (low + high) / 2
+            )
+            outcomes = self.bench.simulate_until_decided(wide, impulses)
+            for index, impulse, failure in zip(wide, impulses, outcomes, strict=True):
                 if failure is None:
                     self.survived[index] = impulse
                 else:
