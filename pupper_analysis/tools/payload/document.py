@@ -23,7 +23,14 @@ from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTria
 
 @build_document.register(PayloadLimit)
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a payload limit; see ``build_document``."""
+    """Create the document of a payload limit: mass, bounds and simulations.
+
+    `build_document` calls this function for a `PayloadLimit`.
+
+    Args:
+        limit: Result.
+        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+    """
     trial_texts = () if limit.trial is None else (_describe_trial(limit.trial),)
     return judged_document(
         text("payload-title"),

@@ -222,29 +222,35 @@ class PayloadLimit(Result):
 
     @property
     def torque_of(self) -> dict[str, float]:
-        """Motor torques in ``stand``, {joint: torque} [N m]."""
+        """{joint: motor torque [N m] in the loaded stand, ``stand``}."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     @property
     def bounds(self) -> dict[str, Bound]:
-        """The four bounds by name, the smallest first."""
+        """Bounds of the payload, {name: bound}, sorted by mass, the smallest first.
+
+        The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
+        """
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
         return dict(sorted(bounds.items(), key=lambda item: item[1].mass))
 
     @property
     def failure(self) -> Failure:
-        """Failure above the smallest bound."""
+        """Kind of failure above the binding (smallest) bound."""
         return self.bounds[self.binding].failure
 
     @property
     def where(self) -> tuple[str, ...]:
-        """Motors, joints, feet or bodies of that failure."""
+        """Names of the motors, joints, feet or bodies that fail above the binding bound."""
         return self.bounds[self.binding].where
 
     @property
     def passed(self) -> bool:
-        """Whether ``mass`` is known and positive, and the stance holds with its payload."""
+        """Whether the robot carries a known payload: ``mass`` > 0, and its simulations hold.
+
+        False if the mass is unknown (NaN).
+        """
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.held)
 
 

@@ -416,7 +416,7 @@ def simulate_push(
         impulse: Impulse of the push [N s].
         direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
             its left.
-        duration: Simulated time from the push on [s], at least 2.
+        duration: Simulated time from the start of the push [s], 2 to 600.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.

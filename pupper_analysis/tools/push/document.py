@@ -37,7 +37,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
         pushed,
         (
             view_block(robot, pushed.stand, None),
-            _push_table(pushed),
+            _make_push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
         (*_describe_weakest_push(pushed), task_text(pushed.stand.task)),
@@ -80,7 +80,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     )
 
 
-def _push_table(pushed: PushedStance) -> doc.Table:
+def _make_push_table(pushed: PushedStance) -> doc.Table:
     """Create the table of the largest pushes, one direction per row."""
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
@@ -123,7 +123,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
         rigid: Robot whose tipping estimate is drawn as well, if finite in all directions.
     """
     series = [
-        _closed_series(
+        _make_closed_series(
             doc.Name(name),
             recovery.directions,
             recovery.impulses,
@@ -136,7 +136,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     if np.isfinite(tipping.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
         series.append(
-            _closed_series(name, tipping.directions, tipping.tipping_estimate, reference=True)
+            _make_closed_series(name, tipping.directions, tipping.tipping_estimate, reference=True)
         )
     return doc.LinePlot(
         text("largest-push-that-the-stand-survives"),
@@ -147,7 +147,9 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     )
 
 
-def _closed_series(name: doc.Words, directions: Array, values: Array, **options: Any) -> doc.Series:
+def _make_closed_series(
+    name: doc.Words, directions: Array, values: Array, **options: Any
+) -> doc.Series:
     """Create a line over directions [rad] that ends at the first value, drawn at 360 deg."""
     degrees = np.append(np.degrees(directions), 360.0)
     return doc.Series(name, degrees, np.append(values, values[0]), points=True, **options)
@@ -158,7 +160,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
     """Create a table and a plot of the largest pushes of several robots.
 
     Args:
-        first: First result.
+        first: Result of the first robot, whose tipping estimate is drawn.
         results: Results of all robots, the first one included.
 
     Returns:

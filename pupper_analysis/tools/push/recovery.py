@@ -51,7 +51,8 @@ class PushedStance(Result):
         impulse: Impulse in the weakest direction [N s]; not a number if ``code`` is ``unknown``.
         code: ``unknown`` if a motor that carries the robot has an unknown torque limit; else
             ``zero`` if a motor has no torque, else ``stated``.
-        unknown_limits: Motors that carry the robot and whose torque limit no file states.
+        unknown_limits: Joints that carry a foot or are coupled, and whose torque limit no file
+            states.
         peak_torques: (nu,) largest |torque| of each motor during the weakest push of ``recovery``
             [N m]; None if ``unknown_limits`` is empty, or the robot does not stand without a push.
         verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on its
@@ -181,7 +182,8 @@ class PushRecovery(PushSettings, Tabular):
         velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
         failures: (n,) failure of the larger push.
         bisected: (n,) result of the bisection [N s], before the check of smaller pushes; larger
-            than ``impulses`` if a smaller push failed.
+            than ``impulses`` if a smaller push failed, or if the push itself failed when it was
+            simulated to the end.
         tipping_estimate: (n,) impulse that tips the robot over if it were rigid [N s]; infinite if
             the feet span no polygon.
         weakest_direction: Direction with the smallest impulse [rad].
