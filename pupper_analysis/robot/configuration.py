@@ -70,26 +70,31 @@ class Configuration:
         pin.updateFramePlacements(self._model, self._data)
 
     def __repr__(self) -> str:
-        x, y, z = np.round(self.qpos[:3], 6) + 0.0  # without a negative zero
         moving = "moving" if np.any(self.qvel) else "at rest"
-        return (
-            f"<Configuration of {self.robot.name!r}: base at ({x:.4g}, {y:.4g}, {z:.4g}) m, "
-            f"{self.robot.nu} joints, {moving}>"
-        )
+        base = "fixed base"
+        if self.robot.floating:
+            x, y, z = np.round(self.qpos[:3], 6) + 0.0  # without a negative zero
+            base = f"base at ({x:.4g}, {y:.4g}, {z:.4g}) m"
+        return f"<Configuration of {self.robot.name!r}: {base}, {self.robot.nu} joints, {moving}>"
 
     def _repr_html_(self) -> str:
         """Return a table of base, joints and centre of mass, for notebooks."""
         from pupper_analysis.base.notebook import format_value, render_table
 
-        joints = dict(zip(self.robot.joint_names, self.qpos[7:].tolist(), strict=True))
-        rows = [
-            ("base position", format_value(self.qpos[:3]), "m"),
-            ("base quaternion (w, x, y, z)", format_value(self.qpos[3:7]), ""),
+        robot = self.robot
+        joints = dict(zip(robot.joint_names, self.qpos[-robot.nu :].tolist(), strict=True))
+        rows = []
+        if robot.floating:
+            rows += [
+                ("base position", format_value(self.qpos[:3]), "m"),
+                ("base quaternion (w, x, y, z)", format_value(self.qpos[3:7]), ""),
+            ]
+        rows += [
             ("joint positions", format_value(joints), "rad or m"),
             ("center_of_mass()", format_value(self.center_of_mass()), "m"),
             ("qvel", format_value(self.qvel), "m/s, rad/s"),
         ]
-        return render_table(f"Configuration of {self.robot.name}", rows)
+        return render_table(f"Configuration of {robot.name}", rows)
 
     def frame_position(self, name: str) -> Array:
         """Return the position (3,) [m] of the frame of a link in the world.

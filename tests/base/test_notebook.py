@@ -79,3 +79,13 @@ def test_the_repr_of_a_configuration_states_robot_and_base() -> None:
     text = repr(pa.Configuration(load("v3"), stand_of("v3").qpos))
     assert text.startswith("<Configuration of 'v3': base at (")
     assert text.endswith("m, 12 joints, at rest>")
+
+
+def test_a_configuration_with_a_fixed_base_shows_its_joints_only() -> None:
+    """Reference: qpos of a fixed base contains the joint positions alone."""
+    robot = load("v3", fixed_base=True)
+    config = pa.Configuration(robot, np.linspace(0.1, 0.3, robot.nq))
+    rows = rows_of(config)
+    assert "base position" not in rows
+    assert rows["joint positions"][0].startswith("leg_front_r_1: 0.1")
+    assert "fixed base, 12 joints" in repr(config)
