@@ -46,10 +46,10 @@ def freeze(value: Any) -> Any:
 
 
 def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
-    """Return read-only copies of named arrays. NumPy cannot make these writeable again.
+    """Return read-only copies of named arrays.
 
-    A view of a read-only array cannot be made writeable, so the result contains views of the
-    copies.
+    The result contains views of the copies: a view of a read-only array cannot be made writeable
+    directly, only through its base array.
     """
     copies = {name: array.copy() for name, array in arrays.items()}
     for array in copies.values():

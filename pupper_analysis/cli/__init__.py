@@ -107,10 +107,11 @@ collections, which take a tenth of the time of ``stand v3`` and find nothing."""
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command, and end the process with its exit status.
 
-    An error of the package or of the command line is printed as one line on standard error, with
-    exit status 2; an unexpected error as one line, with exit status 3, and with ``--debug`` also
-    its traceback. A signal that ends the process is printed as one line, with the exit status of
-    shells, 130 for Ctrl-C.
+    An error of the package, of the command line or of the operating system is printed as one line
+    on standard error, with exit status 2; an unexpected error as one line, with exit status 3, and
+    with ``--debug`` also its traceback. A closed output pipe ends the process with status 0. A
+    signal that ends the process is printed as one line, with the exit status of shells, 130 for
+    Ctrl-C.
 
     Args:
         command: Command.

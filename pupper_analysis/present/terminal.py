@@ -79,9 +79,10 @@ def make_console() -> Console:
 
 
 def print_report(out: Console, report: Report, *, everything: bool = False) -> None:
-    """Print documents.
+    """Print the documents of a report, and then its overview.
 
-    If the report has an overview and ``everything`` is false, only summaries are printed.
+    If the report has an overview and ``everything`` is false, a summary takes the place of each
+    document, and the last line names the option that prints the tables.
 
     Args:
         out: Console.

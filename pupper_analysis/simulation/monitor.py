@@ -100,6 +100,7 @@ class StandReference:
             robot: The robot.
             qpos: Configuration of the stand, shape (nq,).
             rotation: Expected orientation of the base, shape (3, 3); that of ``qpos`` by default.
+                Ignored for a fixed base, whose orientation is the identity.
         """
         config, joints = Configuration(robot, qpos), qpos[robot.nq - robot.nu :]
         com = config.center_of_mass()

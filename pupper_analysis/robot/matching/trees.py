@@ -157,7 +157,8 @@ def strip_roots(
         other: Tree of the MJCF.
 
     Returns:
-        Modified copy, and diagnostics of the removed links.
+        Modified copy, or ``root`` itself if no link is removed, and diagnostics of the removed
+        links.
     """
     candidates: list[tuple[etree._Element, list[Diagnostic]]] = [(root, [])]
     while True:

@@ -261,7 +261,8 @@ rows."""
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows in which a compared quantity is evaluated.
 
-    Depending on the quantity, these are bodies, joints, degrees of freedom or contact points.
+    Depending on the quantity, these are bodies, joints, degrees of freedom or contact points; for
+    other quantities a single label, such as ``com`` or ``IMU``.
 
     Args:
         robot: Robot.

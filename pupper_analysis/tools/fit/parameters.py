@@ -174,9 +174,10 @@ _PRIOR_PATTERN = re.compile(
 
 
 _MIN_PRIOR_WIDTH = 1e-9
-"""Smallest number that a prior's text may contain besides 0, in the unit of the text; its
-reciprocal is the largest. Chosen, not tuned, so that squared widths stay within double
-precision."""
+"""Lower bound of the numbers that a prior's text may contain besides 0, in the unit of the text.
+
+The upper bound is the reciprocal; both bounds themselves are refused. Chosen, not tuned, so that
+squared widths stay within double precision."""
 
 
 def parse_prior(text: str) -> Prior:

@@ -219,9 +219,10 @@ def _map_numbers(value: Any, change: Callable[[float], float]) -> Any:
 
 
 def parse_length(millimetres: float) -> float:
-    """Convert mm to m by decimal text.
+    """Convert mm to m.
 
-    The result is the floating-point number nearest to the typed decimal number.
+    The exponent is appended to the decimal text, so the result is the floating-point number nearest
+    to the typed decimal number. A text with an exponent (below 1e-4 mm) is multiplied by 1e-3.
     """
     return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
 

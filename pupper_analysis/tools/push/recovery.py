@@ -281,7 +281,8 @@ def push_recovery(
         reasons.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of its range, the stand belongs to another robot
+            or contains a weld or grip, or the base is fixed and the stand has feet.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """

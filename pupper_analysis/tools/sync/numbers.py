@@ -143,8 +143,9 @@ def write_numbers(
         New files; `write_all` writes the result of `make_writings`.
 
     Raises:
-        ModelError: If a number cannot be written (the message lists all, with reasons), or the
-            files do not describe the robot.
+        ModelError: If a number cannot be written (the message lists all, with reasons), a file
+            cannot be read, the files cannot be matched or do not describe the robot, or the new
+            files are refused.
         UnknownNameError: If an element does not exist.
     """
     description = robot.description
