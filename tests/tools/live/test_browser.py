@@ -30,7 +30,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 pytestmark = pytest.mark.slow
 
-PATIENCE = 60.0
+PATIENCE = 180.0
 """s: a machine without graphics, shared with other tests, draws a picture in one or two."""
 
 KNOWN = ("GPU stall", "THREE.Clock", "WebGL")

@@ -23,7 +23,7 @@ from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-PATIENCE = 60.0
+PATIENCE = 180.0
 
 
 def wait_for(condition: Callable[[], object], what: str) -> None:

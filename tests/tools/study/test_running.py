@@ -320,6 +320,10 @@ def slow_study() -> pa.Study:
 
 
 def start(*words: object) -> subprocess.Popen[str]:
+    """Start Python in a session of its own, which receives SIGINT also if this process ignores it.
+
+    A shell that runs the tests in the background has them ignore SIGINT; children inherit that.
+    """
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -327,6 +331,7 @@ def start(*words: object) -> subprocess.Popen[str]:
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
@@ -512,7 +517,7 @@ def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     while not rows_of(folder):
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does it, to all of them
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=300)  # a guard against hanging
     assert process.returncode == 130
     assert "the same command goes on there" in err
     assert "interrupted" in err
