@@ -172,8 +172,8 @@ def read_log(
     """Read a log from a CSV file, an ``.mcap`` file or a ROS bag.
 
     Columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
-    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets: ``time
-    [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
+    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets:
+    ``time [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
 
     In a bag, states are ``sensor_msgs/JointState`` messages; commands are
     ``std_msgs/Float64MultiArray`` messages, or a second ``JointState`` topic that is named. Times
