@@ -14,7 +14,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Severity
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.own_run import own_run, settles_in_place
+from pupper_analysis.prepare.own_run import _is_ctrl_angles, own_run, settles_in_place
 from pupper_analysis.prepare.self_check import name_remaining_cause
 from pupper_analysis.present.verdict import verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
@@ -242,3 +242,23 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
         if finding.rule == "mesh-missing"
     }
     assert severities == {Severity.ERROR}
+
+
+@pytest.mark.parametrize(("ctrl", "are_angles"), [("0.6 0 0 -1.2 0 0", True), ("0.6 -1.2", False)])
+def test_commands_of_several_controls_are_compared_by_their_first(
+    ctrl: str, are_angles: bool
+) -> None:
+    """A dcmotor with the inputs pos, vel and ff has three controls; the first is a position."""
+    joints = "".join(
+        f'<body><joint name="{name}"/><geom size="0.1"/></body>' for name in ("hip", "knee")
+    )
+    motors = "".join(
+        f'<dcmotor joint="{name}" motorconst="0.5" resistance="1" input="pos vel ff"/>'
+        for name in ("hip", "knee")
+    )
+    padded = " ".join([*ctrl.split(), *["0"] * (6 - len(ctrl.split()))])
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{joints}</worldbody><actuator>{motors}</actuator>"
+        f'<keyframe><key qpos="0.6 -1.2" ctrl="{padded}"/></keyframe></mujoco>'
+    )
+    assert _is_ctrl_angles(model, 0) is are_angles
