@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.present.document import get_english
@@ -23,25 +21,6 @@ from pupper_analysis.present.figures.pose import (
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
 from tests.support.variants import load, stand_of
-
-
-def check_picture(path: Path) -> None:
-    assert path.read_bytes().startswith(b"\x89PNG")
-    pixels = imread(path)
-    assert pixels.shape[1] == pytest.approx(178 / 25.4 * drawing.DPI, abs=1)
-    assert pixels.shape[0] > 300
-    # Drawn on everywhere: white between, and something in each ninth of it.
-    drawn_on = (pixels[..., :3] < 1.0).any(axis=-1)
-    assert 0.01 < drawn_on.mean() < 0.7
-    for rows in np.array_split(drawn_on, 3, axis=0):
-        assert all(ninth.any() for ninth in np.array_split(rows, 3, axis=1))
-    # Nothing is cut off: the outermost pixels are white.
-    edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
-    assert all((edge[:, :3] == 1.0).all() for edge in edges)
-
-
-def other(analysis: Any, **changes: Any) -> Any:
-    return SimpleNamespace(**{**vars(analysis), **changes})
 
 
 def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
