@@ -280,7 +280,8 @@ def _describe_posture(hold: Hold) -> doc.Words:
 def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
     """State the motor with the largest finite utilisation.
 
-    Nothing is stated if no utilisation is known, or an unloaded motor has a limit of zero.
+    Nothing is stated if no utilisation is known, or a motor has a limit of zero: any load exceeds
+    this limit, so no other motor is closest to its limit.
 
     Args:
         statics: Static motor torques.
@@ -288,7 +289,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
     """
     shares = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(shares)
-    if limited.any() and limits[limited].all():
+    if limited.any() and not (limits == 0).any():
         worst = int(np.argmax(np.where(limited, shares, -1.0)))
         yield text(
             "motor-that-holds-most",
