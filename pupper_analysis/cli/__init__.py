@@ -83,7 +83,7 @@ class LazyGroup(click.Group):
         ctx: click.Context,  # noqa: ARG002
         formatter: click.HelpFormatter,
     ) -> None:
-        """Write the list of all commands under their headings, without importing any."""
+        """Write the list of all commands under headings, without importing a command."""
         tools = {**own_tools(), **other_tools()}
         width = max(map(len, tools))  # of one column in all lists
         for heading in HELP_HEADINGS:
@@ -105,17 +105,17 @@ collections, which take a tenth of the time of ``stand v3`` and find nothing."""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
-    """Run a command, and end the process with its exit status.
+    """Run a command, and end the process with the exit status of the command.
 
-    An error of the package, of the command line or of the operating system is printed as one line
-    on standard error, with exit status 2; an unexpected error as one line, with exit status 3, and
-    with ``--debug`` also its traceback. A closed output pipe ends the process with status 0. A
-    signal that ends the process is printed as one line, with the exit status of shells, 130 for
+    An error of the package, of the command line or of the operating system is printed as a line
+    on standard error, with exit status 2; an unexpected error as a line, with exit status 3, and
+    with ``--debug`` also the traceback. A closed output pipe ends the process with status 0. A
+    signal that ends the process is printed as a line, with the exit status of shells, 130 for
     Ctrl-C.
 
     Args:
         command: Command.
-        arguments: Arguments; None: those of the process.
+        arguments: Arguments; None: the command-line arguments of the process.
     """
     os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
     gc.set_threshold(*GC_THRESHOLDS)
@@ -146,7 +146,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 
 
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
-    """Run a command, print its error, and return the exit status."""
+    """Run a command, print an error of the command, and return the exit status."""
     try:
         with ensure_run() as run:  # includes parsing, because options read files
             run.command = (GENERATOR_NAME, *arguments)

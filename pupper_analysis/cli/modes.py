@@ -12,13 +12,13 @@ from pupper_analysis.base.errors import ConfigurationError
 
 
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
-    """Refuse typed options of the running command that its mode does not use.
+    """Refuse typed options of the running command that are unused in the selected mode.
 
-    A new option is refused in each mode that does not list it.
+    A new option is refused in each mode that does not list the option.
 
     Args:
         mode: Option that selects the mode, such as ``--plan``.
-        uses: {mode: names of the parameters that it uses}.
+        uses: {mode: names of the parameters that the mode uses}.
 
     Raises:
         ConfigurationError: If such an option was typed.
@@ -30,7 +30,7 @@ def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
 
 
 def refuse_idle(mode: str, *idle: str) -> None:
-    """Refuse typed options of the running command that have no effect in its mode.
+    """Refuse typed options of the running command that have no effect in the selected mode.
 
     This function is for modes that use all options except a few.
 
@@ -52,7 +52,7 @@ def refuse_alone(needed: Collection[str], *idle: str) -> None:
     The caller checks that the other options are absent.
 
     Args:
-        needed: Options of which one is required, such as ``--payload``.
+        needed: Alternative options that make the typed option effective, such as ``--payload``.
         *idle: Names of the parameters without effect.
 
     Raises:

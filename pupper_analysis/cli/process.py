@@ -140,7 +140,7 @@ _active_endings: list[ProcessEnding] = []
 
 
 def raise_if_ended() -> None:
-    """Raise `ProcessEnded` again if a signal has arrived; a library may have suppressed it.
+    """Raise `ProcessEnded` again if a signal has arrived: libraries may suppress the exception.
 
     Raises:
         ProcessEnded: If a signal has arrived.
@@ -173,7 +173,7 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
         raise ProcessEnded
 
     def again(_number: int, _frame: FrameType | None) -> None:
-        """Raise `ProcessEnded` again, unless it is being handled or has been caught."""
+        """Raise `ProcessEnded` again, unless an instance is being handled or has been caught."""
         handled = sys.exc_info()[1]
         while handled is not None and not isinstance(handled, ProcessEnded):
             handled = handled.__context__

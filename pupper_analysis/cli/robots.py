@@ -86,7 +86,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     name = "robot"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the word; for standard input, the name under which it is read."""
+        """Return the word; for standard input, the name under which the content is read."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
 
     def shell_complete(
@@ -173,7 +173,7 @@ class RobotOptions:
     def _attach_options(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        """Return the robots, those of files with the options for files."""
+        """Return the selected robots; robots from files receive the options for files."""
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
         ):
@@ -187,7 +187,7 @@ class RobotOptions:
 
     @property
     def _derived_variant(self) -> VariantSpec | None:
-        """Variant that the scale options specify; None without these options."""
+        """Variant that the scale options specify; None without scale options."""
         if (self.base, self.leg_scale, self.torso_mass_scale) == (None, None, None):
             return None
         from pupper_analysis.pupper.variants import VariantSpec
@@ -200,7 +200,7 @@ class RobotOptions:
 
     @property
     def _named_files(self) -> tuple[str, ...] | None:
-        """Files of --urdf and --mjcf; None without these options."""
+        """Files of --urdf and --mjcf; None if both are absent."""
         return tuple(str(path) for path in (self.urdf, self.mjcf) if path is not None) or None
 
     @property
@@ -224,7 +224,7 @@ class RobotOptions:
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:
-    """Load a robot from its files, and show progress; the caller prints the notes.
+    """Load a robot from files, and show progress; the caller prints the notes.
 
     Args:
         files: Files and options of the user.
@@ -290,7 +290,7 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
 
 
 def pass_robot_options(command: Command) -> Command:
-    """Let a command receive the options of a robot as ``RobotOptions``, its first argument."""
+    """Let a command receive the options of a robot as first argument, a ``RobotOptions``."""
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
@@ -302,7 +302,7 @@ def pass_robot_options(command: Command) -> Command:
 def add_options(
     *groups: tuple[Callable[[Command], Command], ...],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds the options of these groups to a command, in this order."""
+    """Return a decorator that adds the options of the given groups to a command, in this order."""
 
     def add(command: Command) -> Command:
         for option in reversed([option for group in groups for option in group]):

@@ -1,4 +1,4 @@
-"""Shared parts of commands: options, parsing of their values, and output of results."""
+"""Shared parts of commands: options, parsing of option values, and output of results."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ FORMAT_SUFFIXES: Final = frozenset(
 
 
 class Command(click.Command):
-    """Command that checks before its run that its results may and can be written.
+    """Command that checks, before running, that all results may and can be written.
 
     A command with results has the option ``--force``.
     """
@@ -126,7 +126,7 @@ class Command(click.Command):
             raise
 
     def invoke(self, context: click.Context) -> Any:
-        """Run the command if its results can be written."""
+        """Run the command if the results can be written."""
         run = context.with_resource(ensure_run())
         run.asked = _collect_options(self, context)
         take_parameter = context.params.get if self._has_force else context.params.pop
@@ -140,7 +140,7 @@ class Command(click.Command):
 
 
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
-    """Refuse a number and its unit in two words, such as ``--height 12 cm``.
+    """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
     Raises:
         UsageError: If there are such words.
@@ -306,7 +306,7 @@ class ModelFile(click.Path):
     def convert(  # type: ignore[override]  # type of click.Path includes str
         self, value: str, param: click.Parameter | None, ctx: click.Context | None
     ) -> Path:
-        """Return the path; for standard input, the path under which its content is read."""
+        """Return the path; for standard input, the path under which the content is read."""
         if str(value) == "-":
             from pupper_analysis.base.inputs import read_standard_input
             from pupper_analysis.models.xml import MAX_BYTES
@@ -321,7 +321,7 @@ MODEL_FILE = ModelFile()
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Return a URDF and an MJCF in this order, in whatever order they were typed.
 
-    Files of other formats, and files that cannot be read, keep their order.
+    Files of other formats, and files that cannot be read, keep the typed order.
     """
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.models.published import find_file
@@ -348,7 +348,7 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
 
         ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A text without a unit is in
-        the SI unit. A number from Python is returned as it is, except for a length.
+        the SI unit. A number from Python is returned unchanged, except for a length.
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
@@ -403,7 +403,7 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
     """Parse the text ``NAME=VALUE`` of an option into the name and the text of the value.
 
     Raises:
-        ConfigurationError: If the text has another form; it names the option.
+        ConfigurationError: If the text has another form; the message names the option.
     """
     name, separator, value = text.partition("=")
     if not (name and separator and value):
@@ -415,7 +415,7 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     """Parse the text ``NAME=NUMBER`` of an option into the name and the number.
 
     Raises:
-        ConfigurationError: If the text has another form; it names the option.
+        ConfigurationError: If the text has another form; the message names the option.
     """
     name, value = parse_assignment(option, text)
     try:
@@ -435,7 +435,7 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
         given: Complete value of the option, for errors.
 
     Raises:
-        ConfigurationError: If the text is no valid value; it names the option.
+        ConfigurationError: If the text is no valid value; the message names the option.
     """
     try:
         return parse_quantity(kind, text)
@@ -447,7 +447,7 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
     """Return name and position of NAME=POSITION, an angle or a length in SI units.
 
     Raises:
-        ConfigurationError: If the text has another form; it names the option.
+        ConfigurationError: If the text has another form; the message names the option.
     """
     name, value = parse_assignment(option, text)
     return name, parse_measure(option, "position", value, text)
@@ -482,9 +482,9 @@ def show_results(
     """Print results for a terminal, or as Markdown.
 
     Args:
-        results: (name, result) pairs; the name may be empty if the result has its own.
+        results: (name, result) pairs; the name may be empty if the result has a name.
         style: ``text`` or ``markdown``.
-        robots: Robots of the results; Markdown includes their notes.
+        robots: Robots of the results; Markdown includes the notes of the robots.
         overview: Blocks that compare the results.
         everything: True to print all tables and notes.
     """
@@ -549,7 +549,7 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
-    """Write results as one HTML file and print the path; without a path, write nothing.
+    """Write results as a single HTML file and print the path; without a path, write nothing.
 
     Args:
         path: Output file of the user, or None.
@@ -587,12 +587,12 @@ def parse_point(
         option: Name of the option, for error messages.
         text: Lengths separated by commas, each with or without a unit: ``10mm,0,0``.
         size: Number of coordinates, 2 or 3.
-        choices: Words that the option also accepts. They are not accepted here: the caller handles
-            them first, and the error message lists them.
+        choices: Words that the option also accepts. This function does not accept these words: the
+            caller handles them first, and the error message lists the words.
 
     Raises:
         ConfigurationError: If the text has another form or number of coordinates, or a length is
-            probably in mm; it names the option.
+            probably in mm; the message names the option.
     """
     try:
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
@@ -620,7 +620,7 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
         (x, y, z) [m], or the frame's name followed by (x, y, z) [m] in this frame.
 
     Raises:
-        ConfigurationError: If the text has another form; it names the option.
+        ConfigurationError: If the text has another form; the message names the option.
     """
     frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
     zero = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Options of a stand task on the command line, one per field with a help text.
+"""Options of a stand task on the command line, an option per field with a help text.
 
 ``--stance FILE`` reads the same options from a file, as saved by the live page.
 """
@@ -47,7 +47,7 @@ def make_option(field: Field) -> Callable[[Command], Command]:
 
 
 def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:
-    """Return the options of all fields, or of those under some headings of the live page."""
+    """Return the options of all fields, or of the fields under some headings of the live page."""
     return tuple(
         make_option(field)
         for field in OPTION_FIELDS.values()
@@ -59,7 +59,7 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
     """Return the stand task that options specify.
 
     Args:
-        values: {field: value of its option}; other fields have their default.
+        values: {field: value of the option}; other fields have the default value.
     """
     from pupper_analysis.stance.task import StandTask
 
@@ -196,7 +196,7 @@ stance_option = click.option(
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
-    """Return {parameter: value as it would be typed} of a stance file.
+    """Return {parameter: value as typed on the command line} of a stance file.
 
     Raises:
         ConfigurationError: If the file cannot be read, or contains an unknown option.
@@ -224,7 +224,7 @@ def read_stance_file(path: Path) -> dict[str, Any]:
 
 
 def _format_as_typed(path: Path, key: str, value: Any) -> Any:
-    """Return a value as it would be typed: points with commas, values per foot or joint as list.
+    """Return a value in command-line syntax: points with commas, values per foot or joint as list.
 
     Raises:
         ConfigurationError: If the value has no such form.

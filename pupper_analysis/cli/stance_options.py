@@ -97,9 +97,9 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 
 @dataclass(frozen=True)
 class RobotAndTask:
-    """Values of these options, as typed.
+    """Values of the stance options, as typed.
 
-    Each field is that of an option; ``stance`` contains those of the stand task.
+    Each field is the value of an option; ``stance`` contains the options of the stand task.
     """
 
     which: RobotOptions
@@ -136,7 +136,7 @@ class RobotAndTask:
 
         Args:
             words: Words that name the robot.
-            payload_sought: True if the command computes a payload: its place needs no mass.
+            payload_sought: True if the command computes a payload: the place then needs no mass.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
@@ -205,7 +205,7 @@ class RobotAndTask:
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
-        """Return kp [N m/rad] and kd [N m s/rad] of the servos; None: those of the model."""
+        """Return kp [N m/rad] and kd [N m s/rad] of the servos; None: gains of the model."""
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
@@ -251,7 +251,7 @@ def robot_and_stance(command: Command) -> Command:
 
 
 def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
-    """Add options to a command, which receives their values as `RobotAndTask`."""
+    """Add options to a command, which receives the option values as `RobotAndTask`."""
     own = ("stance", "which", "fixed_base")
     names = [field.name for field in fields(RobotAndTask) if field.name not in own]
 
@@ -285,7 +285,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def _match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Return for each joint True if its name matches a pattern.
+    """Return for each joint True if the name matches a pattern.
 
     Raises:
         UnknownNameError: If no joint matches.
@@ -315,7 +315,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
-    """Return a gain for all joints, or one per joint (nu,); None if no gain was typed.
+    """Return a gain for all joints, or a gain per joint (nu,); None if no gain was typed.
 
     Joints without a typed gain keep that of the model.
     """

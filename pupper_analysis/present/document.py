@@ -1,7 +1,7 @@
-"""Documents: the content of one result as text, tables and plots, independent of the output format.
+"""Documents: the content of a result as text, tables and plots, independent of the output format.
 
 The builder of a result's type (``documents``) creates a ``Document``. The renderers (terminal, HTML
-page, Markdown, PNG) turn it into output. Texts come from the catalogue by key, in English and
+page, Markdown, PNG) render the document. Texts come from the catalogue by key, in English and
 Simplified Chinese. No text contains markup: names in model files may hold any characters, so each
 renderer escapes all texts. A ``Plot`` contains axes and values; the renderer chooses the style.
 """
@@ -45,12 +45,12 @@ def text(key: str, **values: object) -> Text:
 
 
 def word(name: str) -> Text | Name:
-    """Translate a term of a result, or return it as a name if the catalogue has no such term."""
+    """Translate a term of a result; return a term that is not in the catalogue as a name."""
     return text(name) if is_term(name) else Name(name)
 
 
 def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
-    """Join words into one text.
+    """Join words into a text.
 
     Args:
         parts: Words to join.
@@ -70,14 +70,14 @@ def get_english(words: Words) -> str:
 
 
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
-    """Fill the template of a catalogue key in one language."""
+    """Fill the template of a catalogue key in the given language."""
     template = phrase(key, language)
     translated = {name: _select_language(value, language) for name, value in values.items()}
     return fill_template(template, translated, language) if translated else template
 
 
 def _select_language(value: object, language: str) -> object:
-    """Return the text of a text or name in one language; any other value unchanged."""
+    """Return the text of a text or name in the given language; any other value unchanged."""
     if isinstance(value, Text):
         return getattr(value, language)
     return value.text if isinstance(value, Name) else value
@@ -108,9 +108,9 @@ class Series:
         y: Vertical coordinates, shape (n,), in the unit of the axis. Points that are not finite are
             omitted.
         points: True to draw a marker at each point.
-        note: Short result beside the name in the legend; None without one.
-        marked_index: Index of the point with the larger marker; None without one.
-        reference: True for a line with which the others are compared.
+        note: Short result beside the name in the legend; None if absent.
+        marked_index: Index of the point with the larger marker; None if no point is marked.
+        reference: True for a line with which the other lines are compared.
     """
 
     name: Words
@@ -129,8 +129,8 @@ class Bar:
     Attributes:
         name: Name beside the bar.
         value: Length, in the unit of the axis.
-        marker: Value marked by a tick, in the unit of the axis; None without one.
-        limit: Largest allowed magnitude, in the unit of the axis; None without one.
+        marker: Value marked by a tick, in the unit of the axis; None if absent.
+        limit: Largest allowed magnitude, in the unit of the axis; None if absent.
     """
 
     name: Words
@@ -235,7 +235,7 @@ class Name:
 
 @dataclass(frozen=True)
 class Number:
-    """Number with its text and its value for sorting.
+    """Number: displayed text, and value for sorting.
 
     Attributes:
         text: Formatted number.
@@ -263,7 +263,7 @@ class Column:
 
     Attributes:
         name: Header.
-        unit: Unit of the numbers; ``"1"`` if they are dimensionless, empty without a unit.
+        unit: Unit of the numbers; ``"1"`` for dimensionless numbers, empty without a unit.
         left: True for left-aligned text.
         detail: True if the short terminal view omits the column.
     """
@@ -280,10 +280,10 @@ class Table:
 
     Attributes:
         title: Title of the table.
-        columns: Columns. The first one contains the row headers.
+        columns: Columns. The first column contains the row headers.
         rows: Cells of each row, in the order of ``columns``.
         notes: Remarks below the table.
-        source: Origin of the numbers, and how they are verified.
+        source: Origin and verification of the numbers.
         detail: True if the short terminal view omits the table.
     """
 
@@ -298,12 +298,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """List of remarks, one per line.
+    """List of remarks; each remark is a line.
 
     Attributes:
         lines: Remarks.
         mark: ``"bad"`` for failures, ``"warn"`` for warnings, or empty.
-        title: Title above the remarks; None without one.
+        title: Title above the remarks; None if absent.
         detail: True if the short terminal view omits the remarks.
     """
 
@@ -321,7 +321,7 @@ class FilePlace:
     Attributes:
         place: File name and line number, or a text that the file has no such element.
         line: Content of the line.
-        path: Path and line number as an editor opens them; empty if there is no such place.
+        path: Path and line number in the form that editors open; empty if there is no such place.
     """
 
     place: Words
@@ -384,7 +384,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class StandScene:
-    """Robot in a stand, with the forces on it, for the 3-D view.
+    """Robot in a stand, with the acting forces, for the 3-D view.
 
     Attributes:
         robot: Robot.
@@ -406,7 +406,7 @@ class MotionScene:
     Attributes:
         robot: Robot.
         motions: Motions that the view can play. The first configuration of the first motion is the
-            initial one.
+            initial configuration.
     """
 
     robot: Robot
@@ -415,12 +415,12 @@ class MotionScene:
 
 @dataclass(frozen=True)
 class View:
-    """Interactive 3-D view, for renderers that support one.
+    """Interactive 3-D view, for renderers that support 3-D.
 
     Attributes:
         title: Title of the view.
         scene: Content; None if the robot is not available.
-        note: Remark on the content; None without one.
+        note: Remark on the content; None if absent.
         detail: True if the short terminal view omits the block.
     """
 
@@ -436,7 +436,7 @@ Block = Table | Lines | FileFinding | Listing | Plot | View
 
 @dataclass(frozen=True)
 class Document:
-    """Content of one result.
+    """Content of a result.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.
@@ -479,7 +479,7 @@ class Report:
 
     Attributes:
         title: Title of the report.
-        documents: One document per result.
+        documents: A document per result.
         overview: Blocks that compare the results.
     """
 

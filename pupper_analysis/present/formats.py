@@ -41,7 +41,7 @@ class Annotation:
         level: ``error``, ``warning`` or ``notice``.
         title: Subject by name. With ``kind`` and file it identifies the annotation, also after the
             line or a number in the message has changed.
-        message: One sentence.
+        message: A single sentence.
         place: ``file:line``, ``file``, or None.
         rule: Identifier of the kind of finding; the title is used if empty.
         about: Short description of the rule; ``kind`` is used if empty.
@@ -65,7 +65,7 @@ class Annotation:
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """File (empty without one) and line number; None without a line number."""
+        """File, empty if absent, and line number, None if absent."""
         file, _, line = (self.place or "").rpartition(":")
         if line.startswith("<"):
             return file, None
@@ -87,7 +87,7 @@ def relative_to_checkout(file: str | Path) -> str:
 
 
 def write_sarif(annotations: Iterable[Annotation]) -> str:
-    """Return a SARIF log of one run as indented JSON."""
+    """Return a SARIF log of a run as indented JSON."""
     listed = list(annotations)
     rules = {annotation.kind: annotation.about or annotation.kind for annotation in listed}
     numbers = {name: number for number, name in enumerate(rules)}
@@ -171,7 +171,7 @@ directions, line and paragraph separators."""
 
 
 def escape_control(text: str) -> str:
-    """Replace control characters by their escape sequences.
+    """Replace control characters by escape sequences.
 
     Names in model files and names of files may contain sequences that control a terminal or begin a
     new line.
@@ -187,9 +187,9 @@ def escape_control(text: str) -> str:
 
 
 def write_github(annotations: Iterable[Annotation]) -> str:
-    """Return GitHub workflow commands, one per line; GitHub shows them beside the files.
+    """Return GitHub workflow commands, a command per line; GitHub shows messages beside the files.
 
-    GitHub shows ten annotations per level and step; the log of the step contains all of them.
+    GitHub shows ten annotations per level and step; the log of the step contains all annotations.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """

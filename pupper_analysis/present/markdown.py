@@ -30,7 +30,7 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.formats import escape_control
 
 VERDICT_SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
-"""{mark of a verdict: sign before it}."""
+"""{mark of a verdict: sign before the verdict}."""
 
 MAX_COMMENT_LENGTH = 60_000
 """Largest number of characters of the output. GitHub accepts 65,536; the rest is left for text that
@@ -74,7 +74,7 @@ def fold_lines(title: str, lines: Iterable[str]) -> str:
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
-    """Return the parts of a document; its blocks only if ``whole``."""
+    """Return the parts of a document; blocks only if ``whole``."""
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"
@@ -119,7 +119,7 @@ def _make_parts(_: object) -> list[str]:
 
 @_make_parts.register
 def _make_table_parts(table: Table) -> list[str]:
-    """Return a table's title, its rows and its notes."""
+    """Return the title, rows and notes of a table."""
     heads = [_format_header(column) for column in table.columns]
     rules = [":---" if column.left or not index else "---:" for index, column in
              enumerate(table.columns)]  # fmt: skip
@@ -132,7 +132,7 @@ def _make_table_parts(table: Table) -> list[str]:
 
 
 def _format_header(column: Column) -> str:
-    """Format the header of a column with its unit."""
+    """Format the header of a column with the unit."""
     unit = f" ({_escape_text(column.unit)})" if column.unit not in ("", "1") else ""
     return f"{_escape_words(column.name)}{unit}" or " "
 
@@ -152,7 +152,7 @@ def _make_remark_parts(block: Lines) -> list[str]:
 
 @_make_parts.register
 def _make_finding_parts(block: FileFinding) -> list[str]:
-    """Return a finding with its places and notes as a nested list."""
+    """Return a finding with places and notes as a nested list."""
     tag = "" if block.tag is None else f"{_escape_words(block.tag)} "
     lines = [f"- {tag}**{_escape_words(block.title)}**"]
     lines += [f"  - {_format_place(place)}" for place in block.columns]
@@ -168,14 +168,14 @@ def _format_place(place: FilePlace) -> str:
 
 @_make_parts.register
 def _make_listing_parts(block: Listing) -> list[str]:
-    """Return the title of a listing and its text as a fenced code block."""
+    """Return the title and text of a listing as a fenced code block."""
     text = "\n".join(map(escape_control, block.text.rstrip("\n").split("\n")))
     fence = "`" * max(3, _measure_tick_run(text) + 1)
     return [f"**{_escape_words(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
 
 
 def _format_code(text: str) -> str:
-    """Return a text as inline code, so that nothing in it is markup."""
+    """Return a text as inline code, so that no character is markup."""
     shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""

@@ -2,7 +2,7 @@
 
 ``describe_scene`` evaluates everything but the shapes, ``collect_visible_shapes`` the shapes. The
 page's viewer (``html/write``), the live page (``live/scene``) and the figures of poses
-(``figures/pose``) draw the results, each in its own way.
+(``figures/pose``) draw the results, each in a different style.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0 to 2."""
 
 _MAX_GRID_CELLS = 512
-"""Cells along the longest side of a mesh, on the first grid with which it is simplified. Chosen,
+"""Cells along the longest side of a mesh, on the first grid of the simplification. Chosen,
 not tuned."""
 _MIN_MESH_FACES = 100
 """Number of triangles to which a mesh may be reduced at most, however many meshes a robot has.
@@ -56,7 +56,7 @@ class VisibleShape:
 
 @dataclass(frozen=True, eq=False)
 class JointAxis:
-    """Axis of a joint and load of its motor.
+    """Axis of a joint and load of the motor.
 
     Attributes:
         name: Name of the joint.
@@ -67,7 +67,7 @@ class JointAxis:
         world_axis: Direction, shape (3,), in the world frame.
         position: Joint position [rad or m].
         torque: Motor torque [N m or N]; None if loads are not shown.
-        limit: Effort limit [N m or N]; None if no file states one.
+        limit: Effort limit [N m or N]; None if no file states a limit.
         utilisation: |torque| / limit; None if loads are not shown, or the limit is unknown or zero.
     """
 
@@ -227,12 +227,12 @@ def describe_joint_axes(
     """Evaluate the axis, position and motor load of each joint.
 
     Args:
-        config: Robot in its configuration.
+        config: Robot in the configuration.
         positions: Joint positions, shape (nu,) [rad or m].
         statics: Static equilibrium; None to omit torques.
 
     Returns:
-        One entry per joint, in actuator order.
+        An entry per joint, in actuator order.
     """
     robot = config.robot
     model = robot.mj_model
@@ -263,12 +263,12 @@ def describe_joint_axes(
 def collect_visible_shapes(
     model: mujoco.MjModel, max_faces: int
 ) -> tuple[list[VisibleShape], dict[int, Mesh]]:
-    """Read the visible geoms of a robot, and simplify their meshes.
+    """Read the visible geoms of a robot, and simplify the meshes.
 
     Args:
         model: MuJoCo model of the robot.
-        max_faces: Approximate upper bound of the triangles of all meshes. If they have more, each
-            mesh is reduced by the same factor, but not below `_MIN_MESH_FACES`.
+        max_faces: Approximate upper bound of the triangles of all meshes. If the meshes have more,
+            each mesh is reduced by the same factor, but not below `_MIN_MESH_FACES`.
 
     Returns:
         Shapes, and {index of a mesh: mesh}.
@@ -289,8 +289,8 @@ def collect_visible_shapes(
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the geoms of the robot that MuJoCo's viewer shows.
 
-    If it shows none, all supported geoms are returned. Geoms of the world body and kinds of geoms
-    that are not in `NUM_SIZES` are excluded.
+    If the viewer shows no geom, all supported geoms are returned. Geoms of the world body and kinds
+    of geoms that are not in `NUM_SIZES` are excluded.
     """
     own = [
         geom
@@ -301,7 +301,7 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Reduce a mesh to about ``share`` of its faces, by clustering on increasingly coarse grids."""
+    """Reduce a mesh to about ``share`` of the faces, by clustering on increasingly coarse grids."""
     simplified = read_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
     while len(simplified.faces) > max_faces and cells > 4:
@@ -311,7 +311,7 @@ def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
 
 
 def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
-    """Merge the vertices of a mesh that are in one cell of a grid.
+    """Merge the vertices of a mesh that are in the same cell of a grid.
 
     Args:
         mesh: Mesh.

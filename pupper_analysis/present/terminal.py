@@ -1,8 +1,8 @@
 """Documents on a terminal: verdict, key figures, and tables that fit the width.
 
-The short view omits blocks marked as detail and lists them in its last line. In a table that is too
-wide, columns of sentences are wrapped; if the table is still too wide, it is printed in parts that
-repeat the first column. Names and numbers are never cut.
+The short view omits blocks marked as detail and lists these blocks in the last line. In a table
+that is too wide, columns of sentences are wrapped; if the table is still too wide, the table is
+printed in parts that repeat the first column. Names and numbers are never cut.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _ViewOptions(NamedTuple):
 
 
 class _PrintedLine(NamedTuple):
-    """Line, the indent [characters] of its continuation lines, and whether it may be wrapped."""
+    """Line, the indent [characters] of its continuation lines, and True if wrapping is allowed."""
 
     text: Text
     indent: int = 0
@@ -79,7 +79,7 @@ def make_console() -> Console:
 
 
 def print_report(out: Console, report: Report, *, everything: bool = False) -> None:
-    """Print the documents of a report, and then its overview.
+    """Print the documents of a report, and then the overview.
 
     If the report has an overview and ``everything`` is false, a summary takes the place of each
     document, and the last line names the option that prints the tables.
@@ -124,7 +124,7 @@ def print_document(out: Console, document: Document, *, everything: bool = False
 
 
 def print_summary(out: Console, document: Document) -> None:
-    """Print a document's verdict and key figures, and the number of its notes."""
+    """Print a document's verdict and key figures, and the number of notes."""
     print_head(out, document)
     _print_note_count(out, document)
 
@@ -163,18 +163,18 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 
 
 def print_table(out: Console, table: Table) -> None:
-    """Print a table with all its columns."""
+    """Print a table with all columns."""
     _print_block(out, table, everything=True)
 
 
 def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = False) -> None:
-    """Print notes, one per line.
+    """Print notes; each note is a line.
 
     Args:
         out: Console.
         notes: Notes, the most important first.
-        everything: Print all notes. Otherwise, of more than `MAX_SHORT_NOTES`, one fewer than this
-            number and the count of the rest.
+        everything: Print all notes. Otherwise print at most `MAX_SHORT_NOTES` lines: the first
+            notes, and the number of omitted notes.
     """
     shown = notes
     if not everything and len(notes) > MAX_SHORT_NOTES:
@@ -278,7 +278,7 @@ def _to_plain_text(words: Words) -> str:
 
 
 def _style_words(words: Words) -> Text:
-    """Return words in the style of their mark.
+    """Return words in the style of the mark.
 
     A first word in capitals gets the style alone; otherwise only quiet words are styled.
     """
@@ -350,7 +350,7 @@ def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Te
 
 
 def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
-    """Format a column, and compute its width and its smallest width."""
+    """Format a column, and compute the actual and the smallest width."""
     column, cells = table.columns[index], [row[index] for row in table.rows]
     texts = [
         _escape_line(cell.text if isinstance(cell, Number) else get_english(cell)) for cell in cells
@@ -377,7 +377,7 @@ def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
 def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int) -> list[Text]:
     """Render columns with rich, to ``width`` characters.
 
-    If the columns cannot be wrapped to this width, their smallest width is used.
+    If the columns cannot be wrapped to this width, the smallest width is used.
     """
     from rich.box import Box  # no table is printed without -v, and both are slow to import
     from rich.table import Table as Grid

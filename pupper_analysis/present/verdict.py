@@ -1,6 +1,6 @@
 """Text of a verdict, for terminals and pages.
 
-Input is a ``Verdict``; output are its clauses, sorted by importance, in both languages, and the
+Input is a ``Verdict``; output are clauses, sorted by importance, in both languages, and the
 document of a result whose answer is the verdict.
 """
 
@@ -61,7 +61,8 @@ class Clause:
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Return the statements of a verdict, without repetitions.
 
-    Statements that agree with the result come first: those against the stand if the verdict is bad.
+    Statements that agree with the result come first: statements against the stand if the verdict is
+    bad.
     """
     own, fails = (
         tuple(make_keyframe_run_clauses(verdict.own)),
@@ -95,7 +96,7 @@ _DECIDING_REMARKS = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""{verdict code: code of the remark that decides it}. Such a remark comes first."""
+"""{verdict code: code of the deciding remark}. Such a remark comes first."""
 
 _VERDICT_WORDS = {
     Question.STANDS: ("HOLDS", "FAILS"),
@@ -185,7 +186,7 @@ class JudgedResult(Protocol):
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict with its basis."""
+        """Verdict with the basis of the verdict."""
 
 
 def judged_document(
@@ -199,7 +200,7 @@ def judged_document(
     word: Words | None = None,
     notes: Iterable[Words] = (),
 ) -> Document:
-    """Create the document of a result whose answer is its verdict.
+    """Create the document of a result whose answer is a verdict.
 
     The short answer contains the verdict, the statements against it, the key figures and the
     assumptions. A terminal prints the other statements and the tables with -v only.
@@ -210,7 +211,7 @@ def judged_document(
         blocks: Tables and plots.
         answer: Key figures, about three lines.
         details: Further statements.
-        failures: Reasons against the result, in addition to those of the verdict.
+        failures: Reasons against the result, in addition to the reasons of the verdict.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
         notes: Assumptions, findings and omissions.
     """
@@ -237,8 +238,8 @@ def verdict_word(verdict: Verdict) -> Text:
 def qualify_verdict_word(key: str, converted: str) -> Text:
     """Return the display word of a verdict, with a restriction if one model was converted.
 
-    If one model was converted from the other, their agreement proves nothing. The text of a good
-    verdict then adds that both models come from one file.
+    If one model was converted from the other model, agreement proves nothing. The text of a good
+    verdict then adds that both models come from the same file.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
@@ -251,9 +252,9 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 
 
 def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
-    """Describe the simulation of the published file from its keyframe, and the causes of a failure.
+    """Describe the simulation of the published file from a keyframe, and the causes of a failure.
 
-    There is one statement per run: with the file's own commands, and with angle commands if that
+    Each run has a statement: with the file's own commands, and with angle commands if that
     run exists. Without a run there is no statement.
     """
     for run in () if own is None else (own, *((own.held,) if own.held else ())):
@@ -294,7 +295,7 @@ def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
 
 
 def _make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """State which servos of the file were replaced, because they cannot hold a position."""
+    """State which servos of the file were replaced, because the servos cannot hold a position."""
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)
@@ -342,7 +343,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
-    """State the deviation of the published robot from the computed one, and its causes."""
+    """State the deviation of the published robot from the computed one, and the causes."""
     if published is None:
         return
     run = published.worst
@@ -432,7 +433,7 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """State the creep of the robot; as a warning if it matters."""
+    """State the creep of the robot; as a warning if the creep is significant."""
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
         return
@@ -447,7 +448,7 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
-    """State that a result depends on added servos, and name up to `MAX_NAMED_JOINTS` of them."""
+    """State that a result depends on added servos, and name up to `MAX_NAMED_JOINTS` servos."""
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(
         "on-servos-made-up",
@@ -460,7 +461,7 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
-    """Return the lowest gains of servos, and the highest gains if they differ."""
+    """Return the lowest gains of servos, and the highest gains if different."""
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {
         "kp": kp,

@@ -1,4 +1,4 @@
-"""Variants of Pupper, and their derivation."""
+"""Variants of Pupper, and the derivation of their files."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

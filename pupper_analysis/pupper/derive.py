@@ -1,4 +1,4 @@
-"""Derive a variant: its URDF with yourdfpy, its MJCF with MuJoCo's spec."""
+"""Derive a variant: the URDF with yourdfpy, the MJCF with MuJoCo's spec."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
-    """Derive the URDF of a variant from that of its base model.
+    """Derive the URDF of a variant from the URDF of the base model.
 
     The scaling is described at `derive_mjcf`; this function is an independent implementation.
 
@@ -118,7 +118,7 @@ def _stretch_link(
 
 
 def _move_origin(element: object, matrix: Array) -> Array:
-    """Return the origin of an element with its position transformed by a matrix."""
+    """Return the origin of an element with the position transformed by a matrix."""
     origin = _read_origin(element)
     origin[:3, 3] = matrix @ origin[:3, 3]
     return origin
@@ -145,13 +145,13 @@ def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | Non
 
 
 def _yield_primitives(link: yourdfpy.Link) -> Iterator[tuple[yourdfpy.Geometry, Array]]:
-    """Yield the collision shapes of a link with their poses."""
+    """Yield the collision shapes of a link with the poses."""
     for collision in link.collisions:
         yield collision.geometry, _read_origin(collision)
 
 
 def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Array) -> Array:
-    """Compute the inertia of a solid capsule about its centre: a cylinder and two hemispheres.
+    """Compute the inertia of a solid capsule about the centre: a cylinder and two hemispheres.
 
     With the masses m_c of the cylinder and m_s of both hemispheres, in proportion to their
     volumes, and the length l of the cylinder:
@@ -181,7 +181,7 @@ def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Arr
 def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     """Convert the spec of a base model to that of a variant, in place.
 
-    The last joint of a leg is its knee, between thigh and calf. Both bodies are stretched by
+    The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
     ``leg_scale`` along the direction to the next joint (or the foot), projected into the plane
     normal to the knee axis, so the lateral offset of the leg is unchanged. Mass is proportional
     to the scale. A shape along the link becomes longer; other primitive shapes keep their size.
@@ -251,7 +251,7 @@ def _stretch_body(
 def _stretch_geom(
     geom: mujoco.MjsGeom, axis: Array, factor: float, stretch: Array, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a geom; record the factors of its mesh."""
+    """Stretch a geom; record the scale factors of the mesh."""
     ends = np.array(geom.fromto)
     rotation = _make_rotation(geom.quat)
     spans = False
@@ -340,7 +340,7 @@ def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
-    """Raise the base and its keyframes by the increase of the foot depths."""
+    """Raise the base, and the base in all keyframes, by the increase of the foot depths."""
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):
         qpos = np.array(key.qpos)

@@ -24,8 +24,8 @@ def is_variant(word: object) -> bool:
 def variant_model_files(name: str) -> Iterator[tuple[Path, Path]]:
     """Yield the URDF and the MJCF of a variant.
 
-    A base model has files of its own. Those of a scaled one are written to a temporary folder,
-    which is removed at the end.
+    A base model has permanent files. The files of a scaled variant are written to a temporary
+    folder, which is removed at the end.
     """
     spec = get_variant_spec(name)
     if spec.leg_scale == spec.torso_mass_scale == 1.0:

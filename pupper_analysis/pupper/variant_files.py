@@ -42,7 +42,7 @@ the derived MJCF is compiled as a test. Chosen, not tuned."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
-    """Derive the URDF and MJCF of a variant from those of its base model, in memory.
+    """Derive the URDF and MJCF of a variant from the files of the base model, in memory.
 
     Both derivations share no code except the values of the spec.
 
@@ -75,7 +75,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
 
 
 def _read_file_stamp(file: Path) -> tuple[int, int]:
-    """Return modification time and size of a file; zeros if it does not exist."""
+    """Return modification time and size of a file; zeros if the file does not exist."""
     if not file.is_file():
         return 0, 0
     found = file.stat()
@@ -113,7 +113,7 @@ def _derive_files(
 
 @lru_cache(maxsize=8)
 def _read_base(source: Path, _read_file_stamp: tuple[int, int]) -> MjcfFile:
-    """Read a base MJCF, which compiles it; cached until the file changes."""
+    """Read and compile a base MJCF; cached until the file changes."""
     return read_mjcf(source)
 
 
@@ -158,7 +158,7 @@ def write_variant(
 
 
 def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
-    """Load a variant of one of the package's base models.
+    """Load a variant of a base model of the package.
 
     Args:
         variant: Name from ``VARIANTS``, or a ``VariantSpec``.
@@ -197,7 +197,7 @@ _PAIR_SEPARATOR: Final = "+"
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
-    """Return the name of a variant, or the files of a robot: one, or several separated by a plus.
+    """Return the name of a variant, or the files of a robot, separated by plus signs.
 
     The number of files is not checked.
 
@@ -216,8 +216,8 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the variants and files that words name.
 
     A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
-    they are one robot as well. A robot of one word is returned once even if it is named twice. A
-    robot of two words, URDF and MJCF, is returned as often as it is named.
+    the pair is one robot as well. A robot of a single word is returned once even if named twice. A
+    robot of two words, URDF and MJCF, is returned as often as named.
 
     Raises:
         VariantError: If a word names no robot.

@@ -24,7 +24,7 @@ class BaseModel:
     Attributes:
         urdf: Name of the file in ``urdf/``.
         mjcf: Name of the file in ``mjcf/``.
-        feet: {foot: name of its URDF link and of its MJCF site}.
+        feet: {foot: name of the URDF link and of the MJCF site}.
         foot_depth: Function from leg_scale to the depth of the feet below the hips in the
             nominal stand [m].
         remarks: Function that returns notes for users.
@@ -80,7 +80,7 @@ class VariantSpec:
         base: ``"skeleton"`` or ``"v3"``.
         leg_scale: Factor of the length and mass of each thigh and calf; finite, > 0.
         torso_mass_scale: Factor of the mass and inertia of the torso; finite, > 0.
-        name: Name for tables and files; by default it is formed from the other values.
+        name: Name for tables and files; by default formed from the other values.
 
     Raises:
         VariantError: If the base is unknown, a scale is not positive, not finite or above
@@ -133,7 +133,7 @@ VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
 
 
 def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
-    """Return the spec of a variant by its name; a spec is returned unchanged.
+    """Return the spec of a variant by name; a spec is returned unchanged.
 
     Raises:
         VariantError: If the name is unknown.
@@ -149,8 +149,8 @@ def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
 def find_model_folder(kind: str) -> Path:
     """Return the folder ``urdf`` or ``mjcf`` of the model files.
 
-    In an installed wheel the folders are part of the package, in a checkout they are at the top
-    level.
+    In an installed wheel the folders are part of the package, in a checkout the folders are at the
+    top level.
 
     Raises:
         ModelError: If the folder exists in neither place.

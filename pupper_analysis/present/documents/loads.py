@@ -42,7 +42,7 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
 
 
 def limit_cell(limit: float) -> doc.Cell:
-    """Create a cell with a torque limit; a word if no file states one."""
+    """Create a cell with a torque limit; a word if no file states a limit."""
     return doc.number_cell(limit, "g") if math.isfinite(limit) else text("limit-unknown")
 
 
@@ -80,7 +80,7 @@ def load_blocks(
         min_max_torque: Equilibrium with the smallest peak utilisation.
         verification: Simulation with feed-forward.
         limits: Effort limits, shape (nu,) [N m].
-        origins: Statement in the files of each limit; None without one.
+        origins: Statement in the files of each limit; None without a limit.
         more: Further columns, {column: values of shape (nu,)}.
     """
     source = (
@@ -107,7 +107,7 @@ def load_blocks(
 
 
 def _format_fraction(value: float) -> str:
-    """Format a fraction in percent; a dash if it is not finite."""
+    """Format a fraction in percent; a dash if the fraction is not finite."""
     return f"{value:.1%}" if math.isfinite(value) else "-"
 
 
@@ -243,7 +243,7 @@ def view_block(
     """Create the 3-D view of a stand; without a robot, a view that contains no scene.
 
     Args:
-        robot: Robot; None if it is not available.
+        robot: Robot; None if not available.
         stand: Stand.
         statics: Static equilibrium; None to omit loads.
         motions: Motions that the view can play.

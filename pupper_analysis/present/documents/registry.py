@@ -1,10 +1,10 @@
 """Selection of the builder that creates the document of a result.
 
-A builder is registered for the type of its result (``@build_document.register``), in the module
+A builder is registered for the type of a result (``@build_document.register``), in the module
 ``document`` of a tool: the tool that has the result or, for a result of the core, the tool that
-shows it. A ``Comparison``, for example, is shown by ``tools/crosscheck``. The module is imported
-when such a result is shown for the first time, so that an audit imports no stance. The document of
-a result without a builder lists its fields with their meanings.
+shows the result. A ``Comparison``, for example, is shown by ``tools/crosscheck``. The module is
+imported when such a result is shown for the first time, so that an audit imports no stance. The
+document of a result without a builder lists all fields with their meanings.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pupper_analysis.robot.robot import Robot
 
 
 def value_cell(value: object) -> Cell:
-    """Create a cell with a value; long values are shortened to their size."""
+    """Create a cell with a value; a long value is replaced by the size of the value."""
     if hasattr(value, "phrase"):  # as a stand's task says what it asks for
         return diagnostic_text(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
@@ -46,7 +46,7 @@ def value_cell(value: object) -> Cell:
 
 
 def make_fields_document(result: Result) -> doc.Document:
-    """Create a document that lists the fields of a result with their meanings and units."""
+    """Create a document that lists the fields of a result with meanings and units."""
     kind = type(result)
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -70,13 +70,13 @@ _PACKAGE_NAME = "pupper_analysis"
 
 @singledispatch
 def build_document(result: object, _: Robot | None = None) -> Document:
-    """Create the document of a result; of a type without a builder, a list of its fields.
+    """Create the document of a result; for a type without a builder, a list of the fields.
 
     The module of the builder must have been imported; `make_document` does so.
 
     Args:
         result: Result.
-        _: Robot of the result, for views and quoted lines; None if it is not available.
+        _: Robot of the result, for views and quoted lines; None if not available.
 
     Raises:
         TypeError: If ``result`` is no result.
@@ -89,7 +89,7 @@ def build_document(result: object, _: Robot | None = None) -> Document:
 
 @singledispatch
 def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
-    """Create blocks that compare several results of the first one's type; none by default."""
+    """Create blocks that compare results of the first result's type; none by default."""
     return ()
 
 
@@ -98,8 +98,8 @@ def make_document(result: Result, robot: Robot | None = None, name: str = "") ->
 
     Args:
         result: Result.
-        robot: Robot of the result; None if it is not available.
-        name: Title if the builder does not provide one. Default: the name of the type.
+        robot: Robot of the result; None if not available.
+        name: Title if the builder provides no title. Default: the name of the type.
     """
     _load_builder(type(result))
     built = build_document(result, robot)
@@ -113,13 +113,13 @@ def build_report(
     robots: Iterable[Robot] = (),
     overview: Iterable[Block] = (),
 ) -> Report:
-    """Create the documents of several results, and the blocks that compare them.
+    """Create the documents of several results, and the blocks that compare the results.
 
     Results are compared if there are several, all of one type.
 
     Args:
         results: (name, result) pairs. The name is used if the document has no title.
-        robots: Available robots, which are assigned to results by their names.
+        robots: Available robots, which are assigned to results by name.
         overview: Further blocks, which come first.
     """
     known = {robot.name: robot for robot in robots}
@@ -136,7 +136,7 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Return the title of a report: the common kind of its documents, and their titles."""
+    """Return the title of a report: the common kind of the documents, and the document titles."""
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}
@@ -147,7 +147,7 @@ def _make_title(documents: Sequence[Document]) -> Words:
 def _load_builder(kind: type) -> None:
     """Import the module of the builder for a type, if there is one.
 
-    The package of the type and its parents are searched first, then the tools.
+    The package of the type and the parent packages are searched first, then the tools.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

@@ -11,7 +11,7 @@ from pupper_analysis.present.document import Name, Text, text
 from pupper_analysis.robot.robot import Robot
 
 MAX_QUOTED_CHARACTERS, MAX_QUOTED_LINES = 400, 8
-"""Limits of the text that is quoted from a model file: characters, and lines of one element.
+"""Limits of the text that is quoted from a model file: characters, and lines of an element.
 Chosen, not tuned."""
 
 
@@ -37,7 +37,7 @@ def files_text(robot: Robot | None) -> Text:
 
 
 def is_urdf_changed(robot: Robot) -> bool:
-    """Return True if a robot's URDF differs from the text of its file.
+    """Return True if a robot's URDF differs from the text of the URDF file.
 
     False for a URDF that was converted from an MJCF.
     """
@@ -53,7 +53,7 @@ def quote_line(place: str | None, *paths: str) -> str:
 
     Args:
         place: ``file:line``; ``file`` is a name or a path.
-        *paths: Candidate files. Files that they include are searched beside them and in subfolders
+        *paths: Candidate files. Included files are searched in the same folder and in subfolders
             named in ``place``.
 
     Returns:
@@ -88,7 +88,7 @@ def _join_element_lines(rows: list[str]) -> str:
 
 
 def _read_text(path: Path) -> str:
-    """Return the content of a file; empty if it cannot be read."""
+    """Return the content of a file; empty if the file cannot be read."""
     try:
         return read_content(path, MAX_BYTES).decode("utf-8", errors="replace")
     except InputError:

@@ -22,7 +22,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:
-    """Create the columns of a table with one quantity per row: name, values, unit.
+    """Create the columns of a table with a quantity per row: name, values, unit.
 
     Args:
         *values: Headers of the value columns. Default: ``value``.
@@ -39,7 +39,7 @@ def task_text(task: StandTask) -> Text:
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Return the files of a robot and its notes; nothing without a robot."""
+    """Return the files and notes of a robot; nothing without a robot."""
     return (
         ()
         if robot is None
@@ -158,10 +158,10 @@ def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
 def run_rows(
     runs: Sequence[Any], names: Collection[str] | None = None
 ) -> tuple[tuple[doc.Cell, ...], ...]:
-    """Create the rows of a table of simulated quantities, with one column per run.
+    """Create the rows of a table of simulated quantities, with a column per run.
 
     Args:
-        runs: Simulations, or other results with these quantities, such as ``SteadyState``.
+        runs: Simulations, or other results with the same quantities, such as ``SteadyState``.
         names: Catalogue keys of the quantities. Default: all.
     """
     return tuple(
@@ -176,7 +176,7 @@ def run_rows(
 
 
 def simulated_table(run: StandVerification) -> doc.Table:
-    """Create the table of the quantities of one simulation."""
+    """Create the table of the quantities of a simulation."""
     return doc.Table(
         text("simulation", seconds=f"{run.duration:g}"),
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),

@@ -1,1 +1,1 @@
-"""Figures as PNG files, without Matplotlib's pyplot: no window opens, and its backend is kept."""
+"""Figures as PNG files, without Matplotlib's pyplot: no window opens, and the backend is kept."""

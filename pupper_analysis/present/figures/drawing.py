@@ -40,7 +40,7 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
 GRID_COLOUR = "#E3E6EB"
 """Colour of grid lines."""
 SERIES_COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
-"""Colours of the lines of a plot, in their order."""
+"""Colours of the lines of a plot, in plotting order."""
 
 PAGE_WIDTH = 178 / 25.4
 """Width of a figure [inch]: the text width of a printed page, 178 mm."""
@@ -60,7 +60,7 @@ _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
 """{class of the page's style sheet: line style of Matplotlib}."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
-"""{class of the page's style sheet: line width [pt]}, if it is not the default."""
+"""{class of the page's style sheet: line width [pt]}, if not the default."""
 _TEXT_ALIGNMENTS = {"start": "left", "middle": "center", "end": "right"}
 """{text anchor of SVG: horizontal alignment of Matplotlib}."""
 
@@ -78,7 +78,7 @@ def write_plots(
     title: Words | None = None,
     names: Sequence[str] = (),
 ) -> None:
-    """Write plots as panels of one figure, at most two in a row.
+    """Write plots as panels of a figure, at most two in a row.
 
     Args:
         plots: Plots.
@@ -164,7 +164,7 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
 
 
 def _write_words(mark: Mark, axes: Axes, size: float) -> None:
-    """Write the words of a mark, with their unit."""
+    """Write the words of a mark, with the unit."""
     words = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
     axes.text(mark["x"], mark["y"], words, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
@@ -210,14 +210,14 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with one row below a figure."""
+    """Add a legend with a single row below a figure."""
     figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT_SIZE,
                   frameon=False, handletextpad=0.5, columnspacing=0.8,
                   handlelength=1.6)  # fmt: skip
 
 
 def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
-    """Write a figure as a PNG file in one atomic step, and create its folder if it is missing.
+    """Write a figure as a PNG file atomically, and create a missing folder.
 
     Args:
         figure: The figure.

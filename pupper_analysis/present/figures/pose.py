@@ -155,7 +155,7 @@ def write_pose_figure(
 ) -> None:
     """Draw legs, base, contact forces, centre of mass and support polygon of a stand.
 
-    The left panel is an oblique view, the right one a view from above.
+    The left panel is an oblique view, the right panel a view from above.
 
     Args:
         robot: Robot.

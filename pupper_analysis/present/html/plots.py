@@ -1,7 +1,7 @@
 """Plots as inline SVG: lines and bars, with values at the mouse pointer.
 
-A mark is a dictionary that the template writes as one SVG element. ``tag`` is the element's name,
-``words`` a displayed text, ``points`` positions of shape (n, 2) with one entry of ``labels`` each.
+A mark is a dictionary that the template writes as an SVG element. ``tag`` is the element's name,
+``words`` a displayed text, ``points`` positions of shape (n, 2) with an entry of ``labels`` each.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Drawing:
         height: Height.
         marks: Lines, points and words, in drawing order.
         legend: (words, class of the style sheet) pairs.
-        note: Meaning of the notes in the legend; None without one.
+        note: Meaning of the notes in the legend; None if absent.
     """
 
     kind: ClassVar[str] = "plot"
@@ -89,7 +89,7 @@ labels, which have six digits, would be equal."""
 
 
 def format_axis_value(axis: Axis, value: float) -> str:
-    """Format a value with the unit of its axis."""
+    """Format a value with the unit of the axis."""
     return f"{number_cell(value, axis.form).text} {axis.unit}"
 
 
@@ -195,7 +195,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
-    """Return (words, class of the style sheet) of each series, with its note."""
+    """Return (words, class of the style sheet) of each series, with the note."""
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
@@ -237,11 +237,11 @@ def _compute_range(values: Array, room: float) -> tuple[float, float]:
 def draw_grid(
     across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
 ) -> list[Mark]:
-    """Draw grid lines of both axes, with their values.
+    """Draw grid lines of both axes, with the values.
 
     Args:
-        across: {value: x coordinate of its line}.
-        up: {value: y coordinate of its line}.
+        across: {value: x coordinate of the line}.
+        up: {value: y coordinate of the line}.
         wide: Width of the grid.
         tall: Height of the grid.
     """
@@ -258,7 +258,7 @@ def draw_grid(
 def draw_axes(
     x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
 ) -> list[Mark]:
-    """Draw both axes with their names and units."""
+    """Draw both axes with names and units."""
     up = draw_words(14, TOP_MARGIN + tall / 2, y, "middle", units[1])
     return [
         draw_line(LEFT_MARGIN, TOP_MARGIN + tall, LEFT_MARGIN + wide, TOP_MARGIN + tall, "axis"),
@@ -269,13 +269,13 @@ def draw_axes(
 
 
 def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
-    """Draw a line and its points.
+    """Draw a line and the data points.
 
     Args:
         places: Points in user units, shape (n, 2).
         labels: Text of each point at the mouse pointer.
         series: Series.
-        index: Index of the series, which selects its style.
+        index: Index of the series, which selects the style.
     """
     rounded = np.round(places, 1).tolist()
     style = f"s{index % NUM_SERIES_STYLES}"

@@ -1,7 +1,7 @@
-"""Results as one HTML file that needs no network and no other file.
+"""Results as a single HTML file that needs no network and no other file.
 
-The page contains three.js for its 3-D views, taken from the installed package MeshCat, on which
-PlaCo depends. A scene contains a robot's shapes, their poses, and the loads on the robot.
+The page contains three.js for the 3-D views, taken from the installed package MeshCat, on which
+PlaCo depends. A scene contains the shapes and poses of a robot, and the loads on the robot.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ MAX_FACES = 12_000
 of six robots is below 3 MB."""
 
 MAX_FRAMES = 80
-"""Largest number of configurations of a motion, about the resolution of its slider. Chosen, not
+"""Largest number of configurations of a motion, about the resolution of the slider. Chosen, not
 tuned."""
 
 
@@ -146,7 +146,7 @@ def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
 def _serialise_robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
-    """Convert a robot's bodies, shapes, joints and motions, and its extent at ``qpos``."""
+    """Convert a robot's bodies, shapes, joints and motions, and the extent at ``qpos``."""
     model, data = robot.mj_model, robot.placed(qpos)
     low, high = compute_extent(model, data)
     geoms, meshes = serialise_geoms(model)
@@ -163,7 +163,7 @@ def _serialise_robot(
 
 
 def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Convert a motion to body poses, at up to `MAX_FRAMES` of its finite configurations."""
+    """Convert a motion to body poses, at up to `MAX_FRAMES` of the finite configurations."""
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
@@ -205,7 +205,7 @@ def round_values(values: ArrayLike) -> list[Any]:
 
 
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Compute the bounds of the bounding spheres of a robot's shapes, and of its body frames.
+    """Compute the bounds of the bounding spheres of a robot's shapes, and of the body frames.
 
     Returns:
         Lower and upper bounds, shape (3,) [m], in the world frame.
@@ -246,9 +246,9 @@ def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
 def serialise_geoms(
     model: mujoco.MjModel,
 ) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Convert a robot's visible shapes and their meshes.
+    """Convert a robot's visible shapes and meshes.
 
-    A mesh is named after its content, so that robots with equal meshes share them.
+    A mesh is named after the mesh content, so that robots with equal meshes share a mesh.
     """
     shapes, found = collect_visible_shapes(model, MAX_FACES)
     meshes = {number: _pack_mesh(mesh) for number, mesh in found.items()}
@@ -269,7 +269,7 @@ def serialise_geoms(
 
 
 def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Pack a mesh: vertices as 16-bit integers relative to its bounding box, faces as integers."""
+    """Pack a mesh: vertices as 16-bit integers relative to the bounding box, faces as integers."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     steps = np.round((mesh.vertices - low) / span * 65535).astype("<u2")
@@ -287,7 +287,7 @@ def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
 _VIEWER_PACKAGE = "meshcat"
 """Package that contains three.js."""
 _EXPORT_MARKER = "THREE:()=>"
-"""Text in the bundle that shows that it exports three.js."""
+"""Text in the bundle that shows the export of three.js."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +296,7 @@ class ViewerLibrary:
 
     Attributes:
         script: Script, which defines ``MeshCat.THREE``; nothing in it ends a script element.
-        licence: Licences of the script and of its parts.
+        licence: Licences of the script and of the included parts.
     """
 
     script: str
@@ -321,7 +321,7 @@ def load_viewer_library() -> ViewerLibrary | None:
 
 
 def _collect_licences(folder: Path) -> str:
-    """Return the licence texts of the package and of the parts of its bundle."""
+    """Return the licence texts of the package and of the bundled parts."""
     named = (
         path
         for path in distribution(_VIEWER_PACKAGE).files or ()
@@ -352,14 +352,14 @@ def write_report(
     language: str = "en",
     force: bool = False,
 ) -> None:
-    """Write results as one HTML file, which needs no network and no other file.
+    """Write results as a single HTML file, which needs no network and no other file.
 
     Args:
-        results: One result, several, or {name: result}. Results with a builder, such as analyses,
-            stances and studies (``study_outcome``), have their own pages; of other results the
+        results: A result, several, or {name: result}. Results with a builder, such as analyses,
+            stances and studies (``study_outcome``), have specific pages; of other results the
             fields are listed.
         path: File; ``-`` is standard output.
-        robots: Robots of the results, for 3-D views; they are assigned by name.
+        robots: Robots of the results, for 3-D views; assigned by name.
         language: Initial language, ``"en"`` or ``"zh"``. The page can switch.
         force: Also replace an existing file that is not a page of this package.
 
@@ -399,7 +399,7 @@ def _name_results(
 
 
 def render_page(shown: Report, language: str = "en") -> str:
-    """Return a report as one HTML page.
+    """Return a report as a single HTML page.
 
     Args:
         shown: Report.
