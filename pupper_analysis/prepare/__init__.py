@@ -1,1 +1,1 @@
-"""Prepare a robot from its published files: matching, feet, servos, start pose and verdict."""
+"""Prepare a robot from the published files: matching, feet, servos, start pose and verdict."""

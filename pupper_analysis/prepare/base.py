@@ -1,4 +1,4 @@
-"""Free the base of a robot that is fixed in its MJCF, and place the frame of a free base."""
+"""Free the base of a robot that is fixed in the MJCF, and place the frame of a free base."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 _GROUND_ATOL = 1e-6
 """Distance [m] by which a base frame may be above the robot's lowest point and still count as at
-ground level. It covers rounding of a wheel's height and radius. Chosen, not tuned."""
+ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
 """Cosine of the tilt of the base frame in the first keyframe below which the tilt is noted and the
@@ -45,7 +45,7 @@ def free_base(
 
     Raises:
         ModelError: If the robot has limbs but no base body: MuJoCo fuses the root link of a URDF
-            with the world, and its mass is lost.
+            with the world, and the mass of this link is lost.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
@@ -76,7 +76,7 @@ def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 
 def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Remove the dry friction of free joints, in place: it would hold a falling robot."""
+    """Remove the dry friction of free joints, in place: friction would hold a falling robot."""
     notes = []
     for joint in spec.joints:
         if joint.type == JointKind.FREE and joint.frictionloss:
@@ -88,7 +88,7 @@ def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
 def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) -> list[Diagnostic]:
     """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
-    The frame is kept if it is tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs
+    The frame is kept if tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs
     do not hang below the CoM. Roll, pitch and height of a stand refer to the base frame with z up.
     A note is added instead if the frame is tilted by more than 45 deg in the keyframe `home` (or
     the first keyframe, or without keyframes in the initial state). The frame of the URDF is matched
@@ -153,12 +153,12 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
 def _raise_frame(
     spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, up: float, model: mujoco.MjModel
 ) -> None:
-    """Raise the frame of a free base; all elements of the body keep their place in the world.
+    """Raise the frame of a free base; all elements of the body keep the same place in the world.
 
     Args:
         spec: Spec, with keyframes; modified in place.
         base: Base body.
-        place: Address of its free joint in ``qpos``.
+        place: Address of the free joint of the base in ``qpos``.
         up: Distance along the z axis of the frame [m].
         model: Compiled model of the spec.
     """

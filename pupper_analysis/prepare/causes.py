@@ -37,8 +37,9 @@ Chosen."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
-If a file has less accurate settings, they are tested as the cause of a difference, by a simulation
-with these values. Newton's method converges in about ten iterations. Chosen, not tuned."""
+If a file has less accurate settings, the settings are tested as the cause of a difference, by a
+simulation with the values of this constant. Newton's method converges in about ten iterations.
+Chosen, not tuned."""
 
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
@@ -87,7 +88,7 @@ _XML_SECTIONS = {
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Return a cause with the line of its first element; unchanged without section or element."""
+    """Return a cause with the line of the first element; unchanged without section or element."""
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
     return replace(cause, line=mjcf.place(_XML_SECTIONS[cause.code], cause.elements[0]).line)
@@ -131,7 +132,7 @@ def _name_elements(
 
 
 def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of actuators; of an actuator without a name, that of its joint."""
+    """Return the names of actuators; of an actuator without a name, the name of the joint."""
     return tuple(
         mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, int(actuator))
         or _name_element(model, _OBJECT_TYPE.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0]))
@@ -147,7 +148,7 @@ COMMAND_CODES = ("bias", "gain", "gear")
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
-    """Return a function that sets elements of a model's arrays, or of its options.
+    """Return a function that sets elements of a model's arrays, or of the options.
 
     Args:
         changes: (names of the fields, index of the elements, value); for options the index is
@@ -291,11 +292,12 @@ steel has more."""
 
 _SOUND_FRICTION = 0.8
 """Friction coefficient that replaces that of slippery contacts in a test simulation, to find
-whether they cause a difference: rubber on a floor."""
+if the friction causes a difference: rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Time constant of a contact (``solref``) [s] above which the contact is tested as the cause of a
-difference, because it may be too soft by a mistake. MuJoCo's default is 0.02. Chosen, not tuned."""
+difference, because the contact may be too soft by a mistake. MuJoCo's default is 0.02. Chosen, not
+tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
@@ -335,7 +337,7 @@ def _select_bad_contacts(model: mujoco.MjModel, of: str, code: str) -> NDArray[n
 
 
 def _name_shape(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom; without a name, that of its body."""
+    """Return the name of a geom; without a name, the name of the body."""
     named = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_GEOM, geom)
     return named or _name_element(model, _OBJECT_TYPE.mjOBJ_BODY, int(model.geom_bodyid[geom]))
 
@@ -391,7 +393,7 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield limits of commands and forces, one candidate per kind."""
+    """Yield limits of commands and forces, a candidate per kind."""
     model, joints, motors = (
         published.model,
         _list_joint_ids(published, robot),

@@ -4,7 +4,7 @@ A sole is laid flat on the ground, and its contact points are those of MuJoCo's 
 detection. MuJoCo returns up to four points for a plane and a mesh: the lowest vertex and
 vertices near it on the convex hull. On a sole with many vertices, the set of points changes with
 a tilt of microradians, and therefore with the load. The contact points of such a sole are small
-balls at its corners.
+balls at the corners of the sole.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Directions in which a sole is tilted, to test whether its contact points change."""
 
 TILT_ANGLE = 1e-4
-"""Tilt of a sole in that test [rad]. One end of a foot of 0.3 m is raised by 30 um, less than
-the test penetration, so both ends still touch."""
+"""Tilt of a sole in the test with `_TILT_DIRECTIONS` [rad]. One end of a foot of 0.3 m is raised by
+30 um, less than the test penetration, so both ends still touch."""
 
 _NUM_POSES = 3
-"""Number of random joint positions in `can_keep_sole_flat`: in a single one, the leg may be
+"""Number of random joint positions in `can_keep_sole_flat`: in a single sample, the leg may be
 straight."""
 
 _RANK_RTOL = 1e-2
@@ -81,10 +81,10 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 
 
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
-    """Return True if a leg can lift its sole without tilting it.
+    """Return True if a leg can lift the sole without tilting the sole.
 
-    This is possible with four joints if three of their axes are parallel (for example hip, knee
-    and ankle) and the fourth joint keeps these axes level. It is tested with the Jacobian in
+    This is possible with four joints if three of the axes are parallel (for example hip, knee
+    and ankle) and the fourth joint keeps these axes level. The test evaluates the Jacobian in
     random joint positions.
 
     Args:
@@ -129,12 +129,12 @@ the radius, with which the sphere replaces the foot. Chosen, not tuned."""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
-    """Compute the sphere that has an ellipsoid's lowest point and its mean radius of curvature.
+    """Compute the sphere that has an ellipsoid's lowest point and the mean radius of curvature.
 
     With the half axes in S, the support function is h(d) = |S d|, attained at S^2 d / h. The
     principal radii of curvature there are the two non-zero eigenvalues of the second derivative of
     h, which is S^2 / h - S^2 d d^T S^2 / h^3 (Schneider 2014, Convex Bodies, section 2.5). Half of
-    its trace is their mean.
+    the trace is the mean of both radii.
 
     Args:
         shape: An ellipsoid, placed in the world.
@@ -196,12 +196,12 @@ _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints between foot and base with which a leg can lay its sole flat at any position, up
+"""Number of joints between foot and base with which a leg can lay the sole flat at any position, up
 to the yaw angle. With fewer, this is tested by `can_keep_sole_flat`."""
 
 _MIN_SOLE_JOINTS = 4
 """Number of joints between foot and base below which a leg has a single contact point instead of a
-sole. With this number, a leg may lay its sole flat at any height, but not at any position."""
+sole. With this number, a leg may lay the sole flat at any height, but not at any position."""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 _CIRCLE_POINTS = np.column_stack(
@@ -223,7 +223,8 @@ _MAX_AXIS_COSINE = 0.1
 side."""
 
 _SOLE_ATOL = 1e-3
-"""Distance [m] from a plane within which facets of a mesh, and spheres, form one sole. Chosen."""
+"""Distance [m] from a plane within which facets of a mesh, and spheres, form a common sole.
+Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +252,7 @@ def find_contact_points(
     The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
     the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points.
     Without a flat part, the foot keeps its orientation in the pose. A leg has one contact point,
-    at its lower end, with fewer than `_MIN_SOLE_JOINTS` joints; also with fewer than
+    at the lower end, with fewer than `_MIN_SOLE_JOINTS` joints; also with fewer than
     `_NUM_SOLE_JOINTS` joints and no sole, or a sole that the leg cannot keep flat.
 
     Args:
@@ -299,9 +300,9 @@ def _sample_surface(
 def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact point of a foot that cannot lie flat, at its lowest point.
+    """Return the contact point of a foot that cannot lie flat, at the lowest point.
 
-    A mesh that is not round at its lower end gets a small ball at the centre of its lowest
+    A mesh that is not round at the lower end gets a small ball at the centre of the lowest
     points.
     """
     down = np.array([0.0, 0.0, -1.0])
@@ -389,7 +390,7 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 
 
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
-    """Yield the outward normals (3,) of the nearly level facets of a hull, or of its edge."""
+    """Yield the outward normals (3,) of the nearly level facets, or of the edge, of a hull."""
     middle = surface.mean(axis=0)
     spread = surface - middle
     # All axes, also of one or two points; of many not their n x n matrix of the other side.
@@ -419,10 +420,10 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
 def _find_sole_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact points of a foot with its sole flat, with outward normal ``out`` (3,).
+    """Return the contact points of a foot with the sole flat, with outward normal ``out`` (3,).
 
-    If the contacts of a mesh change with a small tilt, these are balls at the corners of the
-    sole.
+    If the contacts of a mesh change with a small tilt, the contact points are balls at the corners
+    of the sole.
     """
     found = _find_pressed_contacts(model, body, geoms, out)
     if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):
@@ -450,7 +451,7 @@ def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoin
 def _find_corner_balls(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return balls at the corners of a sole with outward normal ``out`` (3,), all in one plane.
+    """Return coplanar balls at the corners of a sole with outward normal ``out`` (3,).
 
     If a corner were a tenth of a millimetre off the plane, the foot would tilt by milliradians
     to rest on three balls.
@@ -477,7 +478,7 @@ def _find_corner_balls(
 def _find_pressed_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return MuJoCo's contacts of a foot pressed into the floor, its normal ``out`` (3,) down."""
+    """Return MuJoCo's contacts of a foot pressed into the floor, the normal ``out`` (3,) down."""
     data = mujoco.MjData(model)
     floor = ground_geom(model)
     mujoco.mj_kinematics(model, data)
@@ -518,7 +519,7 @@ def _find_pressed_contacts(
 
 
 def _is_lying(data: mujoco.MjData, geom: int) -> bool:
-    """Return True if a cylinder touches the ground with its side."""
+    """Return True if a cylinder touches the ground with the curved side."""
     return bool(abs(data.geom_xmat[geom][8]) < _MAX_AXIS_COSINE)
 
 

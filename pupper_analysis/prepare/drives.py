@@ -57,18 +57,18 @@ bounded by the time step (a random tripod oscillates at 2 ms with kd = 130 N m s
 with 25)."""
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
-"""Deflections [rad, m] for which gains are tried with reduced damping, in order, after those of
-`_SAG_CANDIDATES`."""
+"""Deflections [rad, m] for which gains are tried with reduced damping, in order, after the
+deflections of `_SAG_CANDIDATES`."""
 
 _BRIEF_DURATION = 2.0
-"""Duration of a first simulation [s]: if it agrees with the prediction, no longer one is needed.
-Chosen."""
+"""Duration of a first simulation [s]: if it agrees with the prediction, no longer simulation is
+needed. Chosen."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
     """Return the indices (actuator order) of dependent joints, which need no servo.
 
-    The positions of these joints follow from closed loops or couplings.
+    The positions of dependent joints follow from closed loops or couplings.
     """
     return [] if robot.closure is None else robot.closure.following.tolist()
 
@@ -97,7 +97,7 @@ def add_position_servos(
 
     Candidates of gains and time step are tried in order. The first is chosen with which the
     robot comes to rest in the stand, at rest agrees with the prediction (unless both files
-    describe different robots), and with which its published MJCF also comes to rest, with its own
+    describe different robots), and with which the published MJCF also comes to rest, with its own
     time step and shapes. The MJCF is not tested with a reduced time step, which is used only if no
     candidate with the time step of the file agrees with the prediction. If no candidate meets
     all conditions, the first that agrees with the prediction is chosen; then the first that
@@ -161,8 +161,8 @@ def add_position_servos(
     def first(*directions: bool) -> Iterator[tuple[int, Array, Array]]:
         """Yield the candidates with which the robot comes to rest in the given modes.
 
-        Simulations without feed-forward run first: most candidates that fall do so in these,
-        within seconds.
+        Simulations without feed-forward run first: most candidates that fall do so in such a
+        simulation, within seconds.
         """
         for number, candidate in enumerate(candidates):
             if all(rests(number, fed=way) for way in sorted(directions)):
@@ -187,7 +187,7 @@ def add_position_servos(
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos with suggested gains; those for a fixed base if there is no stand.
+    """Add position servos with suggested gains; the gains for a fixed base if there is no stand.
 
     Gains are chosen without torque limits of zero, which apply again to the returned robot.
 
@@ -199,7 +199,7 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
 
 def _lift_null_efforts(robot: Robot) -> Robot:
-    """Return the robot without torque limits of zero; the robot itself if it has none."""
+    """Return the robot without torque limits of zero; the robot itself if no limit is zero."""
     null = [limit.joint for limit in robot.efforts if limit.without_torque]
     if not null:
         return robot
@@ -210,7 +210,7 @@ def _lift_null_efforts(robot: Robot) -> Robot:
 
 
 def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
-    """Return a robot with servos and the torque limits of the robot that it was made of."""
+    """Return a robot with servos and the torque limits of the robot before this change."""
     if not any(limit.without_torque for limit in robot.efforts):
         return made
     return rebuild_robot(
@@ -224,7 +224,7 @@ def _restore_null_efforts(made: Robot, robot: Robot) -> Robot:
 def _with_chosen_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains to a robot, and return notes about these servos.
 
-    If the robot has no nominal stand, the gains are those for a fixed base.
+    If the robot has no nominal stand, the gains for a fixed base are used.
     """
     stand = start.solve_nominal_stand(robot)
     if stand is None:
@@ -270,7 +270,7 @@ def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
 def _report_added_servos(
     robot: Robot, built: Robot, mjcf: MjcfFile, kp: Array, kd: Array
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Return the robot with a record of its added servos, and the notes about these servos.
+    """Return the robot with a record of the added servos, and the notes about the servos.
 
     Args:
         robot: Robot without the servos.
@@ -301,7 +301,7 @@ def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> 
 def _merge_gains(
     robot: Robot, own_gains: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
-    """Return gains (nu,) with those of the robot's own servos; zero for dependent joints."""
+    """Return gains (nu,) from the robot's own servos; zero for dependent joints."""
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(
         [own_gains.get(name, (stiffness, damping)) for name, stiffness, damping in gains]
@@ -311,7 +311,7 @@ def _merge_gains(
 
 
 def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Return True if a robot that comes to rest does so as predicted, or if its files disagree.
+    """Return True if a robot that comes to rest does so as predicted, or if the files disagree.
 
     A simulation of `_BRIEF_DURATION` is mostly sufficient; otherwise the usual duration is
     simulated.
@@ -337,7 +337,7 @@ def make_missing_servos(
     timestep: float,
     own: Collection[str] | None = None,
 ) -> list[Addition]:
-    """Return the additions that give each joint without a position servo one.
+    """Return the additions that give a position servo to each joint without one.
 
     Dependent joints get none. The force range is the motor's limit, if that is finite and not
     empty. The integrator becomes ``implicitfast``: explicit

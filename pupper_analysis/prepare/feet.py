@@ -78,12 +78,12 @@ none. Chosen."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
-    """Report the axis of the base frame along which the limbs point, if it is not downwards.
+    """Report the axis of the base frame along which the limbs point, if not downwards.
 
-    The axis is that with the largest component of the mean unit vector over the limbs: from the
-    origin of the limb's first body to the mean CoM of its last bodies, at joint positions of zero,
-    clipped to the limits. Nothing is reported if the robot has fewer than two limbs, or if this
-    component is below `_MIN_DIRECTION_COSINE`.
+    This axis has the largest component of the mean unit vector over the limbs: from the
+    origin of the limb's first body to the mean CoM of the last bodies of the limb, at joint
+    positions of zero, clipped to the limits. Nothing is reported if the robot has fewer than two
+    limbs, or if this component is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.placed(robot.posed(joints))
@@ -105,7 +105,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Return the number of joints between a body (its id) and the base."""
+    """Return the number of joints between a body (id) and the base."""
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
     while body not in (0, base):
@@ -120,7 +120,7 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
     Args:
         model: Model with a floor.
         body: Id of the body.
-        welded: True to include the geoms of bodies that are fixed to it.
+        welded: True to include the geoms of bodies that are fixed to the body.
     """
     floor = ground_geom(model)
     floor_bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
@@ -153,7 +153,7 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
-    """Return the feet in one pose: the limbs that end at about the height of the lowest limb."""
+    """Return the feet in a pose: the limbs that end at about the height of the lowest limb."""
     model, data = robot.mj_model, robot.placed(robot.posed(joints))
     ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
     heights = {
@@ -188,7 +188,7 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Name feet by their only geom, if it has a name; else by its body. Names are unique."""
+    """Name feet by the only geom, if the geom has a name; else by the body. Names are unique."""
     names = []
     for body, points in feet:
         geoms = {point.geom for point in points}
@@ -202,7 +202,7 @@ def _name_feet(
 
 
 def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
-    """Find the contact points of a foot that the user names, in one file or in both.
+    """Find the contact points of a foot that the user names, in a single file or in both.
 
     Args:
         robot: Robot without feet; its MJCF has a floor.
@@ -390,7 +390,7 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Return True if a contact point is a ball that replaces a mesh or another shape.
 
-    Spheres, capsules and lying cylinders (wheels) keep their own shape.
+    Spheres, capsules and lying cylinders (wheels) keep the collision shape.
     """
     kind = int(model.geom_type[point.geom])
     if (
@@ -429,7 +429,7 @@ def _map_to_urdf(
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:
-    """Name all geoms without a name, so that they are identified after a compilation."""
+    """Name all geoms without a name, so that the geoms are identified after a compilation."""
     geom_names = {geom.name for geom in spec.geoms}
     for number, geom in enumerate(spec.geoms):
         geom.name = geom.name or make_unique_name(f"geom_{number}", geom_names)

@@ -87,7 +87,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
     A joint remains uncoupled if it has an actuator in the MJCF, if a joint equality of the MJCF,
     active or not, refers to it, or if the MJCF lacks the joint or its leader. A joint that depends
-    on others already is skipped, without a note.
+    on other joints already is skipped, without a note.
 
     Args:
         matched: Matched joints of both files.
@@ -119,7 +119,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
-    """Refuse joints with several actuators: a stand has one command per joint.
+    """Refuse joints with several actuators: a stand has a single command per joint.
 
     Raises:
         ModelError: If a hinge or slide has several actuators.

@@ -71,10 +71,10 @@ def judge_simulation(
 
     Raises:
         StaticsInfeasibleError: If the stand is nudged here, and slides or tips.
-        NotSettlingError: If the stand is nudged here, and its penetration depths do not converge.
+        NotSettlingError: If the stand is nudged here, and the penetration depths do not converge.
         ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
@@ -129,19 +129,19 @@ def judge_simulation(
 
 
 def _list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
-    """Return the motors beyond their limits, without motors whose limit is zero."""
+    """Return the motors beyond the limits, without motors whose limit is zero."""
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     return tuple(name for name in find_overloaded_motors(statics) if name not in null)
 
 
 _MASS_RTOL = 1e-9
-"""Relative difference between two masses of one robot that is due to rounding."""
+"""Relative difference between two masses of the same robot that is due to rounding."""
 
 
 def _report_buried_feet(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first foot that penetrates the ground by more than its radius."""
+    """Report the first foot that penetrates the ground by more than the radius."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
@@ -164,7 +164,7 @@ def _fail_if_upset(
 ) -> Outcome:
     """Return the simulation result; failed if a nudge from any side upsets the stand.
 
-    Without a trial, the nudges are simulated if the stand is near one of its limits.
+    Without a trial, the nudges are simulated if the stand is near a limit.
     """
     if trial is None:
         held = solve_stand_as_simulated(robot, stand)
@@ -190,13 +190,13 @@ _FILE_ERROR_CODES = {
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
 """Codes of notes on loading that are errors of the file, but do not prevent a simulation. A
-verdict depends on the assumptions in these notes."""
+verdict depends on the assumptions in the notes."""
 
 
 def describe_given_masses(robot: Robot) -> Diagnostic | None:
     """Describe the moving links whose mass is absent or zero in the URDF; None without any.
 
-    They are simulated with 1 g. MuJoCo refuses the URDF.
+    These masses are simulated with 1 g. MuJoCo refuses the URDF.
     """
     given = [
         note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
@@ -247,7 +247,7 @@ def judge_stand(
     Args:
         robot: Robot.
         stand: Stand.
-        trial: Result of nudges from all sides, if it was already simulated.
+        trial: Result of nudges from all sides, if already simulated.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -255,8 +255,8 @@ def judge_stand(
         StaticsInfeasibleError: If the stand slides or tips.
         NotSettlingError: If the penetration depths of a robot without loops do not converge.
         ConfigurationError: If an argument is not valid for the robot.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
     """
     held = solve_stand_as_simulated(robot, stand)
     fed, alone = (

@@ -79,7 +79,7 @@ def bears_on_null_effort(robot: Robot, statics: GravityCompensation) -> bool:
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
-    """Describe the motors whose limit no file states, with the largest torque that they need.
+    """Describe the motors whose limit no file states, with the largest torque that the motors need.
 
     Returns:
         The description; None if each motor that has to hold more than rounding has a limit.

@@ -44,12 +44,12 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Report the feet, and the number of their contact points.
+    """Report the feet, and the number of contact points.
 
     Args:
         robot: Robot.
         feet: Feet.
-        given: True if the user named the feet, False if they were detected.
+        given: True if the user named the feet, False if detected.
     """
     messages = [
         diagnose(
@@ -65,7 +65,7 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Return {foot: reason} of the feet with balls in place of their shape; one reason per kind."""
+    """Return {foot: reason} of the feet with balls in place of the shape; a reason per kind."""
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
         if has_ellipsoids(robot, [foot]):
@@ -94,7 +94,7 @@ def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
 def report_added_servos(
     servos: Sequence[MadeServo], own: int, timestep: float
 ) -> Iterator[Diagnostic]:
-    """Report the added servos, and the defective servos that these replace.
+    """Report the added servos, and the defective servos that the added servos replace.
 
     Args:
         servos: Added servos.

@@ -1,4 +1,4 @@
-"""Simulate the published robot file from its keyframe, independently of the computed stand.
+"""Simulate the published robot file from a keyframe, independently of the computed stand.
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The run of the published file from its keyframe shows what
@@ -74,14 +74,14 @@ _MAX_RESTING_SPEED = 5e-3
 
 
 def as_loaded(robot: Robot) -> Robot:
-    """Return the robot as it was loaded, without later changes and without contacts of a task."""
+    """Return the robot as loaded, without later changes and without contacts of a task."""
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
     return loaded if loaded.bare is None else loaded.bare
 
 
 def own_run(robot: Robot) -> OwnRun | None:
-    """Return the run of the published file from its keyframe, computed once per loaded robot.
+    """Return the run of the published file from the keyframe, computed once per loaded robot.
 
     Returns:
         Run. None if the robot has no feet or a fixed base, if ``get_published_model`` returns None,
@@ -94,7 +94,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     """Return the model of the published file, with the MuJoCo options that the caller requested.
 
     Returns:
-        Model, with a floor if it needs one (see ``compile_published_model``). None if the robot
+        Model, with a floor if necessary (see ``compile_published_model``). None if the robot
         has no file, if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the
         robot.
     """
@@ -183,7 +183,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model, or a modified copy of it, from the keyframe.
+    """Simulate a published model, or a modified copy, from the keyframe.
 
     Returns:
         Run. None if the robot has no file, or the model fixes the base. Without the keyframe, also
@@ -329,8 +329,8 @@ of the keyframe are then simulated. Chosen, not tuned."""
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     """Simulate the published file of a robot with a fixed base in a posture.
 
-    If a keyframe has this posture, and its XML has ctrl, this ctrl is used. Otherwise the joint
-    positions are the commands.
+    If a keyframe has this posture, and its XML has ctrl, the ctrl of the XML is used. Otherwise the
+    joint positions are the commands.
 
     Args:
         robot: Robot.

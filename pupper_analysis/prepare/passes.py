@@ -163,7 +163,7 @@ class Draft:
 
     @property
     def match(self) -> Match:
-        """Match of URDF and MJCF; available after the pass that matches them."""
+        """Match of URDF and MJCF; available after the matching pass."""
         assert self.found_match is not None
         return self.found_match
 
@@ -329,7 +329,7 @@ def _couple_mimics(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("builds the robot on its fixed base"), _has_fixed_base)
 def _build_held(draft: Draft) -> PassOutput:
-    """Build the robot with its base fixed; named feet are kept as frames."""
+    """Build the robot with the base fixed; named feet are kept as frames."""
     described = start.with_keyframes(draft.described, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
@@ -389,7 +389,7 @@ def _check_masses(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("finds the feet, and their contact points"), _has_free_base)
 def _put_feet(draft: Draft) -> PassOutput:
-    """Find the feet and their contact points, and build the robot with them.
+    """Find the feet and their contact points, and build the robot with these contact points.
 
     The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
     the contact points remain in place.
@@ -446,7 +446,7 @@ def _add_motors(draft: Draft) -> PassOutput:
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return the function from a keyframe to the penetration at which the file stands from it."""
+    """Return the function from a keyframe to the penetration at which the file stands."""
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
 
@@ -460,7 +460,7 @@ def _start_pose(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
 def _stand_on_hulls(draft: Draft) -> PassOutput:
-    """Take convex hulls beside soft feet as contact points if they carry most of the load."""
+    """Take convex hulls beside soft feet as contact points if the hulls carry most of the load."""
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)
@@ -547,7 +547,7 @@ def _rest_at_start(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("builds the robot with all that is seen of it"), _applies_always)
 def _build_whole(draft: Draft) -> PassOutput:
-    """Build the robot again with visual geoms if they were dropped."""
+    """Build the robot again with visual geoms if previously dropped."""
     robot = draft.robot
     spec = robot.description.mjcf.copy()
     if not copy_visual_option(spec, draft.mjcf.spec):
@@ -559,11 +559,11 @@ def _build_whole(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
 def _hold_base(draft: Draft) -> PassOutput:
-    """Prepare the robot again with its base fixed, because it does not stand.
+    """Prepare the robot again with the base fixed, because the robot does not stand.
 
     Raises:
-        ModelError: Error of the preparation with a free base, if there is one; otherwise that
-            with a fixed base.
+        ModelError: Error of the preparation with a free base, if there is such an error; otherwise
+            the error with a fixed base.
     """
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
     why = diagnose("stands-on-no-feet") if refused is None else refused.cause
@@ -592,7 +592,7 @@ def _run_passes(draft: Draft) -> Draft:
     """Apply all passes to a draft.
 
     If a pass raises a `ModelError` and the base may be fixed, the remaining passes are skipped
-    except those with `Pass.after_refusal`.
+    except passes with `Pass.after_refusal`.
 
     Raises:
         ModelError: If no robot can be made.
@@ -648,7 +648,7 @@ def prepare_robot(
     """Prepare a robot from two files as read.
 
     Returns:
-        Robot, whose notes include those of the passes, and the passes that were run.
+        Robot, whose notes include the notes of the passes, and the passes that were run.
 
     Raises:
         ModelError: If no robot can be made of the files.

@@ -1,9 +1,9 @@
 """Compile, place and hold the published model of a robot.
 
-The published model is the robot's MJCF, or MuJoCo's own import of its URDF, without the feet and
+The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
 start pose of the preparation. The published model is placed at a configuration of the prepared
-robot, and held there by its own actuators. At joints with a torque motor, or without actuator, an
-external law acts like the position servo that loading added to the prepared robot.
+robot, and held there by the file's own actuators. At joints with a torque motor, or without
+actuator, an external law acts like the position servo that loading added to the prepared robot.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ and the joint is held by an external torque. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Time constant of an actuator filter [s] up to which the filter state starts at its settled value.
-The state of a slower filter starts at zero, because a command does not settle it within a simulated
-stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
+The state of a slower filter starts at zero, because a command does not settle the state within a
+simulated stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +108,11 @@ _STEPPING_ATTRIBUTES = ("timestep", "integrator")
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
 """Actuator types that are not meant to hold a position. A position servo whose stiffness is zero or
-negative is meant to, so its file fails because of that servo (``Drive.bad``)."""
+negative is meant to hold, so the file fails because of that servo (``Drive.bad``)."""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
-    """Return True if most joints have no actuator, or one that is not meant to hold a position.
+    """Return True if most joints lack an actuator that is meant to hold a position.
 
     For example, torque motors and velocity servos are not meant to.
     """
@@ -146,13 +146,13 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
 def with_requested_gains(
     published: PublishedModel, robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None
 ) -> tuple[PublishedModel, Robot]:
-    """Return a published model, and its robot, whose joints have the requested servo gains.
+    """Return a published model, and a robot, whose joints have the requested servo gains.
 
     The actuator of a joint becomes a position servo by the rule of ``model_with_servos``. A joint
     is held by the external law of ``HoldCommands`` if it has no actuator, several actuators, or one
     that is not meant to hold a position (for example, a torque motor). Joints with a stiffness of
-    zero follow others, and are unchanged. The returned robot is for comparisons only: its MuJoCo
-    model has gains that its description lacks.
+    zero follow other joints, and are unchanged. The returned robot is for comparisons only: its
+    MuJoCo model has gains that its description lacks.
 
     Args:
         published: Published model.
@@ -194,7 +194,7 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
         robot: Prepared robot.
 
     Returns:
-        Model; None if it lacks the base body or a joint of the robot.
+        Model; None if the model lacks the base body or a joint of the robot.
     """
     model = mjcf.model
     has_ground = (
@@ -222,9 +222,9 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:
     """Return the model of a URDF as MuJoCo's own importer compiles it, with a ground and servos.
 
-    Added are a free base (if the robot has one) and these additions of the prepared robot: floor,
-    solver options, contact exclusions, servos, stiffer couplings. The collision shapes are those of
-    the file.
+    Added are a free base (if the robot has one) and the following additions of the prepared robot:
+    floor, solver options, contact exclusions, servos, stiffer couplings. The collision shapes are
+    those of the file.
 
     Raises:
         ModelError: If MuJoCo refuses the URDF.
@@ -256,7 +256,7 @@ def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
 
 
 def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
-    """Remove the free joint of a base and its values in keyframes, in place; disable the ground."""
+    """Remove the free joint of a base and the keyframe values, in place; disable the ground."""
     qpos = np.arange(7) + model.jnt_qposadr[free]
     qvel = np.arange(6) + model.jnt_dofadr[free]
     body = spec.body(base)
@@ -321,13 +321,13 @@ def place_at_state(
     """Return the data of a published model in a state of the robot's own MuJoCo model.
 
     Hinges and slides outside the base body are matched by name and type; those that the robot's
-    model lacks are at zero. Ball joints keep their reference. The base is placed such that the body
-    of the first joint has the pose of the robot's model, raised by `ground_height`.
+    model lacks are at zero. Ball joints keep the reference position. The base is placed such that
+    the body of the first joint has the pose of the robot's model, raised by `ground_height`.
 
     Args:
         published: Published model.
         robot: Prepared robot.
-        state: Data of ``robot.mj_model``; its kinematics are evaluated here.
+        state: Data of ``robot.mj_model``; the kinematics are evaluated here.
 
     Returns:
         Data; None if the base cannot be placed there, for example a fixed base.
@@ -414,9 +414,10 @@ class HoldCommands:
         ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
             the robot; without force for position servos on tendons and sites; zero for others.
         act: States of the actuator filters, shape (model.na,).
-        external: External position servos of joints without one: dof addresses, kp [N m/rad], kd [N
-            m s/rad], target positions [rad], feed-forward torques [N m], each of shape (n,).
-        motor_laws: {dof: (index of the control, lever, offset)} of those joints with an external
+        external: External position servos of joints without position servo: dof addresses, kp [N
+            m/rad], kd [N m s/rad], target positions [rad], feed-forward torques [N m], each of
+            shape (n,).
+        motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
             servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
     """
 
@@ -490,7 +491,7 @@ def _set_position_commands(
     """Set the controls of the servos at a joint; the servos share the torque by stiffness.
 
     The command is that of an ideal position servo: ctrl = gear * q* + tau / (gear * stiffness). A
-    bias of the file, or a gain that differs from the stiffness, is not compensated: its effect is
+    bias of the file, or a gain that differs from the stiffness, is not compensated: the effect is
     part of the published model.
     """
     laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
@@ -519,7 +520,7 @@ def simulate_published(
 
     Args:
         published: Published model.
-        data: Initial state; it becomes the final state.
+        data: Initial state; changed to the final state.
         hold: Commands.
         seconds: Duration [s].
 
@@ -589,7 +590,7 @@ def _measure_command_law(
 
 
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
-    """Return the joints whose actuator has a controller of its own, such as MuJoCo's ``pid``.
+    """Return the joints whose actuator has an internal controller, such as MuJoCo's ``pid``.
 
     Such an actuator has several controls or a state. No external law makes it hold a position.
     """

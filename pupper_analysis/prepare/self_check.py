@@ -86,7 +86,7 @@ MAX_REMAINING_SINKAGE = 1e-3
 not tuned."""
 
 HEIGHT_RTOL = 1e-3
-"""Largest height error of the CoM, relative to its height (v3: 0.13 mm). Chosen, not tuned."""
+"""Largest height error of the CoM, relative to the CoM height (v3: 0.13 mm). Chosen, not tuned."""
 
 
 def compare_as_published(
@@ -100,7 +100,7 @@ def compare_as_published(
 
     The nominal stand of the robot as loaded is compared instead if the robot was changed since, if
     the task has welds, or if the ground is not level. If the caller passed gains, the published
-    model gets these gains.
+    model gets the same gains.
 
     Args:
         robot: Prepared robot.
@@ -172,7 +172,7 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Return causes with their line numbers in the MJCF of a robot; unchanged without an MJCF."""
+    """Return causes with line numbers in the MJCF of a robot; unchanged without an MJCF."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
@@ -182,7 +182,7 @@ def compare_with_file(
 ) -> Published:
     """Simulate the published model from the predicted states of rest, and name causes.
 
-    Without simulation, a joint with its own controller, and a missing level ground, are causes.
+    Without simulation, a joint with an internal controller, and a missing level ground, are causes.
     """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
@@ -211,7 +211,7 @@ def _find_loading_causes(
 
     A change on loading is the cause if the model of the prepared robot behaves as predicted. The
     difference of both files is the cause if that model deviates as much as the MJCF (or as the
-    MJCF without candidate causes), because the prediction is that of the URDF. ``crosscheck``
+    MJCF without candidate causes), because the prediction belongs to the URDF. ``crosscheck``
     must then find a difference that affects a body's weight or place, or a part that one file
     lacks.
     """
@@ -272,7 +272,7 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     Returns:
         Predictions. For a fixed base, with feed-forward alone. Empty if the stand on soft ground
         cannot be solved. The prediction without feed-forward is left out if joints have no servo
-        of their own, if a servo of the file was replaced, or if no steady state is found.
+        in the file, if a servo of the file was replaced, or if no steady state is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -300,7 +300,7 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
 def simulate_prediction(
     published: PublishedModel, robot: Robot, prediction: PredictedRest
 ) -> PublishedRun | None:
-    """Simulate the published model from its predicted state of rest, and compare.
+    """Simulate the published model from the predicted state of rest, and compare.
 
     The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`.
 
@@ -382,14 +382,14 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 def explain_own_run(robot: Robot) -> OwnRun | None:
     """Return the run of a robot's unmodified file; cached per loaded robot.
 
-    If the run fails, it contains the causes that are found. Bad servos are reported elsewhere; a
-    file with such servos gets no causes.
+    If the run fails, the result contains the causes that are found. Bad servos are reported
+    elsewhere; a file with such servos gets no causes.
     """
     return as_loaded(robot).once(_own_run_explained)
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Compute the run of the unmodified file, with a named cause if it fails."""
+    """Compute the run of the unmodified file, with a named cause if the run fails."""
     run = own_run(robot)
     model = robot.once(get_published_model)
     if run is None or not run.fails or model is None:
@@ -404,7 +404,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
     """Return the causes that are in the commands of the keyframe.
 
-    These are a missing ctrl, if the robot stands with the joint angles as commands, and joint
+    The causes are a missing ctrl, if the robot stands with the joint angles as commands, and joint
     angles as ctrl of torque motors.
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
@@ -419,8 +419,8 @@ def name_remaining_cause(
 ) -> tuple[OwnRun | None, Published | None]:
     """Name a cause of a failure that no other finding explains.
 
-    Of the run from the keyframe this is too soft a servo, if the robot stands with stiffer ones.
-    Otherwise it is the joint that deviates most, or the divergence of the simulation.
+    Of the run from the keyframe this is too soft a servo, if the robot stands with stiffer servos.
+    Otherwise the cause is the joint that deviates most, or the divergence of the simulation.
 
     Args:
         robot: Prepared robot.
@@ -428,7 +428,7 @@ def name_remaining_cause(
         published: Comparison with the published file.
 
     Returns:
-        Both, the failing one with a cause; if both fail, the run alone.
+        Both runs, the failing run with a cause; if both fail, the run alone.
     """
     if own is not None and own.fails:
         return replace(
@@ -441,7 +441,7 @@ def name_remaining_cause(
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
-    """Return the servos of the unmodified file as a cause, if it stands with stiffer ones."""
+    """Return the file's servos as a cause, if the file stands with stiffer servos."""
     loaded = as_loaded(robot)
     model = loaded.once(get_published_model)
     if model is None or not loaded.floating:
@@ -484,7 +484,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
         )
 
     def test_model(changed: mujoco.MjModel) -> float | None:
-        """Return 0.0 if a changed model stands, None if it fails."""
+        """Return 0.0 if a changed model stands, None if the model fails."""
         # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
@@ -501,7 +501,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
 def find_difference_causes(
     published: PublishedModel, robot: Robot, prediction: PredictedRest, run: PublishedRun
 ) -> tuple[Cause, ...]:
-    """Find elements of a published MJCF that cause its deviation from the predicted stand.
+    """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
     Candidate elements are disabled in a copy of the model. An element is a cause if the simulation
     then agrees with the prediction.
@@ -543,10 +543,10 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A candidate is a cause if it alone makes a sound model fail; in addition, the model without
-    all causes must be sound. The sound model is that without all candidates, or without a subset
-    of them. Groups are tested in this order: integration and solver alone, the other candidates,
-    all candidates, all including physical candidates.
+    A candidate is a cause if the candidate alone makes a sound model fail; in addition, the model
+    without all causes must be sound. The sound model is that without all candidates, or without a
+    subset of them. Groups are tested in this order: integration and solver alone, the other
+    candidates, all candidates, all including physical candidates.
 
     Args:
         published: Published model.

@@ -10,7 +10,7 @@ The requirement depends on the base:
   the feet press against each other. Each joint is as stiff as the most loaded joint, and damping is
   proportional to stiffness: then the damping ratio of a mode is proportional to its frequency.
 * Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
-  commanded, and each joint moves alone. Each joint is stiff enough for its worst posture, and
+  commanded, and each joint moves alone. Each joint is stiff enough for the worst posture, and
   critically damped.
 """
 
@@ -57,7 +57,7 @@ largest gravity torque of all joints. Chosen, not tuned."""
 
 _MIN_FREQUENCY = 4 * math.pi
 """Lower bound of a servo's natural frequency [rad/s], 2 Hz. A joint with a vertical axis holds
-no gravity torque, but must reach its command within some tenths of a second."""
+no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64
 """Number of random poses in which the requirement of a fixed-base robot is evaluated. Chosen."""
@@ -143,7 +143,7 @@ class ServoRequirement:
     def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
         """Return the requirements of a robot with a fixed base, such as an arm.
 
-        The design torque of a joint is its largest gravity torque in random poses. The minimum
+        The design torque of a joint is the largest gravity torque in random poses. The minimum
         stiffness is derived from the largest inertia that the joint moves there with the other
         joints locked.
 
@@ -208,7 +208,7 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
         sag: Deflection of a joint under gravity [rad].
 
     Returns:
-        kp and kd, each with one value per joint that is not free, in the order of the model.
+        kp and kd, each with a value per joint that is not free, in the order of the model.
     """
     required = ServoRequirement.of_fixed_base(model)
     kp = required.stiffness(sag)

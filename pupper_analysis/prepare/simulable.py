@@ -44,7 +44,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
     """Check the options, rotor inertias, lengths and gears on which all simulations depend.
 
     Raises:
-        ModelError: If a value is out of its range; the error has file, line and value.
+        ModelError: If a value is out of range; the error has file, line and value.
     """
     for kind, field, stated, (least, most) in _list_bounded_values(mjcf.model):
         numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
@@ -87,7 +87,7 @@ def _list_bounded_values(
 
 
 def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Return the name of an element; of an actuator without a name, that of its joint."""
+    """Return the name of an element; of an actuator without a name, the name of the joint."""
     name = str(getattr(model, kind)(row).name)
     if kind == "actuator" and not name and is_at_one_joint(model, row):
         return str(model.joint(int(model.actuator_trnid[row, 0])).name)
@@ -106,9 +106,9 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     """Return the error of a body that MuJoCo refuses, with the URDF's link and line.
 
     Args:
-        error: The error, which is returned if it is about something else.
+        error: The error, which is returned if unrelated.
         urdf: The URDF.
-        mjcf: The MJCF; the URDF is named only if the MJCF was made of it.
+        mjcf: The MJCF; the URDF is named only if the MJCF was made from the URDF.
     """
     message = str(error.cause.values.get("message", ""))
     found = re.search(r"larger than mjMINVAL.*Element name '([^']+)'", message)
@@ -127,7 +127,7 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     """Check that each joint moves a mass in the URDF, as MuJoCo requires.
 
     Raises:
-        ModelError: If a joint moves no mass: its acceleration is undefined.
+        ModelError: If a joint moves no mass: the acceleration is undefined.
     """
     inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):
@@ -142,9 +142,9 @@ MAX_SOLVER_RESIDUAL = 0.01
 the tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
-"""Force on the robot in the test of the solver's accuracy, relative to its weight. Without a push
-the constraint forces are in equilibrium, and an inaccurate solver is not detected. Chosen, not
-tuned."""
+"""Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
+a push the constraint forces are in equilibrium, and an inaccurate solver is not detected. Chosen,
+not tuned."""
 
 _NUM_SOLVES = 20
 """Number of repeated solves in the test of the solver's accuracy. A solver with few iterations is
@@ -182,7 +182,7 @@ Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Return the residual of a robot's solver if it exceeds `MAX_SOLVER_RESIDUAL`; else None."""
+    """Return the residual of a robot's solver if above `MAX_SOLVER_RESIDUAL`; else None."""
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
     qpos = robot.home.copy()
@@ -193,7 +193,7 @@ def find_solver_error(robot: Robot) -> float | None:
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Set dense matrices if MuJoCo's solver is sufficiently accurate only with these.
+    """Set dense matrices if MuJoCo's solver is sufficiently accurate only with dense matrices.
 
     Args:
         robot: Robot with a free base.

@@ -46,7 +46,7 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
     """Return {name: {joint: position}} of the keyframes of an MJCF.
 
     A keyframe without a name is called "keyframe 1" etc. Free joints are excluded. The value of a
-    ball joint is the first element of its quaternion.
+    ball joint is the first element of the quaternion.
 
     Args:
         spec: Spec of the MJCF, in which every joint has a name; not modified.
@@ -136,7 +136,7 @@ def with_keyframes(
 
     Args:
         description: URDF and MJCF with matched names.
-        known: {keyframe: {joint: position [rad, m]}}; a joint without a position keeps its value in
+        known: {keyframe: {joint: position [rad, m]}}; a joint without a position keeps the value in
             ``qpos0``. If empty, the description is returned unchanged.
     """
     if not known:
@@ -180,11 +180,11 @@ _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Distances of the joints from their limits [rad, m] that are tried in this order. Chosen."""
 
 _MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
-"""Bounds of the horizontal distance of a foot from its hip, relative to the distance of both.
+"""Bounds of the horizontal distance of a foot from the hip, relative to the distance of both.
 Outside, the foot is moved to `_TARGET_SIDE_DISTANCE`. Chosen, not tuned."""
 
 _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
-"""Horizontal distance of a moved foot from its hip, and depth of all feet below the hips, relative
+"""Horizontal distance of a moved foot from the hip, and depth of all feet below the hips, relative
 to the distance between foot and hip. Chosen, not tuned."""
 
 _NUM_KEYFRAME_DIGITS = 6
@@ -202,7 +202,7 @@ which joint positions are an initial guess of a stand. Chosen: the stand is solv
 
 _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad]: SciPy requires
-it to be strictly inside."""
+the guess to be strictly inside."""
 
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 """Lowest and highest height that is tried, as fractions of the leg length. Chosen, not tuned."""
@@ -220,7 +220,7 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
 
 
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
-    """Return True if a robot stands in a pose: joints within limits, feet at about one height.
+    """Return True if a robot stands in a pose: joints within limits, feet at about the same height.
 
     All feet must also be below the base.
     """
@@ -237,7 +237,7 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
 
 def solve_nominal_stand(robot: Robot) -> Stand | None:
-    """Return the nominal stand of a robot; None if it is out of reach or not in equilibrium."""
+    """Return the nominal stand of a robot; None if out of reach or not in equilibrium."""
     try:
         stand = solve_stand(robot, explain=False)
         stand_statics(robot, stand)  # the CoM may be just outside the polygon
@@ -249,8 +249,8 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Search a stand in the middle of the heights that the legs can reach.
 
-    The horizontal foot positions are those of one of the poses; or else beside the hips; or else
-    those at which bent legs have level soles.
+    The horizontal foot positions are taken from a pose; or else beside the hips; or else
+    positions at which bent legs have level soles.
 
     Args:
         robot: Robot with feet.
@@ -268,10 +268,11 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
-    """Find a nominal stand whose feet are level and wherever the bent legs have them.
+    """Find a nominal stand with level feet; the horizontal foot positions are free.
 
     Legs with fewer than six joints, and axes that are not parallel, move a sole sideways and turn
-    it while they bend: at the horizontal positions of the straight legs the sole is never level.
+    the sole during bending: at the horizontal positions of the straight legs the sole is never
+    level.
 
     Returns:
         Robot with this nominal stand. None if there is none, or if no joint moves a contact point
@@ -300,7 +301,7 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
 
 
 def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
-    """Bend the joints until all contact points are on the ground and the CoM above their centre.
+    """Bend the joints until all contact points are on the ground, with their centre below the CoM.
 
     Least squares over the joint positions with a level base; the distance from the pose is a small
     regularisation. The horizontal positions and the yaw of the feet are free.
@@ -344,7 +345,7 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
     """Return the first robot with a nominal stand, from the middle outwards; else None.
 
-    The nominal stand has its CoM in the centre, which may be out of reach for a start of the
+    The nominal stand has the CoM in the centre, which may be out of reach for a start of the
     search: straight legs move the CoM when they are bent.
     """
     middle = len(starts) // 2
@@ -375,7 +376,7 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:
-    """Return joint positions (nu,) with each foot at a bounded horizontal distance from its hip.
+    """Return joint positions (nu,) with each foot at a bounded horizontal distance from the hip.
 
     Legs that are straight to the side, such as a spider's at zero angles, cannot reach the
     ground from their foot positions. If no leg posture reaches the targets, the pose is
@@ -472,9 +473,10 @@ def list_foot_bodies(robot: Robot) -> set[int]:
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if only feet, and the bodies to which they belong, are near the ground.
+    """Return True if only feet, and the bodies to which the feet belong, are near the ground.
 
-    A geom is near if it touches the ground when the base is lowered by `_MIN_GROUND_CLEARANCE`.
+    A geom is near if the geom touches the ground when the base is lowered by
+    `_MIN_GROUND_CLEARANCE`.
     """
     model = robot.mj_model
     foot_bodies = list_foot_bodies(robot)
@@ -485,7 +487,7 @@ def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
 
 
 def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
-    """Solve a stand with all joints except those of the legs near a pose; None without a stand.
+    """Solve a stand with all joints except the leg joints near a pose; None without a stand.
 
     Each of `_MAX_RESET_PASSES` solves starts from the last stand with the other joints reset.
     """
@@ -540,7 +542,7 @@ def _solve_first_seed(context: SearchContext, goal: Goal, seeds: Iterable[Array]
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    Distances between consecutive hinges do not depend on the joint positions; slides count at their
+    Distances between consecutive hinges do not depend on the joint positions; slides count at the
     positions in ``qpos``, shape (nq,).
 
     Returns:
@@ -560,7 +562,7 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
 
 def with_foot_contacts_only(robot: Robot) -> Robot:
-    """Return a robot in whose MuJoCo model only the feet collide, of all geoms of their bodies.
+    """Return a robot in whose MuJoCo model only the feet collide, of all geoms of the foot bodies.
 
     With this model a stand is solved before `touching` decides which shapes are in the way. The
     description is not changed, so a robot that is built from it has all collisions again.
@@ -584,8 +586,8 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 
     Returns:
         Largest penetration of a contact with the world at the end of the simulation. None if the
-        model collapses with the ctrl of the keyframe, if it has no such keyframe, or if it has not
-        exactly one free joint.
+        model collapses with the ctrl of the keyframe, if the keyframe is missing, or if the model
+        has not exactly one free joint.
     """
     names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
     free = free_joints(model)
@@ -626,20 +628,20 @@ def find_start_pose(
     sunk: Mapping[str, float],
     rest_depth: Callable[[str], float | None] | None = None,
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Give a robot a start pose: that of a keyframe, or one that is found.
+    """Give a robot a start pose: from a keyframe, or found by search.
 
     A keyframe is taken if the feet are level, the joints within their limits, and the nominal stand
     exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
     file stands (``rest_depth``) is taken, with its joints clipped to the limits, if the nominal
-    stand exists. Otherwise a start pose is searched; if none is found, a note reports it. Shapes
-    beside the feet are ignored here: see ``touching``.
+    stand exists. Otherwise a start pose is searched; if no pose is found, a note reports the
+    failure. Shapes beside the feet are ignored here: see ``touching``.
 
     Args:
         robot: Robot with feet.
         known: {keyframe: {joint: position}}, in order of priority.
         sunk: {keyframe: penetration of the feet [m] at rest} (``compute_resting_depths``).
         rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
-            from a keyframe, or None if it falls. It is called only if needed.
+            from a keyframe, or None if the file falls. Called only if needed.
 
     Returns:
         Robot, and notes: which pose was taken, and what speaks against a keyframe.

@@ -63,14 +63,15 @@ def find_carrying_hulls(
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
     """Find the shapes beside soft feet that carry most of the load in the published model.
 
-    A soft foot may penetrate the ground so far that another shape of its body, such as the convex
-    hull of the shank, touches too and is stiffer. If both carry the load, they penetrate equally:
-    the share of the foot is its force at the penetration at which the hull alone carries the load.
+    A soft foot may penetrate the ground so far that another shape of the foot body, such as the
+    convex hull of the shank, touches too and is stiffer. If both carry the load, both penetrate
+    equally: the share of the foot is its force at the penetration at which the hull alone carries
+    the load.
 
     Args:
         footless: Robot before feet were added.
-        robot: Robot with these feet, and a start pose.
-        feet: Feet, each with its contact points.
+        robot: Robot with the feet, and a start pose.
+        feet: Feet, each with contact points.
 
     Returns:
         Feet, with hulls as contact points, and a note. None if the stand on soft ground is not

@@ -76,7 +76,7 @@ class RobotFiles:
 
 @dataclass(frozen=True, eq=False)
 class FileSource:
-    """Source of a robot from files, for pages and studies; it can be pickled.
+    """Source of a robot from files, for pages and studies; can be pickled.
 
     Attributes:
         files: Files of the robot.

@@ -100,7 +100,7 @@ class MjcfXml:
         return MjcfXml(root)
 
     def copy(self) -> MjcfXml:
-        """Return a copy with its own XML elements."""
+        """Return a copy with separate XML elements."""
         return MjcfXml(copy.deepcopy(self.root))
 
     @property
@@ -114,12 +114,12 @@ class MjcfXml:
         return add_element(self.root, tag) if found is None else found
 
     def body(self, name: str) -> etree._Element:
-        """Return a body by its name."""
+        """Return the body with a name."""
         return next(body for body in self.root.iter("body") if body.get("name") == name)
 
     @property
     def geoms(self) -> list[etree._Element]:
-        """All geoms, including those of the world and of default classes."""
+        """All geoms, including geoms of the world and of default classes."""
         return list(self.root.iter("geom"))
 
     @property
@@ -229,7 +229,7 @@ class UrdfBodies:
             self._fill_body(inner, self.tree.links[joint.child])
 
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
-        """Add the joint of a body, and record its effort limit and coupling."""
+        """Add the joint of a body, and record the effort limit and coupling."""
         if urdf_joint.is_fixed:
             return
         joint, kind, name = urdf_joint.element, urdf_joint.kind, urdf_joint.name
@@ -278,7 +278,7 @@ class UrdfBodies:
             self.efforts[name] = effort
 
     def _is_mimic(self, joint: UrdfJoint) -> bool:
-        """Return True if a joint follows a moving joint; add a note if its leader does not move."""
+        """Return True if a joint follows a moving joint; add a note if the leader does not move."""
         if joint.mimic is None:
             return False
         leader_name, visited = str(joint.mimic.get("joint")), {joint.name}
@@ -375,7 +375,7 @@ class UrdfBodies:
 
 
 def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
-    """Return an attribute; None if it is missing or zero."""
+    """Return an attribute; None if missing or zero."""
     text = None if parent is None else parent.get(attribute)
     return None if text is None or is_zero(text) else text
 
@@ -448,9 +448,9 @@ class ConvertedMjcf:
 
     Attributes:
         urdf: URDF with the repaired inertials.
-        mjcf: MJCF without its mesh assets.
+        mjcf: MJCF without mesh assets.
         meshes: Meshes.
-        bodies: Converter, with its notes and records.
+        bodies: Converter, with notes and records.
         free: True if the base is free.
         notes: Notes on assumptions.
         repairs: Repaired inertials.
@@ -474,7 +474,7 @@ class ConvertedMjcf:
             urdf: URDF.
             output: Path of the new MJCF.
             options: Options.
-            free: True for a free base; None: free if it has enough limbs.
+            free: True for a free base; None: free if the robot has enough limbs.
 
         Raises:
             ModelError: If no joint moves, or the URDF cannot be converted.
@@ -504,7 +504,7 @@ class ConvertedMjcf:
         )
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
-        """Return the MJCF as if it were read from the URDF's path.
+        """Return the MJCF as if read from the URDF's path.
 
         Args:
             visuals: True to include visual geoms.
@@ -540,8 +540,8 @@ class ConvertedMjcf:
 def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    Invalid inertias become the nearest valid inertias; a moving link gets 1 g if it and the links
-    fixed to it have no mass. The notes
+    Invalid inertias become the nearest valid inertias; a moving link gets 1 g if the link and all
+    links fixed to the link have no mass. The notes
     of the MJCF report the repairs.
 
     Returns:

@@ -1,6 +1,6 @@
-"""Load a robot from its URDF, its MJCF, or both.
+"""Load a robot from a URDF, an MJCF, or both.
 
-If there is one file, the other model is made from it in memory.
+If there is one file, the other model is made from this file in memory.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _URDF_NOTE_CODES = (
     "fixed-base-stands",
     "root-link-left-out",
 )
-"""Codes of notes about a URDF beside an MJCF that are not relevant if the URDF was made from it."""
+"""Codes of notes about a URDF beside an MJCF that are not relevant if the URDF was made from the
+MJCF."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +107,15 @@ def read_pair(
         *models: A URDF, an MJCF, or one of each, in any order.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
         body: Root body of the robot in an MJCF with several, or any body of the robot; without a
             URDF detected if possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
 
     Raises:
-        ConfigurationError: If there is no file, if there are two of one format, if ``take`` names a
-            format without a file, if ``body`` is given without an MJCF, or if a model is neither a
-            name nor a path.
+        ConfigurationError: If there is no file, if there are two files of the same format, if
+            ``take`` names a format without a file, if ``body`` is given without an MJCF, or if a
+            model is neither a name nor a path.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
             MJCF has several robots or none (see `with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
@@ -164,10 +165,10 @@ def load_robot(
     packages: Mapping[str, str | Path] | None = None,
     as_is: bool = False,
 ) -> Robot:
-    """Load a robot from its URDF, its MJCF or both, as published.
+    """Load a robot from a URDF, an MJCF or both, as published.
 
     Missing parts are added in memory, and reported in ``notes``: a missing model is made from
-    the other one, joints with different names are matched, joints of only one file are held at
+    the other model, joints with different names are matched, joints of only one file are held at
     zero, and a floor, a free base and position servos are added. If the robot does not stand in
     a keyframe of the MJCF, a stand is searched.
 
@@ -176,7 +177,7 @@ def load_robot(
             accepts the name of a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, use this one alone.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
         body: Root body of the robot in an MJCF of several robots, or any body of the robot.
         feet: Frames of the feet, or {foot: frame}; a frame is a link of the URDF, or a geom,
             site or body of the MJCF, or a pair of both. By default the feet are the collision
@@ -196,7 +197,7 @@ def load_robot(
 
     Raises:
         ConfigurationError: If an argument is invalid: for example, of the wrong type, no file, two
-            files of one format, or a foot that is named twice.
+            files of the same format, or a foot that is named twice.
         ModelError: If no robot can be made of the files: for example, a file cannot be read, both
             files have no joint in common, no feet are found, or a joint has several motors.
         UnknownNameError: If a foot, joint, keyframe or body does not exist; the message lists valid

@@ -1,4 +1,4 @@
-"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read their format."""
+"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """Notes on the meshes that were left out, one per reason."""
+        """Notes on the meshes that were left out, a note per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
@@ -65,7 +65,7 @@ class MeshFiles:
 
     @property
     def lost(self) -> list[Diagnostic]:
-        """Notes on collision meshes that were left out, one per reason."""
+        """Notes on collision meshes that were left out, a note per reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
             for why, files in self._lost.items()
@@ -194,7 +194,7 @@ class MeshFiles:
         return self._places[path]
 
     def _add_content(self, path: Path) -> None:
-        """Read a mesh file, and convert it if MuJoCo cannot read its format.
+        """Read a mesh file, and convert it if MuJoCo cannot read the format.
 
         Raises:
             UnreadableError: If the file cannot be read or converted, or is too large.

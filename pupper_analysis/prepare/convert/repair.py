@@ -31,8 +31,8 @@ _MIN_INERTIA: Final = 1e-14
 """Lower bound of the principal moments [kg m^2] of a body with mass: ten times MuJoCo's."""
 
 ADDED_MASS: Final = 1e-3
-"""Mass [kg] that a moving link gets if neither it nor a link fixed to it has a mass, which MuJoCo
-would refuse: common for helper links of exporters. Chosen, not tuned."""
+"""Mass [kg] that a moving link gets if neither the link nor a link fixed to the link has a mass,
+which MuJoCo would refuse: common for helper links of exporters. Chosen, not tuned."""
 
 _GYRATION_RADIUS: Final = 0.01
 """Radius of gyration [m] of a link with mass and without inertia: that of a ball of 16 mm. With
@@ -44,7 +44,7 @@ _TRIANGLE_MARGIN: Final = 1e-6
 
 @dataclass(frozen=True)
 class Repair(Result):
-    """An invalid inertial, and its replacement.
+    """Invalid inertial and replacement.
 
     Attributes:
         link: Name of the link.
@@ -77,7 +77,7 @@ class LinkBodies:
     """Links of a URDF as bodies of an MJCF.
 
     Attributes:
-        tree: Links; they are changed.
+        tree: Links, changed in place.
         free: True if the base is free.
     """
 
@@ -96,7 +96,7 @@ class LinkBodies:
         return None if above == self.tree.base.name == WORLD_LINK else above
 
     def moves(self, body: str) -> bool:
-        """Return True if a body can move relative to its parent; for the base, if it is free."""
+        """Return True if a body can move relative to its parent, or is a free base."""
         joint = self.tree.above.get(body)
         return self.free if joint is None else not joint.is_fixed
 
@@ -112,9 +112,9 @@ class LinkBodies:
         return not self.moves(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
-        """Yield a body and all bodies fixed to it, in order of distance.
+        """Yield a body and all bodies fixed to this body, in order of distance.
 
-        Each is given with the placement of the first body's frame in its own frame.
+        Each is given with the placement of the first body's frame in the frame of the yielded body.
         """
         known, waiting = {body}, [(body, pin.SE3.Identity())]
         while waiting:
@@ -136,16 +136,16 @@ def repair_inertials(
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Make all inertials valid for MuJoCo, in place.
 
-    An invalid inertial is moved to a body in its fixed group, over any number of links: the
+    An invalid inertial is moved to a body in the same fixed group, over any number of links: the
     motion is then the same. If no sum of both inertias is valid, the inertial is repaired. An
-    invalid inertial without mass remains if its body does not move, or is fixed to a mass. An
+    invalid inertial without mass remains if the body does not move, or is fixed to a mass. An
     inertial of zeros is removed.
 
     Args:
         urdf: URDF as read.
         bodies: Bodies of the URDF.
         repair: True to repair: moments become the nearest valid moments, and a moving body gets
-            `ADDED_MASS` if it and the bodies fixed to it have no mass.
+            `ADDED_MASS` if this body and all bodies fixed to this body have no mass.
 
     Returns:
         Notes on moved inertials, and repairs.
@@ -203,7 +203,7 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
     The condition is A + B >= C for the largest moment C. The missing amount is distributed in
     equal parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
     uses the mean of the moments instead, which is a larger change. If no moment exceeds
-    `_MIN_INERTIA`, the moments are those of a radius of gyration of `_GYRATION_RADIUS`.
+    `_MIN_INERTIA`, the moments belong to a radius of gyration of `_GYRATION_RADIUS`.
 
     Args:
         moments: Principal moments, shape (3,) [kg m^2], the largest last.
@@ -219,7 +219,7 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Move an invalid inertia to a body of its fixed group; return a note, or None if none fits."""
+    """Move an invalid inertia to a body of the same fixed group; return a note if one fits."""
     moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
     for neighbour, placement in group[1:]:
@@ -234,7 +234,7 @@ def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagno
 
 
 def _has_mass(bodies: LinkBodies, body: str) -> bool:
-    """Return True if a body, or a body fixed to it, has a mass."""
+    """Return True if a body, or a body fixed to this body, has a mass."""
     inertias = (bodies.inertia(member) for member, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
@@ -261,9 +261,9 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 
 
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
-    """Return the nearest ancestor that is not fixed to a parent, and the body's placement in it.
+    """Return the nearest ancestor that is not fixed to a parent, and the placement in the ancestor.
 
-    The ancestor moves, or is the fixed base. The body itself is returned if it is not fixed to a
+    The ancestor moves, or is the fixed base. The body itself is returned if not fixed to a
     parent.
 
     Args:
@@ -309,9 +309,9 @@ def _to_triple(values: Array) -> tuple[float, float, float]:
 
 
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
-    """Move the collision shapes of fixed bodies without inertial to the bodies that carry them.
+    """Move the collision shapes of fixed bodies without inertial to the supporting bodies.
 
-    The compliance of MuJoCo's ground depends on the inertia of the shape's body at its own
+    The compliance of MuJoCo's ground depends on the inertia of the shape's body at the body's own
     frame: the sphere of a massless toe body sinks 25 times as far as the same sphere in the body
     of the foot with light ankles. MuJoCo's own importer also merges both bodies.
 

@@ -1,4 +1,4 @@
-"""Convert an MJCF, as compiled by MuJoCo, to a URDF; select one robot of an MJCF with several."""
+"""Convert an MJCF, as compiled by MuJoCo, to a URDF; select a robot of an MJCF with several."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class UrdfLinks:
     """Converter from the bodies and joints of a MuJoCo model to links and joints of a URDF.
 
     A joint of a URDF moves about the origin of its child link. The frame of a link is therefore
-    at the last joint of its body, with the axes of the body.
+    at the last joint of the body, with the axes of the body.
 
     Attributes:
         file: MJCF.
@@ -61,7 +61,7 @@ class UrdfLinks:
         fix_balls: True to fix a ball joint at its reference if it is the only joint of its body;
             False to refuse ball joints.
         left: Notes on parts that a URDF cannot express.
-        links: {body id: (name of its link, pose of the body's frame in the link's frame)}.
+        links: {body id: (name of the link, pose of the body's frame in the link's frame)}.
     """
 
     file: MjcfFile
@@ -78,7 +78,7 @@ class UrdfLinks:
         self.unlimited = 0
 
     def add(self, base: int) -> None:
-        """Add the links of a body and of all its descendants.
+        """Add the links of a body and of all descendants.
 
         Args:
             base: Id of the base body.
@@ -107,7 +107,7 @@ class UrdfLinks:
                 self._add_body(body, self._make_link_name(body), link, inside)
 
     def _add_body(self, body: int, name: str, parent: str, inside: pin.SE3) -> None:
-        """Add the joints of a body, and its link.
+        """Add the joints of a body, and the link.
 
         Args:
             body: Id of the body.
@@ -261,8 +261,8 @@ class ConvertedUrdf:
 
         Args:
             file: MJCF.
-            output: Path of the URDF; its mesh paths are relative to the folder of this path.
-            fix_balls: True to fix ball joints at their reference; False to refuse them.
+            output: Path of the URDF; mesh paths are relative to the folder of this path.
+            fix_balls: True to fix ball joints at the reference; False to refuse them.
 
         Raises:
             ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
@@ -324,7 +324,7 @@ def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
-"""Tag and attributes of a shape in a URDF, and its pose in the frame of the body."""
+"""Tag and attributes of a shape in a URDF, and the pose in the frame of the body."""
 
 _MAX_VISIBLE_GROUP = 3
 """Geom groups below this number are shown by MuJoCo's viewer by default."""
@@ -362,7 +362,7 @@ class UrdfShapes:
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
-        """Add the shapes of a body to its link: collidable geoms and visible geoms.
+        """Add the shapes of a body to the link: collidable geoms and visible geoms.
 
         Args:
             link: Element of the link.
@@ -383,7 +383,7 @@ class UrdfShapes:
                         self._add_material(shape, geom)
 
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
-        """Return the shapes of a geom in a URDF, with their poses in the frame of the body."""
+        """Return the shapes of a geom in a URDF, with the poses in the frame of the body."""
         shape = read_shape(self.model, geom)
         placed, size = shape.pose.placed, np.array(shape.size)
         match shape.kind:
@@ -425,7 +425,7 @@ class UrdfShapes:
         return [("mesh", attributes, where)]
 
     def _add_material(self, shape: etree._Element, geom: int) -> None:
-        """Add the colour of a visual shape; a material is defined at its first use."""
+        """Add the colour of a visual shape; a material is defined at the first use."""
         model = self.model
         material = int(model.geom_matid[geom])
         rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
@@ -455,8 +455,8 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Return the id of the base body, or of the root body of a robot with a fixed base.
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
-    with joints. If exactly one of those has a free base, it is chosen; others may be doors or
-    drawers.
+    with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be
+    doors or drawers.
 
     Raises:
         ModelError: If there are several robots, or none.
@@ -485,10 +485,10 @@ def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
 
 
 def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
-    """Return an MJCF in which only one robot moves.
+    """Return an MJCF in which only a single robot moves.
 
-    The other moving bodies are removed by MuJoCo, with their joints, actuators, sensors and
-    couplings, and their values in keyframes. Bodies fixed in the world remain.
+    The other moving bodies are removed by MuJoCo, with all joints, actuators, sensors and
+    couplings, and the values in keyframes. Bodies fixed in the world remain.
 
     Args:
         file: MJCF; not modified.

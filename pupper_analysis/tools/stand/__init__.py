@@ -1,4 +1,4 @@
-"""Solve a stance, and verify it by simulation."""
+"""Solve a stance, and verify the stance by simulation."""
 
 HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

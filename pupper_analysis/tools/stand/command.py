@@ -1,4 +1,4 @@
-"""``pupper-analysis stand``: solve a stance, and verify it by simulation."""
+"""``pupper-analysis stand``: solve a stance, and verify the stance by simulation."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ _EXPLAIN_PARAMETERS = {
 def _explain_preparation(
     asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
 ) -> None:
-    """Print the passes that prepare a robot from its files; ``--explain``."""
+    """Print the passes that prepare a robot from files; ``--explain``."""
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet

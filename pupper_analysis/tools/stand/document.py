@@ -30,7 +30,7 @@ from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 @build_document.register(Preparation)
 def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
-    """Create the report of how a robot was loaded: preparation passes and their changes.
+    """Create the report of how a robot was loaded: preparation passes and the changes of each pass.
 
     `build_document` calls this function for a `Preparation`.
     """
@@ -57,7 +57,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
 
 
 def _make_pass_table(loading: Preparation) -> doc.Table:
-    """Create the table of passes, one row per change that a pass made."""
+    """Create the table of passes, a row per change that a pass made."""
     rows: list[tuple[doc.Cell, ...]] = []
     for run in loading.passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
@@ -83,7 +83,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 
     Args:
         stance: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+        robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
     run = stance.verification
     stand = stance.stand

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Stance(Tabular):
-    """Stance of a robot with its statics, simulations and verdict.
+    """Stance of a robot with the statics, simulations and verdict.
 
     Attributes:
         name: Name of the robot.
@@ -55,7 +55,7 @@ class Stance(Tabular):
         min_max_torque: Motor torques and contact forces with the smallest peak motor utilisation.
         verification: Simulation with feed-forward.
         sagging: Simulation without feed-forward.
-        verdict: Verdict on the stance, with its assumptions.
+        verdict: Verdict on the stance, with the assumptions of the verdict.
         settled: Predicted equilibrium without feed-forward; None if there is no equilibrium.
         unsettled: Reason for which ``settled`` is None; else None.
         presses: Largest press of each hand; empty without hands, or if the task fixes a part of the
@@ -95,7 +95,7 @@ class Stance(Tabular):
 
         Args:
             path: File to write.
-            force: Replace an existing file even if it is not such a table.
+            force: Replace an existing file even if the file is not such a table.
 
         Raises:
             OutputError: If the file cannot be written, or exists and is not such a table.
@@ -109,7 +109,7 @@ class Stance(Tabular):
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors above their effort limits in ``statics``, without those with a limit of zero."""
+        """Motors above the effort limit in ``statics``, without motors whose limit is zero."""
         return self.verdict.overloaded
 
     @property
@@ -126,7 +126,7 @@ def study_stance(
     kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
-    """Solve a stance, evaluate its statics, and verify it by simulation.
+    """Solve a stance, evaluate its statics, and verify the stance by simulation.
 
     Args:
         robot: The robot.
@@ -195,7 +195,7 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
 
     Args:
         robot: The robot.
-        stand: The stand. The result is empty if its task fixes a part of the robot to the world
+        stand: The stand. The result is empty if the task fixes a part of the robot to the world
             (weld or grip), since this constraint limits the force.
     """
     robot = stand.check(robot)

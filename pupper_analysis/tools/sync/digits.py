@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 NUMBER_RTOL: Final = 1e-12
-"""Deviation of a number in the file from its target, relative to the largest number of its vector,
+"""Deviation of a number in the file from the target, relative to the largest number of the vector,
 up to which the text in the file is kept. Chosen, not tuned: far below the tolerances of
 comparisons."""
 
@@ -71,7 +71,7 @@ def _parse_number(word: str) -> float:
 
 
 def _find_shortest(value: float, scale: float) -> float:
-    """Return the number with the fewest digits within the tolerance of its number of digits."""
+    """Return the number with the fewest digits within the tolerance for this number of digits."""
     for max_digits, tolerance in _ROUNDING_STEPS:
         for count in range(1, max_digits + 1):
             rounded = float(f"{value:.{count}g}")

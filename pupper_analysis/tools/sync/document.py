@@ -70,7 +70,7 @@ def _list_failures(sync: Sync) -> Iterable[doc.Words]:
 
 
 def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
-    """Yield the differences with their numbers, and examples of choices."""
+    """Yield the differences with the numbers, and examples of choices."""
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(

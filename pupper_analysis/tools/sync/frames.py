@@ -1,6 +1,6 @@
 """Joint trees of the two matched robots, merged values, and frame transforms between the files.
 
-Also: changes of one part of a rigid body that give the body a target inertia.
+Also: changes of a single part of a rigid body that give the body a target inertia.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ tuned."""
 def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """List the changes of a single part that give a body its target inertia.
+    """List the changes of a single part that give a body the target inertia.
 
     Args:
-        parts: Inertias of the parts with mass, in one frame.
+        parts: Inertias of the parts with mass, in a common frame.
         target: Target inertia of the body, in the same frame.
         empty: Part that is used if no part has mass.
 
@@ -89,9 +89,10 @@ class MatchedRobots:
         matched: Match of the two files.
         urdf: Joint tree of the URDF.
         mjcf: Joint tree of the MJCF, in the same frames.
-        own: Joint tree of the MJCF in its own frames: bodies at their joints.
+        own: Joint tree of the MJCF in its own frames: each body frame at the joint.
         urdf_frames: {base or joint: frame of the trees, relative to the frame of the URDF's link}.
-        mjcf_frames: {base or joint: frame of the trees, relative to the MJCF's body at its joint}.
+        mjcf_frames: {base or joint: frame of the trees, relative to the frame of the MJCF body at
+            the joint}.
         bodies: {body of the MJCF: pose in the frame of the body that a joint moves}.
     """
 
@@ -150,7 +151,7 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
 
 
 def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: transform between its frames in two trees of the same robot}."""
+    """Return {base or joint: transform between the frames in two trees of the same robot}."""
     gauges = {tree.base: pin.SE3.Identity()}
     waiting = tree.children(tree.base)
     while waiting:

@@ -1,4 +1,4 @@
-"""Elements of an MJCF and its includes, found by name and changed in place."""
+"""Elements of an MJCF and the included files, found by name and changed in place."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class EditableMjcf:
-    """Elements of an MJCF, with the content of its includes.
+    """Elements of an MJCF, with the content of included files.
 
     Args:
         file: MJCF.
@@ -49,7 +49,7 @@ class EditableMjcf:
         return self._bodies.get(name)
 
     def joint(self, name: str, body: str) -> Element | None:
-        """Return the element of a joint; a joint without name is found by its body."""
+        """Return the element of a joint; a joint without name is found by the name of the body."""
         element = self._bodies.get(body)
         if element is None:
             return None
@@ -77,7 +77,7 @@ class EditableMjcf:
         Args:
             element: Element.
             attribute: Name of the attribute.
-            value: Text, or one or more numbers.
+            value: Text, a number, or several numbers.
             floor: Lower bound of the magnitude that tolerances refer to.
         """
         if isinstance(value, str):
@@ -89,7 +89,7 @@ class EditableMjcf:
             element.set(attribute, text)
 
     def is_framed(self, element: Element) -> bool:
-        """Return True if an element is within a <frame>, so that its position is relative."""
+        """Return True if an element is within a <frame>, so that the position is relative."""
         parent = element.parent
         while parent is not None and parent.tag not in ("body", "worldbody"):
             if parent.tag == "frame":
@@ -117,7 +117,7 @@ class EditableMjcf:
         return bodies
 
     def _read_file(self, path: Path) -> Element:
-        """Read a file and replace its includes by their content."""
+        """Read a file and replace each include by the included content."""
         if path not in self.documents:
             self.documents[path] = read_document(path)
         document = self.documents[path]
@@ -142,7 +142,7 @@ class EditableMjcf:
 
 
 def iterate_body_elements(body: Element) -> Iterator[Element]:
-    """Yield the elements of a body and of its frames, without child bodies."""
+    """Yield the elements of a body and of the frames in the body, without child bodies."""
     for child in body.children:
         if child.tag == "frame":
             yield from iterate_body_elements(child)

@@ -1,4 +1,4 @@
-"""Planning of changes to an MJCF and its includes: positions, limits, gains, masses."""
+"""Planning of changes to an MJCF and the included files: positions, limits, gains, masses."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
-    """Plan the changes that give a moving group of bodies, or the base, its target inertia."""
+    """Plan the changes that give a moving group of bodies, or the base, the target inertia."""
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
     target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].rigid)
@@ -81,7 +81,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
 
 
 def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
-    """Return the changes of an <inertial> to the target inertia, in its present form."""
+    """Return the changes of an <inertial> to the target inertia, in the present form."""
     numbers = {"pos": target.lever, "mass": target.mass}
     if element.get("diaginertia") is None:
         numbers["fullinertia"] = inertia_entries(target.inertia)
@@ -129,7 +129,7 @@ class MjcfSide(Side):
     Attributes:
         file: MJCF.
         elements: Elements of the MJCF.
-        gains: {("kp" or "kd", joint): gain of its position servo, at the joint [N m/rad or N m
+        gains: {("kp" or "kd", joint): gain of the position servo, at the joint [N m/rad or N m
             s/rad]}.
         robot: Matched robot.
         model: MuJoCo model of the robot.
@@ -144,7 +144,7 @@ class MjcfSide(Side):
         self.model: mujoco.MjModel = self.robot.mj_model
 
     def plan(self, taken: Collection[Key]) -> None:
-        """Plan all changes. Positions come first, because children move with their body."""
+        """Plan all changes. Positions come first, because children move with the parent body."""
         for key in taken:
             if key[0] == "position":
                 self._plan_position(key)
@@ -172,7 +172,7 @@ class MjcfSide(Side):
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
     def _plan_position(self, key: Key) -> None:
-        """Move the body of a joint, with its children."""
+        """Move the body of a joint, with the child bodies."""
         name = key[1]
         index = self.model.joint(name).id
         body = int(self.model.jnt_bodyid[index])
@@ -201,7 +201,7 @@ class MjcfSide(Side):
             self.elements.write(element, "pos", target_pose.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
-        """Return the XML element of a joint in the files of the MJCF; None if it has none."""
+        """Return the XML element of a joint in the files of the MJCF; None if absent."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.joint(name, str(self.model.body(body).name))
 
@@ -225,7 +225,7 @@ class MjcfSide(Side):
         self.elements.write(element, "range", values, 1.0)
 
     def _plan_damping(self, key: Key) -> None:
-        """Plan the damping of a joint, less that of its actuators.
+        """Plan the damping of a joint, less the damping of the actuators of the joint.
 
         Higher polynomial coefficients are kept.
         """
@@ -247,7 +247,7 @@ class MjcfSide(Side):
         self._plan_number(key, "damping", [target, *higher])
 
     def _plan_armature(self, key: Key) -> None:
-        """Plan the armature of a joint, less that of its actuators."""
+        """Plan the armature of a joint, less the armature of the actuators of the joint."""
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_armature[dof])

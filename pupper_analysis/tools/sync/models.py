@@ -54,7 +54,7 @@ class Sync(Result):
     """Result of making two files agree.
 
     Attributes:
-        differences: All differences, in the order in which they are mended.
+        differences: All differences, in the order of repair.
         taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: source of the value.
         edits: Written or planned changes of attributes.
         not_mended: Remaining differences, with reasons.
@@ -94,11 +94,11 @@ def sync_models(
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> Sync:
-    """Make a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
+    """Make a URDF and an MJCF of the same robot agree, by writing numbers of one into the other.
 
     Only attributes with different numbers are written; all other bytes are unchanged. Changes are
-    first verified on copies: a change that does not mend its difference is not written. Either all
-    chosen changes are written, in both files, or none.
+    first verified on copies: a change that does not remove the difference is not written. Either
+    all chosen changes are written, in both files, or none.
 
     Args:
         urdf: Path of the URDF.
@@ -106,7 +106,7 @@ def sync_models(
         take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"``, for all
             differences or some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``).
             Differences that are not named remain; a value that is not stated replaces nothing.
-        partial: Write the changes that are possible, if not all chosen ones are.
+        partial: Write the changes that are possible, even if other chosen changes are impossible.
         dry_run: Write nothing; return the planned changes.
         backup: Keep the old files as ``NAME.bak``.
         force: Write to files with uncommitted changes in a git repository.
@@ -168,7 +168,7 @@ def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
 def _make_verified_plan(
     files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[Key, str]
 ) -> tuple[Plan, FilesCompared]:
-    """Return a plan whose changes mend their differences, and the comparison of the files after it.
+    """Return a plan whose changes remove the differences, and the comparison after these changes.
 
     The plan is applied to copies, which are compared. Changes that mend nothing are removed; if an
     engine refuses a copy, all changes are removed.
@@ -361,8 +361,8 @@ def choose_files(
         differences: Differences, numbered from 1.
         take: ``"urdf"``, ``"mjcf"``, or either with a colon and a selection: numbers (``3``,
             ``1,4-6``), a kind (``mass``), an owner (``base``, ``joint FL_hip``), or both (``link
-            FL_hip: mass``). The more specific choice has precedence; of equally specific ones, the
-            last.
+            FL_hip: mass``). The more specific choice has precedence; of equally specific
+            choices, the last.
 
     Raises:
         ConfigurationError: If a choice is not valid or matches no difference.

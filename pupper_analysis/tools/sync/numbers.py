@@ -63,7 +63,7 @@ class WrittenNumbers:
         urdf: Path of the URDF in the folder; None if the robot has none.
         mjcf: Path of the MJCF in the folder; None if the robot has none.
         edits: Changes of attributes, in the files from which the robot was loaded.
-        contents: {path in the folder: content} of the models and the files that they need.
+        contents: {path in the folder: content} of the models and of the files that the models need.
         sources: Files that were read.
     """
 
@@ -127,17 +127,17 @@ def write_numbers(
     """Write numbers into the URDF and the MJCF of a robot in memory, and verify the result.
 
     Only attributes with changed numbers are written; all other bytes are unchanged. Both files get
-    the numbers, whatever they stated, each in its own frames and attributes. The mass of a body is
-    that of all links that move together; a single link is changed. If a mass is given without
-    inertia, the inertia about the CoM is scaled by the ratio of the masses.
+    the numbers, whatever the files stated, each file in its own frames and attributes. The mass of
+    a body is that of all links that move together; a single link is changed. If a mass is given
+    without inertia, the inertia about the CoM is scaled by the ratio of the masses.
 
     Args:
-        robot: Robot. A model that was generated from the other one has no file.
+        robot: Robot. A model that was generated from the other model has no file.
         numbers: {(kind, element): value}. For a link that moves, in the frame of the URDF's link:
             ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the CoM [kg m^2]. For a joint:
             ``damping``, ``friction``, ``armature`` without the values of motors, and ``kp`` and
-            ``kd`` of its position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
-        files: URDF and MJCF, if not those from which the robot was loaded.
+            ``kd`` of the position servo, at the joint [N m/rad, N m s/rad], in the MJCF only.
+        files: URDF and MJCF, if different from the files from which the robot was loaded.
 
     Returns:
         New files; `write_all` writes the result of `make_writings`.
@@ -264,8 +264,8 @@ def try_files(
     Args:
         contents: {path in the folder: content}.
         changes: Requested numbers.
-        urdf: Old URDF, and the path of the new one, or None.
-        mjcf: Old MJCF, and the path of the new one, or None.
+        urdf: Old URDF, and the path of the new URDF, or None.
+        mjcf: Old MJCF, and the path of the new MJCF, or None.
         names: Names with which the files were matched.
 
     Raises:
@@ -374,7 +374,7 @@ def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Ke
 
 
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
-    """Check that all bodies of a robot are as its files state.
+    """Check that all bodies of a robot have the values that the files state.
 
     Raises:
         ModelError: If a body differs: the robot was changed after loading, or has other files.
@@ -443,7 +443,7 @@ class NumberChanges:
         return replace(tree, bodies=bodies, joints=joints)
 
     def _change_body(self, body: TreeBody, mover: str) -> TreeBody:
-        """Return a body with its new numbers; the inertia is scaled with the mass unless given."""
+        """Return a body with the new numbers; the inertia is scaled with the mass unless given."""
         mass = float(self.wanted.get(("mass", mover), np.array(body.mass)))
         com = self.wanted.get(("com", mover), body.com)
         pattern = body.inertia * (mass / body.mass if body.mass > 0 else 1.0)

@@ -72,7 +72,7 @@ class Edit(Result):
 
     Attributes:
         file: File.
-        line: Line of the element, or of its parent for a new element.
+        line: Line of the element, or of the parent for a new element.
         element: Path: ``link base > inertial > mass``.
         attribute: Name of the attribute.
         old: Old text; None for a new attribute.
@@ -89,7 +89,7 @@ class Edit(Result):
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Two files and the options with which they are matched.
+    """Two files and the options of the matching.
 
     Attributes:
         urdf: Path of the URDF.
@@ -131,7 +131,7 @@ class Plan:
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
     def documents(self) -> Iterator[XmlDocument]:
-        """Yield the XML documents of both models, those of the URDF first."""
+        """Yield the XML documents of both models, the documents of the URDF first."""
         yield from self.urdf.values()
         yield from self.mjcf.values()
 
@@ -228,7 +228,7 @@ def _make_unstated_reason(whose: str) -> Diagnostic:
 
 
 def _iterate_edits(element: Element) -> Iterator[Edit]:
-    """Yield the changes of an element and of its new children."""
+    """Yield the changes of an element and of the new children."""
     old_name = {new: old for old, new in element.renamed.items()}
     for attribute, text in element.changes.items():
         old = element.attributes.get(old_name.get(attribute, attribute))
@@ -285,7 +285,8 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
 
 
 _MJCF_FOLDER = "mjcf"
-"""Folder of the MJCF and its files, if neither model is within the top folder of the other."""
+"""Folder of the MJCF and the files that the MJCF needs, if neither model is within the top folder
+of the other."""
 
 
 @dataclass(frozen=True)
@@ -333,10 +334,10 @@ class FileLayout:
 
 
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
-    """Return the layouts of both models in one folder.
+    """Return the layouts of both models in a common folder.
 
-    If the files of one model are within the top folder of the other, they keep their relative
-    position. Otherwise the MJCF gets a folder of its own.
+    If the files of one model are within the top folder of the other, the files keep the relative
+    position. Otherwise the MJCF gets a separate folder.
     """
     for top in (urdf.top, mjcf.top):
         if all(layout.top.is_relative_to(top) for layout in (urdf, mjcf)):
@@ -350,7 +351,7 @@ def _normalise_path(path: Path) -> Path:
 
 
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
-    """Return the layout of a URDF, with the meshes and textures found relative to it.
+    """Return the layout of a URDF, with the meshes and textures found relative to the URDF.
 
     A ``package://`` path to a folder around the URDF counts as relative; the ``package.xml`` of
     this folder is then included. A path that is found by a
@@ -387,7 +388,7 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
     """Yield the existing mesh, height field, skin and texture files that an MJCF names.
 
-    Relative paths are searched in the folder of the MJCF and of each file that it includes.
+    Relative paths are searched in the folder of the MJCF and of each file that the MJCF includes.
     Absolute paths are left out.
     """
     spec = mjcf.spec

@@ -56,7 +56,7 @@ class UrdfSide(Side):
     def plan(self, taken: Collection[Key]) -> None:
         """Plan the changes of the URDF, without writing any file.
 
-        Positions come first, because children move with their link.
+        Positions come first, because child links move with the parent link.
 
         Args:
             taken: Differences (kind, element) whose values are taken from the MJCF.
@@ -193,7 +193,7 @@ def make_xyz_text(owner: Element | None, place: Array) -> str | None:
 
 
 def make_inertial_changes(link: Element, target: pin.Inertia) -> Changes:
-    """Return the changes of a link's <inertial> to the target inertia, in its stated axes."""
+    """Return the changes of a link's <inertial> to the target inertia, in the stated axes."""
     inertial = link.find("inertial")
     mass_element, inertia_element = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}

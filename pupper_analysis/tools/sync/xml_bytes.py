@@ -14,7 +14,7 @@ from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.models.xml import blank_late_declaration
 
 _ATTRIBUTE_PATTERN: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
-"""Attribute with its value in double or single quotes."""
+"""Attribute with the value in double or single quotes."""
 
 _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
 """Start tag."""
@@ -22,7 +22,7 @@ _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*
 
 @dataclass(eq=False)
 class Element:
-    """Element with the position of its start tag in the file.
+    """Element with the position of the start tag in the file.
 
     Children and attributes are read as with lxml's elements, so that `UrdfTree` reads either.
 
@@ -33,7 +33,7 @@ class Element:
         start: Byte position of the start tag; -1 for a new element.
         line: Line of the start tag, from 1.
         parent: Parent element, across includes.
-        children: Child elements, with includes replaced by their content.
+        children: Child elements, with includes replaced by the included content.
         changes: {attribute: new value}.
         renamed: {attribute: new name}.
     """
@@ -49,7 +49,7 @@ class Element:
     renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
-        """Return the value of an attribute, including changes; None if it is not stated."""
+        """Return the value of an attribute, including changes; None if not stated."""
         return self.changes.get(name, self.attributes.get(name))
 
     def set(self, name: str, value: str) -> None:
@@ -80,11 +80,11 @@ class Element:
         return child
 
     def is_changed(self) -> bool:
-        """Return True if the element or one of its descendants has changes."""
+        """Return True if the element or a descendant has changes."""
         return bool(self.changes) or any(child.is_changed() for child in self.children)
 
     def walk(self) -> Iterator[Element]:
-        """Yield the element and its descendants in the order of the file."""
+        """Yield the element and all descendants in the order of the file."""
         pending = [self]
         while pending:
             element = pending.pop()
@@ -109,7 +109,7 @@ class XmlDocument:
     elements: list[Element]
 
     def render(self) -> bytes:
-        """Return the bytes of the file with all changes of its elements applied."""
+        """Return the bytes of the file with all changes of the elements applied."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
             splices += _splice_attributes(self.data, element)
@@ -154,7 +154,7 @@ def _find_tag_end(data: bytes, element: Element) -> int:
 
 
 def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int]]:
-    """Return {attribute: span of its value, without quotes}."""
+    """Return {attribute: span of the value, without quotes}."""
     end = _find_tag_end(data, element)
     spans = {}
     for match in _ATTRIBUTE_PATTERN.finditer(data, element.start, end):
@@ -164,7 +164,7 @@ def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int
 
 
 def _splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of changed attributes; new attributes follow the last one."""
+    """Yield the splices of changed attributes; new attributes follow the last attribute."""
     if not element.changes:
         return
     spans = _find_value_spans(data, element)
@@ -190,7 +190,7 @@ def _splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int
 def _splice_children(
     data: bytes, element: Element, new: list[Element]
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of new children, before the existing ones with the same indentation."""
+    """Yield the splices of new children, before the existing children with the same indentation."""
     end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":
         tag = element.tag.encode()
@@ -209,7 +209,7 @@ def _splice_children(
 
 
 def _render_element(element: Element, indent: bytes) -> bytes:
-    """Render a new element; its children are on separate lines if it is indented."""
+    """Render a new element; the children of an indented element are on separate lines."""
     words = "".join(f' {name}="{_escape_value(v).decode()}"' for name, v in element.changes.items())
     start = f"<{element.tag}{words}".encode()
     if not element.children:
