@@ -50,7 +50,7 @@ _JOINT_DISTANCE_STEP = 1e-3
 that the order of equal costs does not depend on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
-"""Upper bound of the IK branches that are kept per limb, those with the smallest foot errors. A
+"""Upper bound of the IK branches that are kept per limb, in ascending order of foot error. A
 redundant limb has a continuum of solutions. Chosen, not tuned."""
 
 _INITIAL_DAMPING = 1e-3
@@ -73,7 +73,8 @@ class Limb:
     """Joints that move some feet relative to the base, and no other feet.
 
     Attributes:
-        feet: Contact points; those of several feet if the feet share a joint, such as a waist.
+        feet: Contact points; contact points of several feet if the feet share a joint, such as a
+            waist.
         joints: Indices of the joints in actuator order, shape (n,).
     """
 
@@ -83,11 +84,11 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One posture of a limb.
+    """Posture of a limb.
 
     Attributes:
         positions: Joint positions, shape (n,) [rad, m].
-        foot_error: Largest distance of its contact points from their targets [m]; rounding for
+        foot_error: Largest distance of a contact point from the target [m]; rounding for
             reachable targets.
     """
 
@@ -122,12 +123,12 @@ def find_branches(
 ) -> dict[Limb, tuple[Branch, ...]]:
     """Find the branches of each limb for a fixed base.
 
-    Bounded Levenberg-Marquardt iterations run from many starts, for all limbs at once: one
-    configuration contains one start of each limb.
+    Bounded Levenberg-Marquardt iterations run from many starts, for all limbs at once: a
+    configuration contains a start of each limb.
 
     Args:
         robot: Robot.
-        qpos: Configuration, shape (nq,); its base and the joints outside of limbs stay.
+        qpos: Configuration, shape (nq,); the base and the joints outside of limbs stay.
         targets: {contact point: target of its sphere centre, shape (3,) [m]}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
@@ -168,7 +169,7 @@ def find_branches(
 def _sort_branches(
     robot: Robot, qpos: Array, limb: Limb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Sort branches by foot error, then by how far back their joints are.
+    """Sort branches by foot error, then by how far back the joints are.
 
     Legs with equivalent branches thus all bend in the same direction.
     """
@@ -355,7 +356,7 @@ class _Descent:
         }
 
     def _all_joints(self, joints: Array) -> Array:
-        """Insert the positions of limb joints (k, n) into those of all joints (k, nu)."""
+        """Insert the positions of limb joints (k, n) into the positions of all joints (k, nu)."""
         every = np.tile(self._rest, (len(joints), 1))
         every[:, self._joints] = joints
         return every
@@ -399,14 +400,14 @@ class _Descent:
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) for each combination of one branch per limb, best first.
+    """Yield joint positions (nu,) for each combination of a branch per limb, best first.
 
     The cost is the sum over limbs of foot error (1 um counts like 1 rad) and joint distance to
     ``near``.
 
     Args:
         found: {limb: its branches}.
-        near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs keep their positions.
+        near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs stay unchanged.
     """
     groups = list(found)
     costs = []

@@ -1,6 +1,6 @@
 """Clearances of a robot: distances between links, and heights above the ground.
 
-The shapes are those with which MuJoCo computes contacts; meshes are replaced by their convex hulls.
+The shapes are those with which MuJoCo computes contacts; meshes are replaced by convex hulls.
 Distances are computed with coal.
 """
 
@@ -34,7 +34,7 @@ _LEVEL_NORMAL = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Clearance(Result):
-    """Smallest distance, with its links.
+    """Smallest distance, with both links.
 
     Attributes:
         distance: Distance (m); negative for a penetration depth.
@@ -60,7 +60,7 @@ class OffGround(NamedTuple):
 
 
 class SolidPair(NamedTuple):
-    """Pair of shapes with its distance.
+    """Pair of shapes with the distance between them.
 
     Attributes:
         one: Index of the first shape.
@@ -110,7 +110,7 @@ class ClearanceShapes:
 
     Attributes:
         robot: Robot.
-        shapes: All shapes, including those of the feet.
+        shapes: All shapes, including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
             ground, and shapes on the link of a sole or of a weld.
@@ -182,7 +182,7 @@ class ClearanceShapes:
             most: Maximum number of pairs.
 
         Returns:
-            Pairs with their distance [m], the nearest first.
+            Pairs with distance [m], the nearest first.
         """
         return self._find_nearest(qpos, self._pairs, most)
 
@@ -245,12 +245,12 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Return the height [m] of the lowest of ``parts`` above the ground, and its link.
+        """Return the height [m] of the lowest of ``parts`` above the ground, and this part's link.
 
         Args:
             at: Kinematics of the configuration.
             ground: Ground.
-            places: {contact point: target of its centre, shape (3,) [m]}, which locates the steps.
+            places: {contact point: target of the centre, shape (3,) [m]}, which locates the steps.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
@@ -271,13 +271,13 @@ class ClearanceShapes:
     ) -> list[float]:
         """Return the height of each of ``parts`` above slope and steps [m]; empty without ground.
 
-        A part that intersects the sphere of its foot, such as a calf, may penetrate the ground as
+        A part that intersects the sphere of the foot, such as a calf, may penetrate the ground as
         deep as the foot.
 
         Args:
             at: Kinematics of the configuration.
             ground: Ground.
-            places: {contact point: target of its centre, shape (3,) [m]}, which locates the steps.
+            places: {contact point: target of the centre, shape (3,) [m]}, which locates the steps.
             depths: {contact point: penetration of the ground [m]}.
         """
         if self._is_floorless(ground):
@@ -299,7 +299,7 @@ class ClearanceShapes:
     ) -> Array:
         """Return the derivative of `part_heights` by steps along qvel, shape (n, nv), for n parts.
 
-        The nearest point of a part is treated as fixed to its link.
+        The nearest point of a part is treated as fixed to the link.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):
@@ -367,7 +367,7 @@ class ClearanceShapes:
             yield OffGround(index, shape, sunk)
 
     def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
-        """Return True if a shape on the link of a foot intersects its sphere."""
+        """Return True if a shape on the link of a foot intersects the foot sphere."""
         self.kinematics.move(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)
@@ -383,5 +383,5 @@ def _to_index_pairs(pairs: Iterable[tuple[int, int]]) -> IntArray:
 
 
 def _is_plane(ground: Ground) -> bool:
-    """Return True if no step is above the slope and no foot has a plane of its own."""
+    """Return True if no step is above the slope and no foot has a separate plane."""
     return not ground.planes and all(height <= 0 for height in ground.heights.values())

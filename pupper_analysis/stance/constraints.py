@@ -103,14 +103,14 @@ class BaseOrientation(Constraint):
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the angle from the base orientation to the required one, shape (1,) [rad].
+        """Return the angle from the base orientation to the required orientation, shape (1,) [rad].
 
         Not negative: the angle of the single rotation between both orientations, 0 to pi.
         """
         return np.array([self.violation(goal, at)])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the angle between the base orientation and the required one, 0 to pi [rad]."""
+        """Return the angle between base orientation and required orientation, 0 to pi [rad]."""
         return angle_between(goal.base_quaternion, at.qpos[3:7].tolist())
 
 
@@ -138,7 +138,7 @@ class Footholds(Constraint):
     name, is_equality = "footholds", True
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the displacements of all contact points from their targets, shape (3 n,) [m]."""
+        """Return the displacements of all contact points from the targets, shape (3 n,) [m]."""
         feet = at.feet
         apart = [feet[foot] - there for foot, there in goal.targets.items()]
         return np.concatenate([*apart, np.zeros(0)])
@@ -151,14 +151,14 @@ class Footholds(Constraint):
         )
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest distance of a contact point to its target [m]."""
+        """Return the largest distance of a contact point to the target [m]."""
         feet = at.feet
         apart = [math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()]
         return max(apart, default=0.0)
 
 
 class Loops(Constraint):
-    """Closed loops and joint couplings, closed or open by their static deflection."""
+    """Closed loops and joint couplings, closed or open by the static deflection."""
 
     name, is_equality = "loops", True
 
@@ -167,7 +167,7 @@ class Loops(Constraint):
         self._closure = closure
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the openings of the loops, minus their static deflection, shape (m,) [m, rad]."""
+        """Return the openings of the loops, minus the static deflection, shape (m,) [m, rad]."""
         left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give
 
@@ -187,7 +187,7 @@ class Loops(Constraint):
 
 
 class PlaceConstraint(Constraint):
-    """Horizontal position of the CoM, or of the base if it has an offset."""
+    """Horizontal position of the CoM, or of the base if the task has an offset."""
 
     name, is_equality = "com-place", True
 
@@ -250,7 +250,7 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances to the finite lower limits, then to the upper ones [rad, m]."""
+        """Return the distances to the finite lower limits, then to the upper limits [rad, m]."""
         joints, low, high = at.qpos[-len(goal.lower) :], *self._has_limits
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
@@ -261,7 +261,7 @@ class JointLimits(Constraint):
         return np.concatenate([rows[low], -rows[high]])
 
     def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the largest excess of a joint position beyond its limits [rad, m]."""
+        """Return the largest excess of a joint position beyond the limits [rad, m]."""
         joints = at.qpos[-len(goal.lower) :].tolist()  # lists are faster for a dozen numbers
         below, above = map(sub, goal.lower.tolist(), joints), map(sub, joints, goal.upper.tolist())
         return float(max(0.0, *below, *above))
@@ -300,7 +300,7 @@ class SelfClearance(Constraint):
     name = "self-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances of the nearest pairs of links minus the required one [m].
+        """Return the distances of the nearest pairs of links minus the required distance [m].
 
         Half of `CLEARANCE_TOLERANCE` is added, so that a search may be inexact.
         """
@@ -318,7 +318,7 @@ class SelfClearance(Constraint):
 
 
 def _has_fixed_com_on_planes(goal: Goal) -> bool:
-    """Return True if the CoM target is fixed and feet have planes of their own.
+    """Return True if the CoM target is fixed and feet have separate planes.
 
     The support region is then slow to compute; `make_goal` has checked the target already.
     """
@@ -371,7 +371,7 @@ def evaluate_constraints(
 
 
 def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
-    """Yield the constraints of a goal. They remain valid if its numbers change."""
+    """Yield the constraints of a goal, which remain valid if the goal's numbers change."""
     closure = shapes.robot.closure
     yield BaseHeight(shapes, goal)
     yield BaseOrientation(shapes, goal)

@@ -65,7 +65,7 @@ _MAX_DIGITS = 12
 
 
 class DemandValue(NamedTuple):
-    """Key of one number of a task.
+    """Key of a number of a task.
 
     Attributes:
         field: Name of the field.
@@ -79,7 +79,7 @@ class DemandValue(NamedTuple):
 
 
 class DemandVector:
-    """Numbers of some demands of a task, with bounds of their relaxation.
+    """Numbers of some demands of a task, with bounds of the relaxation.
 
     Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
     directions.
@@ -156,7 +156,7 @@ class DemandVector:
         )
 
     def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:
-        """Convert the numbers of one field, or of one foot in a field, to a value of the task."""
+        """Convert the numbers of a field, or of a foot in a field, to a value of the task."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
             return contact.moved(parts)
@@ -252,7 +252,7 @@ def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) 
 
 
 def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Return a task with the nominal stand's values for some demands, within their bounds."""
+    """Return a task with the nominal stand's values for some demands, within bounds."""
     numbers = DemandVector(robot, task, demands)
     return numbers.make_task(numbers.clip(numbers.nominal))
 
@@ -260,7 +260,7 @@ def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> S
 def relax_further(
     robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
-    """Return a task in which some demands are relaxed further, by a share of their relaxation."""
+    """Return a task in which some demands are relaxed further, by a share of the relaxation."""
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))
 
@@ -270,7 +270,7 @@ def round_outward(
 ) -> StandTask:
     """Round relaxed demands to reporting precision, away from the requested values.
 
-    The reported stand is thus at least as relaxed as the computed one. A value changes by at most
+    The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
     0.5 % of its distance from the nominal value, and by at most 0.1 mm or 0.1 deg.
     """
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
@@ -280,7 +280,7 @@ def round_outward(
 
 
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
-    """Round one number away from the requested value; unchanged at the nominal value."""
+    """Round a number away from the requested value; unchanged at the nominal value."""
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
     if abs(number - requested) < _ROUNDING:
@@ -344,7 +344,7 @@ def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
 
 
 def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
-    """Describe one value with its unit."""
+    """Describe a value with the unit."""
     if isinstance(value, Vector):
         return diagnose("demanded-place", field=name, place=value)
     return diagnose("demanded-value", field=name, value=value)

@@ -1,4 +1,4 @@
-"""Table of the requirements of a stand: one `Field` per requirement, read from ``fields.toml``.
+"""Table of the requirements of a stand: a `Field` per requirement, read from ``fields.toml``.
 
 The checks and texts of `StandTask`, the command-line options, the sliders and exports of the live
 page, and the variables of a study are derived from this table. The module imports no engine, so
@@ -33,10 +33,10 @@ UNIT_BY_KIND = {
     "damping": "N m s/rad",
     "contact": "m",
 }
-"""{kind of a field: SI unit of its numbers}."""
+"""{kind of a field: SI unit of the numbers}."""
 
 _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
-"""{kind of a field: axes of its point}; other kinds have none."""
+"""{kind of a field: axes of the point}; other kinds have no axes."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Slider:
 
 @dataclass(frozen=True)
 class Words:
-    """Texts of a field in one language.
+    """Texts of a field in a single language.
 
     Attributes:
         label: Name on a slider, without unit.
@@ -76,21 +76,21 @@ class Words:
 
 @dataclass(frozen=True)
 class Field:
-    """One requirement of a stand.
+    """Requirement of a stand.
 
     Attributes:
         name: Name of the attribute.
         kind: ``"length"``, ``"angle"``, ``"position"`` (of a joint: an angle, or the length of a
-            slide), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or one of ``choices``),
-            ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"`` or ``"contact"`` (contact
-            surface and position).
+            slide), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or a word in
+            ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"`` or ``"contact"``
+            (contact surface and position).
         en: English texts.
         zh: Texts in Simplified Chinese.
-        part: Owner of the attribute: the ``"task"``, or its ``"ground"``.
+        part: Owner of the attribute: the ``"task"``, or the ``"ground"`` of the task.
         frame: Whether the point may refer to another frame than the base's: (frame, x, y, z).
         per: Key of a mapping to such values: ``"foot"``, ``"joint"`` or ``"link"``; empty if the
             field is no mapping.
-        optional: Whether the default is None; otherwise it is 0.
+        optional: Whether the default is None; otherwise 0.
         nominal: Value of the nominal stand: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the stance feet, ``"foot_places"``, or the robot's ``"own"``.
         low: Lower bound (SI units).
@@ -100,7 +100,7 @@ class Field:
         constraint: Constraint that the field defines.
         gives: Direction in which a refusal may relax the value: ``"either"``, ``"less"`` (towards
             0) or ``"no"``.
-        always_said: Whether a task text contains the field if its value is the default.
+        always_said: Whether a task text contains the field if the value is the default.
         option: Command-line option without dashes; there is no option if ``help`` is empty.
         help: Text in ``--help``.
         example: Value in command-line syntax, for ``--help``.
@@ -144,7 +144,7 @@ class Field:
     def attribute(self) -> str:
         """Attribute of `StandTask` that stores the value: ``name``, or ``"ground"``.
 
-        It is ``"ground"`` if the value is part of the ground description of the task.
+        The part is ``"ground"`` if the value is part of the ground description of the task.
         """
         return self.name if self.part == "task" else self.part
 
@@ -178,7 +178,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check one value of a mapping, or the only value."""
+        """Check a value of a mapping, or the only value."""
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)
@@ -231,7 +231,7 @@ class Field:
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:
-        """Return a value with its SI unit, for a message; a contact is returned unchanged."""
+        """Return a value with the SI unit, for a message; a contact is returned unchanged."""
         if self.kind == "contact":
             return value
         if isinstance(value, tuple):

@@ -1,4 +1,4 @@
-"""A stand as a result: configuration, errors of its requirements, and clearances.
+"""A stand as a result: configuration, errors of the requirements, and clearances.
 
 `evaluate_stand` computes the errors with Pinocchio, independent of the solver that found the
 configuration.
@@ -43,24 +43,24 @@ _ERROR_BY_CONSTRAINT = {
     "com-place": "com_error",
     "base-place": "com_error",
 }
-"""{constraint: attribute of the stand with its violation}; ``foot_error`` for other constraints."""
+"""{constraint: attribute of the stand with the violation}; ``foot_error`` for other constraints."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Tabular):
-    """Solved stand. Its errors are computed with Pinocchio from ``qpos``.
+    """Solved stand. The errors are computed with Pinocchio from ``qpos``.
 
     A stand without feet is a posture of a robot with a fixed base (``held_stand``).
 
     Attributes:
-        task: Task, with its height and CoM filled in.
+        task: Task, with height and CoM filled in.
         qpos: Configuration, shape (nq,).
-        foot_targets: {contact point: target of the centre of its sphere, shape (3,) (m)}.
+        foot_targets: {contact point: target of the centre of the sphere, shape (3,) (m)}.
         depths: {stance point: penetration of the ground (m)}; 0 on rigid ground.
         stance_feet: Contact points that carry load; a sole has several.
         normals: {stance point: unit normal out of the ground, shape (3,)}.
-        contact_points: {stance point: position of its contact, shape (3,) (m)}.
-        foot_error: Largest distance of a contact point from its target (m or rad). If larger: the
+        contact_points: {stance point: position of the contact, shape (3,) (m)}.
+        foot_error: Largest distance of a contact point from the target (m or rad). If larger: the
             opening of a closed loop or joint coupling, the violation of a joint limit with margin,
             or another violation without an error of its own (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
@@ -119,7 +119,7 @@ class Stand(Tabular):
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """Return one row per foot: target [m], load or not, penetration [m]."""
+        """Return a row per foot: target [m], load or not, penetration [m]."""
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -132,7 +132,7 @@ class Stand(Tabular):
     def lift_directions(self, robot: Robot) -> dict[str, Array]:
         """Return the lift-off direction, shape (3,), of each stance foot and contact point.
 
-        Upward, or along the normal of a plane of its own.
+        Upward, or along the normal of a separate plane of the foot.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
@@ -181,7 +181,7 @@ class Stand(Tabular):
     def rigid_targets(self) -> Mapping[str, Array]:
         """Targets of the sphere centres on rigid ground, shape (3,) each [m].
 
-        Without planes of single feet these are ``foot_targets`` themselves, including the
+        Without planes of single feet these are the ``foot_targets``, including the
         penetration; see `raise_feet`.
         """
         return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
@@ -211,7 +211,7 @@ class Stand(Tabular):
         return tuple(violations)
 
     def _clearances(self) -> Iterator[tuple[Clearance, float]]:
-        """Yield each clearance with its required minimum [m]."""
+        """Yield each clearance with the required minimum [m]."""
         if self.ground_clearance is not None:
             yield self.ground_clearance, self.task.ground_clearance
         if self.self_clearance is not None:
@@ -272,7 +272,7 @@ def _describe_clearance(near: Clearance) -> Diagnostic:
 
 
 def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
-    """Create the stand of a configuration, with its errors and clearances.
+    """Create the stand of a configuration, with errors and clearances.
 
     Args:
         shapes: Robot with collision shapes.

@@ -55,7 +55,7 @@ class Posture(Result):
         qpos: Joint positions, shape (nu,) (rad, or m of a slide); the complete qpos of such a
             robot.
         source: Source of the joint positions that were not given.
-        keyframe: Name of the keyframe; "" without a keyframe, or if it has no name.
+        keyframe: Name of the keyframe; "" without a keyframe, or if the keyframe has no name.
         given: Names of the given joints.
     """
 
@@ -87,7 +87,7 @@ def find_posture(
 ) -> Posture:
     """Complete given joint positions to a posture.
 
-    Other joints are taken from a keyframe, or are in the middle of their ranges (with an infinite
+    Other joints are taken from a keyframe, or are in the middle of the ranges (with an infinite
     limit: zero, or the limit that is nearest to zero). Coupled joints follow.
 
     Args:

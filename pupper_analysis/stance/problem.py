@@ -40,8 +40,8 @@ rejected: such a stand would tip. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
-"""{number of contact points of a foot: coordinates that they fix}; three or more fix all 6. A line
-of two points may rotate about itself."""
+"""{number of contact points of a foot: coordinates that these points fix}; three or more fix all 6.
+A line of two points may rotate about itself."""
 
 
 _NUM_RANDOM_POSES = 3
@@ -50,18 +50,18 @@ Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
 """Smallest horizontal CoM displacement per joint displacement [m/rad], with planted feet, above
-which the robot can move its CoM in a direction. Chosen, not tuned."""
+which the robot can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
 """Smallest CoM mobility in a horizontal direction, relative to the direction of largest mobility,
-above which the robot can move its CoM in this direction. Soles that are a microradian off level
+above which the robot can move the CoM in this direction. Soles that are a microradian off level
 permit less. Chosen, not tuned."""
 
 
 def has_spare_joints(robot: Robot) -> bool:
-    """Return True if joints can move while the base and all feet keep their poses.
+    """Return True if joints can move while the base and all feet keep the same poses.
 
-    Each foot fixes as many coordinates as `_FIXED_COORDINATES` states for its number of contact
+    Each foot fixes as many coordinates as `_FIXED_COORDINATES` states for the number of contact
     points.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
@@ -69,9 +69,9 @@ def has_spare_joints(robot: Robot) -> bool:
 
 
 def can_move_com(robot: Robot) -> bool:
-    """Return True if the robot can move its CoM in x and y with planted feet.
+    """Return True if the robot can move the CoM in x and y with planted feet.
 
-    The base keeps its height and orientation. Also True without contact points. Legs with three
+    The base keeps height and orientation. Also True without contact points. Legs with three
     joints suffice; legs with two joints
     in one plane cannot move the CoM sideways, unless arms or a waist do.
     """
@@ -79,7 +79,7 @@ def can_move_com(robot: Robot) -> bool:
 
 
 def _compute_com_mobility(robot: Robot) -> bool:
-    """Evaluate `can_move_com`, without its cache."""
+    """Evaluate `can_move_com`, without the cache."""
     if not robot.contact_points:
         return True
     if len(robot.feet) < len(robot.contact_points):
@@ -136,17 +136,17 @@ class Goal:
     """Numerical goal of a stand task for one robot. Goals may share arrays, which are read-only.
 
     Attributes:
-        task: Task, with its height and CoM filled in.
+        task: Task, with height and CoM filled in.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}.
         depths: {stance point: penetration of the ground at the target [m]}.
         stance_feet: Contact points that carry load.
-        contacts: Positions of their contacts, shape (n, 3) [m].
-        contact_by_foot: {stance point: position of its contact, shape (3,) [m]}.
+        contacts: Positions of the contacts, shape (n, 3) [m].
+        contact_by_foot: {stance point: position of the contact, shape (3,) [m]}.
         normals: {stance point: unit normal out of the ground, shape (3,)}.
         support: Support region.
         centre: Mean of the contacts, shape (3,) [m]. Hands and steep planes are left out of the
-            mean, and planes of single feet are left out of its height, unless nothing remains.
-            `feet_centre` describes welded and lifted feet.
+            mean, and planes of single feet are left out of the height of the mean, unless nothing
+            remains. `feet_centre` describes welded and lifted feet.
         height: Height of the base frame [m].
         base_quaternion: Orientation of the base (w, x, y, z).
         place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
@@ -184,7 +184,7 @@ class Goal:
     def rigid_targets(self) -> Mapping[str, Array]:
         """Targets of the sphere centres on rigid ground, shape (3,) each [m].
 
-        Without planes of single feet these are ``targets`` themselves, including the penetration;
+        Without planes of single feet these are the ``targets``, including the penetration;
         see `raise_feet`.
         """
         return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
@@ -209,9 +209,9 @@ def make_goal(
         robot: Robot.
         task: Stand task. Default: the nominal stand.
         depths: {stance point: penetration of the ground [m]}; 0 for points that are not included.
-        like: Goal of the same robot with the same depths. Its foot targets and joint limits are
-            reused if the task requires equal ones. Default: the nominal stand if ``depths`` is
-            empty and the joint limits have not changed.
+        like: Goal of the same robot with the same depths. Foot targets and joint
+            limits of this goal are reused if the task requires equal values. Default: the nominal
+            stand if ``depths`` is empty and the joint limits have not changed.
         checked: Reject tasks that no stand can satisfy, for example with a CoM outside the support
             region.
 
@@ -486,14 +486,14 @@ MIN_SUPPORT_NORMAL_Z = 0.5
 than 60 deg from horizontal) is left out of the centre of the feet. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
-"""Extent of a sole's contact points perpendicular to their line [m], up to which the points count
-as collinear. Chosen, not tuned."""
+"""Extent of a sole's contact points perpendicular to the fitted line [m], up to which the points
+count as collinear. Chosen, not tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Return {contact point: default centre of its sphere, shape (3,) [m]} in the world frame.
+    """Return {contact point: default centre of the sphere, shape (3,) [m]} in the world frame.
 
-    The base is upright at the origin, and the joints are at their nominal positions.
+    The base is upright at the origin, and the joints are at nominal positions.
     """
     return {point: place.copy() for point, place in robot.once(_compute_nominal_points)}
 
@@ -538,9 +538,9 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 
     Targets are in the world frame.
 
-    A sole lies flat on its plane or slope, rotated from its default orientation by the shortest
-    rotation. A swing foot is translated by its height: upward, or along the normal if the foot has
-    a plane of its own.
+    A sole lies flat on the plane or slope, rotated from the default orientation by the shortest
+    rotation. A swing foot is translated by the swing height: upward, or along the normal if the
+    foot has a separate plane.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
@@ -567,10 +567,10 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
-    """Compute the sphere centres of a foot or hand on a plane of its own, shape (3,) each [m].
+    """Compute the sphere centres of a foot or hand on a separate plane, shape (3,) each [m].
 
     The contact is the point of the plane nearest to the requested position. A swing foot is
-    translated from there by its height, along the normal of the plane.
+    translated from there by the swing height, along the normal of the plane.
     """
     points = robot.feet[foot]
     on = task.ground.planes[foot].nearest(_requested_position(robot, task, foot, place))
@@ -586,7 +586,7 @@ def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> d
 
 
 def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
-    """Return the position, shape (3,) [m], near which a foot or hand is to touch its plane.
+    """Return the position, shape (3,) [m], near which a foot or hand is to touch the plane.
 
     Args:
         robot: Robot.
@@ -605,7 +605,7 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
 
 
 def _add_planes(robot: Robot, task: StandTask) -> StandTask:
-    """Add the planes of the task's contacts to its ground."""
+    """Add the planes of the task's contacts to the ground of the task."""
     planes = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None
@@ -644,7 +644,7 @@ def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
 
 
 def _fit_upward_normal(points: Array) -> Array:
-    """Fit a plane, or a line, to points (n, 3), and return its upward unit normal (3,)."""
+    """Fit a plane, or a line, to points (n, 3), and return the upward unit normal (3,)."""
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0))
     if sizes[1] < _COLLINEAR_TOLERANCE:  # a line: the upward normal nearest to vertical
         normal = UP - (UP @ axes[0]) * axes[0]
@@ -670,7 +670,7 @@ def sink_feet(
 ) -> dict[str, Array]:
     """Move the targets of sphere centres into the ground by the penetration depths.
 
-    A sole moves as a rigid body, by the least-squares fit to the depths of its contact points.
+    A sole moves as a rigid body, by the least-squares fit to the depths of the contact points.
 
     Args:
         robot: Robot.
@@ -695,7 +695,7 @@ def raise_feet(
 ) -> Mapping[str, Array]:
     """Move the targets of sunk feet back to rigid ground, by the penetration along the normals.
 
-    The targets are returned unchanged if no foot has a plane of its own: the horizontal position of
+    The targets are returned unchanged if no foot has a separate plane: the horizontal position of
     a level step does not depend on the penetration.
 
     Args:
@@ -713,7 +713,7 @@ def raise_feet(
 
 
 def move_rigidly(before: Array, after: Array) -> Array:
-    """Move points as a rigid body, so that they fit other points by least squares.
+    """Move points as a rigid body, to fit other points by least squares.
 
     Args:
         before: Points to be moved, shape (n, 3) [m].

@@ -45,7 +45,7 @@ without that led to a stand took 12 or fewer; 90 % of 350 solves with took 45 or
 _FINE_UNIT = 200.0
 """Stand height divided by the smallest length unit in which foot distances are minimised again.
 Measured in flat valleys of the cost: in whole stand heights SLSQP ends on the slope of the valley;
-in thousandths of a stand height, it ends on the way."""
+in thousandths of a stand height, SLSQP ends on the way."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the SLSQP iterations that minimise foot distances in the small length unit. About
@@ -74,7 +74,7 @@ class Relaxation:
     Attributes:
         task: Task with relaxed numbers.
         qpos: Configuration, shape (nq,).
-        given: {demand: sum of the relaxations of its numbers} [stand heights, rad].
+        given: {demand: sum of the relaxations of the demand's numbers} [stand heights, rad].
         violation: Largest violation of the other constraints [m, rad].
     """
 
@@ -112,7 +112,7 @@ class _Point:
 
 
 class _NoProgressError(Exception):
-    """Raised to end SLSQP if its steps do not reduce the violation."""
+    """Raised to end SLSQP if successive steps do not reduce the violation."""
 
 
 class _Progress:
@@ -133,9 +133,9 @@ class _Progress:
         self._smallest, self._steps_in_vain = math.inf, 0
 
     def update(self, x: Array, violation: float) -> None:
-        """Record the violation after a step of SLSQP, and store ``x`` if it is the smallest so far.
+        """Record the violation after a step of SLSQP, and store ``x`` with the smallest violation.
 
-        A step makes progress if its violation is at most ``enough``, or at most
+        A step makes progress if the violation is at most ``enough``, or at most
         `_MIN_PROGRESS_RATIO` of the smallest violation of the earlier steps.
 
         Args:
@@ -200,7 +200,7 @@ class StanceProgram:
         self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
-        """Find the smallest relaxation from one start.
+        """Find the smallest relaxation from a start.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -226,7 +226,7 @@ class StanceProgram:
         )
 
     def nearest(self, qpos: Array) -> Array:
-        """Return the configuration, shape (nq,), with the contact points nearest to their targets.
+        """Return the configuration, shape (nq,), with the contact points nearest to the targets.
 
         Minimises the sum of squared distances subject to the constraints that are not left out:
         first with distances in stand heights, then scaled by the remaining distance.
@@ -241,7 +241,7 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Return the scaled sum of squared foot distances, and its gradient."""
+        """Return the scaled sum of squared foot distances, and the gradient."""
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
@@ -261,7 +261,7 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Minimise a function from one start by SLSQP; the result is within the bounds.
+        """Minimise a function from a start by SLSQP; the result is within the bounds.
 
         Args:
             function: Returns value and gradient.

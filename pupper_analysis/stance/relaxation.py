@@ -1,8 +1,9 @@
 """Explanation of an unreachable stance: demands that can be relaxed, and the smallest relaxation.
 
-`explain_refusal` first tests each demand alone. If none suffices alone, it looks for a small set of
-demands that suffices together. The elastic program (`stance.programme`) computes the relaxation;
-the rounded result is solved again, so that a reported value can be typed as a task.
+`explain_refusal` first tests each demand alone. If no demand suffices alone, the search continues
+with a small set of demands that suffices together. The elastic program (`stance.programme`)
+computes the relaxation; the rounded result is solved again, so that a reported value can be typed
+as a task.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ and without closed loops, below which a dead point of the loops is reported. 1 m
 point the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] below which a foot is not reported as missing its target, if the loops are at a
+"""Foot error [m] below which a foot is not reported as missing the target, if the loops are at a
 dead point: the error is then due to the tolerance of the search. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
@@ -54,8 +55,8 @@ _NONZERO_DEMANDS = ("swing", "com_margin")
 a margin a CoM with an offset may be outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Value [stand heights] of a demand in `_NONZERO_DEMANDS` below which it counts as zero, and the
-relaxation is rejected. Chosen, not tuned."""
+"""Value [stand heights] of a demand in `_NONZERO_DEMANDS` below which the value counts as zero, and
+the relaxation is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Shares by which a relaxation is reduced, in order, as long as a stand exists: v3's slope ended at
@@ -117,7 +118,7 @@ def explain_refusal(
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     """Return True if closed loops block a direction in which joints could move a foot.
 
-    At such a dead point a motor rotates while its coupled joints stay at rest, to first order.
+    At such a dead point a motor rotates while the coupled joints stay at rest, to first order.
     """
     if robot.closure is None:
         return False
@@ -164,7 +165,7 @@ class _Search:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Return each demand that suffices alone, or else one small set that suffices together."""
+        """Return each demand that suffices alone, or else a small set that suffices together."""
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
         alone = [self._verify(self._relax_one(demand)) for demand in differing]
@@ -177,9 +178,9 @@ class _Search:
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
         """Return the smallest relaxation of demands from several starts; None if none is feasible.
 
-        An additional start is a stand without the demands, if one exists: the demands are increased
-        from there. If several demands must be relaxed, this start gave the best result in 27 of 28
-        refusals.
+        An additional start is a stand without the demands, if such a stand exists: the demands are
+        increased from there. If several demands must be relaxed, this start gave the best result in
+        27 of 28 refusals.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
@@ -190,7 +191,7 @@ class _Search:
         return min((way for way in basis if way.is_met), key=lambda way: way.slack, default=None)
 
     def _relax_one(self, demand: str) -> Relaxation | None:
-        """Return the smallest relaxation of one demand; None without a feasible relaxation.
+        """Return the smallest relaxation of a demand; None without a feasible relaxation.
 
         The program may end in a local minimum. Stands with less relaxation are tried; the program
         starts again from such a stand.
@@ -225,7 +226,7 @@ class _Search:
         return way
 
     def _verify(self, way: Relaxation | None) -> _StatedRelaxation | None:
-        """Return the rounded relaxation and its stand; None if the rounded task has no stand."""
+        """Return the rounded relaxation and the stand; None if the rounded task has no stand."""
         if way is None:
             return None
         robot = self.context.robot

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 _MAX_COMBINATIONS = 256
 """Upper bound of combinations of IK branches that are tried as initial guesses in a round of
-`_BRANCH_ROUNDS`: those of four legs with four branches each."""
+`_BRANCH_ROUNDS`: the product for four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
 """Upper bound of rounds in which the IK branches are determined. A further round starts if the
@@ -67,7 +67,8 @@ _NUM_RANDOM_SEEDS = 32
 Measured on 48 stands of six bipeds: one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Constraints that a stand with feet in place may violate; the failure then names these."""
+"""Constraints that a stand with feet in place may violate; the failure then names the
+constraints."""
 
 
 def search_stand(
@@ -80,7 +81,7 @@ def search_stand(
     """Search for a stand from all initial guesses.
 
     The nonlinear program is used only if the CoM is free, or if redundant joints can move parts out
-    of collision. It starts at the best stand so far, then at other seeds.
+    of collision. The program starts at the best stand so far, then at other seeds.
 
     Args:
         context: Search context of the robot.
@@ -120,9 +121,9 @@ def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | Non
 
 
 def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
-    """Search for a stand from one initial guess of the joint positions, with IK.
+    """Search for a stand from an initial guess of the joint positions, with IK.
 
-    CoM or base start at their target.
+    CoM or base start at the target.
 
     Args:
         context: Search context of the robot.
@@ -130,13 +131,13 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
         joints: Initial joint positions, shape (nu,) [rad, m].
 
     Returns:
-        Solved stand; None if IK does not reach one.
+        Solved stand; None if IK does not reach a stand.
     """
     return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
 def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search for a stand from one configuration, with the nonlinear program of all constraints.
+    """Search for a stand from a configuration, with the nonlinear program of all constraints.
 
     Args:
         context: Search context of the robot.
@@ -144,7 +145,7 @@ def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand |
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand; None if the program does not reach one.
+        Solved stand; None if the program does not reach a stand.
     """
     there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_nearest(programme, qpos)
@@ -152,7 +153,7 @@ def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand |
 
 
 def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search for a stand from one nearby configuration, with IK.
+    """Search for a stand from a nearby configuration, with IK.
 
     Args:
         context: Search context of the robot.
@@ -160,7 +161,7 @@ def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | N
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand; None if IK does not reach one.
+        Solved stand; None if IK does not reach a stand.
     """
     return _Search(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
 
@@ -175,7 +176,7 @@ class _Search:
     Attributes:
         iterations: Number of QPs so far.
         closest: Stand with the smallest foot error of the nonlinear program.
-        misses: Foot errors [m] of the nonlinear program, one per seed.
+        misses: Foot errors [m] of the nonlinear program, an entry per seed.
         points: Results of the IK solver.
         reached: Stands with the feet in place.
         found: IK branches of each limb.
@@ -199,13 +200,13 @@ class _Search:
         """Solve IK from one initial guess after another, and return the first solved stand.
 
         If the base would be in the ground, no stand can be solved. The result is then the first
-        configuration with the feet at their targets.
+        configuration with the feet at the targets.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
 
         Returns:
-            Stand; None if no guess leads to one.
+            Stand; None if no guess leads to a stand.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -219,7 +220,7 @@ class _Search:
         """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
 
         Returns:
-            First solved stand; None if no combination leads to one.
+            First solved stand; None if no combination leads to a stand.
         """
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):
@@ -306,7 +307,7 @@ class _Search:
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Register an IK result, and return its stand if the stand is solved."""
+        """Register an IK result, and return the stand if the stand is solved."""
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal
@@ -321,7 +322,7 @@ class _Search:
         return stand if stand.solved else None
 
     def solve_program(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Return the stand at the result of a program, if its feet are in place; else None.
+        """Return the stand at the result of a program, if the feet are in place; else None.
 
         Also None if the violation of the program exceeds `NEAR_MISS`.
         """
@@ -329,7 +330,7 @@ class _Search:
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 
     def _refine(self, qpos: Array) -> Stand | None:
-        """Return the stand next to a configuration (nq,), if its feet are in place; else None.
+        """Return the stand next to a configuration (nq,), if the feet are in place; else None.
 
         IK removes the remaining foot errors; soles of underactuated legs may stay tilted.
         """
@@ -358,7 +359,7 @@ class _Search:
 def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     """Yield the usual initial guesses of the joint positions, shape (nu,) [rad, m].
 
-    In this order: ``ik_seed`` of the task, if there is one; the robot's home position; the middle
+    In this order: ``ik_seed`` of the task, if present; the robot's home position; the middle
     of the joint limits (zero for a joint without a lower or an upper limit).
     """
     if goal.task.ik_seed is not None:
@@ -370,7 +371,7 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
 
 
 def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
-    """Minimise the distance of the feet from their targets, for an unreachable goal.
+    """Minimise the distance of the feet from the targets, for an unreachable goal.
 
     The minimum is searched with the nonlinear program from the configuration ``qpos``, shape (nq,).
     Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors vanish, and end before
@@ -381,9 +382,9 @@ def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
 
 
 def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
-    """Return a stand with flatter soles if the CoM is free and one is found; else the stand.
+    """Return a stand with flatter soles if the CoM is free and there is one; else the stand.
 
-    Underactuated legs may tilt their soles to bring the CoM to its place. Servos that press these
+    Underactuated legs may tilt the soles to bring the CoM to the target. Servos that press these
     soles flat would give torques that the static balance lacks.
 
     Args:
@@ -396,7 +397,7 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
         return stand
 
     def foot_error(tried: Stand) -> float:
-        """Return the largest distance of a stance point from its target [m]."""
+        """Return the largest distance of a stance point from the target [m]."""
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
@@ -413,13 +414,13 @@ _MAX_SOLE_ERROR = 5e-5
 as in place: a tenth of the penetration of feet."""
 
 _NUM_POSE_JOINTS = 6
-"""Number of joints with which a leg can give its sole any position and orientation."""
+"""Number of joints with which a leg can give the sole any position and orientation."""
 
 
 def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole is moved by a leg with fewer than six joints.
 
-    A leg of four joints can place its sole in a plane with a pitch; roll and yaw follow. A sole
+    A leg of four joints can place the sole in a plane with a pitch; roll and yaw follow. A sole
     that is a microradian off level cannot be laid exactly.
     """
     return any(
@@ -463,7 +464,7 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
     """Return a goal whose foot targets are the reached positions, if soles miss by micrometres.
 
-    A leg with fewer than six joints cannot lay its sole exactly. The goal is returned unchanged if
+    A leg with fewer than six joints cannot lay the sole exactly. The goal is returned unchanged if
     IK converged, the foot error is larger, or all soles have six joints.
 
     Args:
@@ -486,9 +487,9 @@ _MAX_BASE_SHIFT = 0.75
 displaced base. Chosen, not tuned."""
 
 _NUM_SHIFTS = 11
-"""Number of displaced base positions per axis that are tried as initial guesses. They are 20 mm
-apart for Pupper: the displacement that frees a thigh that penetrates the ground by 20 mm. Measured:
-with 5, a stand was missed."""
+"""Number of displaced base positions per axis that are tried as initial guesses. The positions are
+20 mm apart for Pupper: the displacement that frees a thigh that penetrates the ground by 20 mm.
+Measured: with 5, a stand was missed."""
 
 _MAX_TRIED_COMBINATIONS = 64
 """Upper bound of the combinations of IK branches that are evaluated per displaced base position.
@@ -496,7 +497,7 @@ Measured: with 16, the combination with which a Mini Cheetah stands on a slope o
     missed."""
 
 _SEEDS_PER_PLACE = 4
-"""Number of initial guesses per displaced base position, those with the smallest violations.
+"""Number of initial guesses per displaced base position, in ascending order of violation.
 Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
@@ -504,7 +505,7 @@ _MAX_REACH_ERROR = 5e-3
 tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
-"""Safety factor on the estimated displacement of the base if legs change their IK branch. A too
+"""Safety factor on the estimated displacement of the base if legs change the IK branch. A too
 small estimate would reject branches that are in reach. Chosen, not tuned."""
 
 
@@ -528,7 +529,7 @@ def branch_seeds(
     Args:
         robot: Robot.
         goal: Goal.
-        found: {limb: its IK branches}.
+        found: {limb: IK branches of the limb}.
         reach: Upper bound of the base displacement [m] from the pose of the branches. Branches
             whose foot error exceeds ``reach`` by more than ``NEAR_MISS`` are omitted, since a foot
             error changes by at most the base displacement.
@@ -543,17 +544,17 @@ def branch_seeds(
 
 
 def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
-    """Estimate an upper bound of the base displacement [m] when legs change their IK branch.
+    """Estimate an upper bound of the base displacement [m] when legs change the IK branch.
 
-    If the CoM keeps its horizontal position, the base moves by as much as another branch shifts the
-    CoM relative to the base. The estimate is
+    If the CoM keeps the same horizontal position, the base moves by as much as another branch
+    shifts the CoM relative to the base. The estimate is
     ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM
-    with branch b of one limb [m], and c_0 with its first branch.
+    with branch b of a limb [m], and c_0 with the first branch.
 
     Args:
         robot: Robot.
         qpos: Configuration, shape (nq,), of the base and the other limbs.
-        found: {limb: its IK branches, at least one}.
+        found: {limb: IK branches of the limb, at least 1}.
     """
     total = 0.0
     for limb, branches in found.items():
@@ -584,7 +585,7 @@ def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     Args:
         robot: Robot.
         goal: Goal.
-        joints: Joint positions, shape (nu,) [rad, m]; clipped to their limits.
+        joints: Joint positions, shape (nu,) [rad, m]; clipped to the limits.
         place: Horizontal CoM position, shape (2,) [m], in the world frame.
     """
     bent = np.clip(joints, goal.lower, goal.upper)
@@ -604,7 +605,7 @@ def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[
     Args:
         shapes: Robot with collision shapes.
         goal: Goal with a free CoM.
-        qpos: Configuration with feet near their targets, shape (nq,).
+        qpos: Configuration with feet near the targets, shape (nq,).
     """
     robot = shapes.robot
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)

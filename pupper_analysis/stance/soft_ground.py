@@ -1,4 +1,4 @@
-"""Stands on MuJoCo's soft ground: feet penetrate under their loads, base and CoM stay in place.
+"""Stands on MuJoCo's soft ground: feet penetrate under load, base and CoM stay in place.
 
 `solve_stand_on_soft_ground` iterates between contact forces and penetration depths.
 `solve_stand_as_simulated` returns the stand that all simulations of a task use.
@@ -46,7 +46,7 @@ _MAX_ITERATIONS = 50
 
 _MAX_STALLED_ITERATIONS = 8
 """Number of successive iterations without a smaller change of the depths, after which the iteration
-fails: a sole that is loaded at its edge tilts ever further. Chosen, not tuned."""
+fails: a sole that is loaded at the edge tilts ever further. Chosen, not tuned."""
 
 
 @check_arguments
@@ -57,7 +57,7 @@ def solve_stand_on_soft_ground(
 
     MuJoCo's ground yields by millimetres, in proportion to the load of a foot. A robot that is
     commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
-    extended by the penetration of their feet, so that base and CoM are at the places of the task.
+    extended by the penetration of the feet, so that base and CoM are at the places of the task.
     The criterion of the contact forces is minimum tangential. Depths and forces depend on each
     other; fixed-point iteration mostly converges in 1 to 3 rounds.
 
@@ -74,7 +74,7 @@ def solve_stand_on_soft_ground(
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
         UnknownNameError: As for `solve_stand`.
         ModelError: As for `solve_stand`.
-        StanceUnreachableError: If the stance is unreachable, at least with its feet in the ground.
+        StanceUnreachableError: If the stance is unreachable, at least with the feet in the ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths do not converge.
     """
@@ -121,10 +121,10 @@ def solve_stand_on_soft_ground(
 
 @check_arguments
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
-    """Solve a stand task as all simulations, pushes and payloads use it.
+    """Solve a stand task in the form that all simulations, pushes and payloads use.
 
     This is the stand of `solve_stand_on_soft_ground`, which MuJoCo holds as predicted. If the legs
-    are too short for it, or the depths of a robot with soft loops do not converge, it is the stand
+    are too short, or the depths of a robot with soft loops do not converge, it is the stand
     on rigid ground, with ``depths`` of 0. In a posture (`held_stand`), joint couplings deflect.
 
     Args:
@@ -167,10 +167,10 @@ def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
 def solve_loaded_stand(
     robot: Robot, stance: StandTask | Stand, mass: float, point: Place
 ) -> tuple[Robot, Stand]:
-    """Add a payload to a robot, and solve its stand.
+    """Add a payload to a robot, and solve a stand of the loaded robot.
 
     `payload_limit`, its simulations and ``stand --payload`` use this stand. The task applies to the
-    loaded robot; with the default task its CoM is above the centre of the feet, so that the base
+    loaded robot; with the default task the CoM is above the centre of the feet, so that the base
     shifts.
 
     Args:
@@ -180,7 +180,7 @@ def solve_loaded_stand(
         point: Position of the payload, as in `with_payload`.
 
     Returns:
-        The loaded robot, and its stand as simulated (`solve_stand_as_simulated`).
+        The loaded robot, and the stand as simulated (`solve_stand_as_simulated`).
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
@@ -220,10 +220,10 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Return penetrations of the contact points of soles [m], in one plane per sole.
+    """Return penetrations of the contact points of soles [m], in a plane per sole.
 
     The plane is that in which the contact forces have the given resultant force and moment. A
-    corner may lift: its depth is then negative.
+    corner may lift: the depth is then negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
@@ -267,7 +267,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(place: Array) -> Array:
-        """Return the resultant force and moments minus the wanted ones, in the basis."""
+        """Return the resultant force and moments minus the required values, in the basis."""
         return np.asarray(basis.T @ compute_forces(basis @ place) - wanted)
 
     def derivative(place: Array) -> Array:

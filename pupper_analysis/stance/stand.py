@@ -1,6 +1,6 @@
-"""Solve stand tasks: whole-body configurations with planted feet, and their statics.
+"""Solve stand tasks: whole-body configurations with planted feet, and statics.
 
-`solve_stand` solves one task, `solve_stands` a sequence of similar tasks. `stand_statics` computes
+`solve_stand` solves a task, `solve_stands` a sequence of similar tasks. `stand_statics` computes
 the torques and contact forces of a stand.
 """
 
@@ -53,7 +53,7 @@ def solve_stand(
         robot: Robot with a floating base.
         task: Stand task. Default: the nominal stand.
         explain: If the stance is unreachable, determine the smallest foot error, the demands to
-            relax, and their smallest relaxation (a second, or some if the CoM is free). Otherwise
+            relax, and the smallest relaxation (a second, or some if the CoM is free). Otherwise
             the reported foot errors are results of the IK, and may be larger.
 
     Returns:
@@ -148,15 +148,15 @@ def solve_stands(
     *,
     explain: bool = False,
 ) -> tuple[Stand, ...]:
-    """Solve a sequence of stand tasks: faster than one by one if neighbours are similar.
+    """Solve a sequence of stand tasks: faster than separately if neighbours are similar.
 
     Each search starts at an extrapolation of up to four previous stands. If this does not lead to a
     stand near the previous one, `solve_stand` solves the task. `solve_stand` is always used for
     tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
     joints, since the result then depends on the start.
 
-    The stands equal those of `solve_stand` to rounding, unless a leg has several IK branches: a
-    sequence keeps the branch of its first stand as long as possible.
+    The stands equal the stands of `solve_stand` to rounding, unless a leg has several IK branches:
+    a sequence keeps the branch of the first stand as long as possible.
 
     Args:
         robot: Robot with a floating base.
@@ -172,7 +172,7 @@ def solve_stands(
         UnknownNameError: As for `solve_stand`; raised before the first solve, with the index of the
             task.
         ModelError: As for `solve_stand`.
-        StanceUnreachableError: For the first unreachable task, with its index.
+        StanceUnreachableError: For the first unreachable task, with the task index.
     """
     goals: list[Goal] = []
     solved: list[Stand] = []

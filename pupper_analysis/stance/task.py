@@ -50,23 +50,23 @@ class StandTask:
             Without, ``com`` determines the position of the base.
         feet: {foot: (x, y) in the world (m)}, instead of the nominal position.
         foot_offsets: {foot: (x, y) from the nominal position (m)}.
-        swing: {foot without load: height of its sphere above the ground (m)}.
+        swing: {foot without load: height of the sphere above the ground (m)}.
         ground: Plane and steps.
-        contacts: {foot, link, site, body or geom: surface that it touches instead of the ground
+        contacts: {foot, link, site, body or geom: surface in contact instead of the ground
             (``Contact``), or fixation in the world (``Weld``)}. The ``base`` can be welded as well.
             Hands, and feet on planes steeper than 60 deg, do not count for the centre of the feet;
-            feet on planes of their own do not count for its height.
+            feet on separate planes do not count for the height of the centre.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: any place in the
             support polygon with ``com_margin``, above the centre if possible. Default: centre, or
             inside if the legs cannot move the CoM in two directions.
         com_margin: Smallest distance of the projected CoM from the edge of the polygon (m).
-        joint_margin: Smallest distance of each joint from its limits (rad).
+        joint_margin: Smallest distance of each joint from the limits (rad).
         ground_clearance: Smallest height of all parts except the feet above the ground (m).
         self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
             default.
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
             If several patterns match a joint, the last counts. A search starts other joints of this
-            kind at ``home``, and changes them by some milliradians at most.
+            kind at ``home``, and changes the positions by some milliradians at most.
         ik_seed: Initial joint positions, shape (nu,) (rad), which select a branch of the legs.
             Default: the robot's ``home``.
     """
@@ -145,7 +145,7 @@ class StandTask:
         return cls(ik_seed=seed).with_values(values)
 
     def replace_unchecked(self, **values: Any) -> StandTask:
-        """Return a copy with other attributes, without checking their values.
+        """Return a copy with other attributes, without checking the values.
 
         In a sequence of stands the checks would take an eighth of the time.
 
@@ -157,9 +157,9 @@ class StandTask:
         return task
 
     def values(self) -> dict[str, Any]:
-        """Return all requirements as {name of the field: value}, including those of the ground.
+        """Return all requirements as {name of the field: value}, including the ground.
 
-        The fields are those of ``stance/fields.toml``.
+        The fields are listed in ``stance/fields.toml``.
         """
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}

@@ -1,6 +1,6 @@
 """Workspace of the base with planted feet: intervals of height, angles and shifts.
 
-Each direction is searched on its own, outward from a stand, until a stand is unreachable.
+Each direction is searched separately, outward from a stand, until a stand is unreachable.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ rotations."""
 
 @dataclass(frozen=True)
 class Interval(Result):
-    """Reachable interval of one coordinate, with all others unchanged.
+    """Reachable interval of a coordinate, with all other coordinates unchanged.
 
     Attributes:
         low: Lower end (m, or rad).
@@ -104,9 +104,9 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """Find the reachable intervals of the base in height, roll, pitch, yaw, x and y.
 
     Each direction is searched outward from the task to the first unreachable stand, apart from gaps
-    below 0.8 % of the first step. The CoM stays at its place in the task; if the task permits any
+    below 0.8 % of the first step. The CoM stays at the place in the task; if the task permits any
     place inside the support polygon, at its place in the task's stand, or free for legs that cannot
-    hold it there (with two joints). With an ``offset`` in the task, the base keeps this offset
+    hold the CoM there (with two joints). With an ``offset`` in the task, the base keeps this offset
     instead. For shifts in x and y, the CoM follows the base and must keep
     the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
     describe the same rotations.
@@ -135,7 +135,7 @@ def find_interval(
     *,
     usual_starts_only: bool = False,
 ) -> Interval:
-    """Find the reachable interval of one base coordinate, with the feet planted.
+    """Find the reachable interval of a base coordinate, with the feet planted.
 
     The search moves outward from the stand in both directions, to the first unreachable stand.
     `base_workspace` describes which other quantities stay constant.
@@ -143,7 +143,7 @@ def find_interval(
     Args:
         robot: Robot.
         start: Stand at which the search starts.
-        direction: One of ``DIRECTIONS``.
+        direction: An element of ``DIRECTIONS``.
         enough: Distance [m or rad] from the start beyond which the search ends.
         usual_starts_only: Search from the usual initial guesses only, not in all IK branches.
     """
@@ -156,7 +156,7 @@ def find_interval(
 def _find_limit(
     robot: Robot, start: Stand, direction: str, sign: float, enough: float, usual_starts_only: bool
 ) -> float:
-    """Find the end of an interval in one direction by steps that are halved after a failure.
+    """Find the end of an interval in a direction by steps that are halved after a failure.
 
     Short steps are tried from the last stand only, which is fast. The full search is used before
     the end is accepted.
@@ -211,9 +211,9 @@ def _solve_at(
     near: Stand | None,
     usual_starts_only: bool,
 ) -> Stand | None:
-    """Solve the stand at a value [m or rad] of one base coordinate.
+    """Solve the stand at a value [m or rad] of a base coordinate.
 
-    None if the stand is unreachable, or its CoM margin is too small.
+    None if the stand is unreachable, or the CoM margin is too small.
     """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})
@@ -232,7 +232,7 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return the task of a stand with another value [m or rad] of one base coordinate."""
+    """Return the task of a stand with another value [m or rad] of a base coordinate."""
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()

@@ -1,11 +1,11 @@
-"""Equations of a servo-driven robot at rest on soft ground, and their solution by Newton's method.
+"""Equations of a servo-driven robot at rest on soft ground, and the solution by Newton's method.
 
-`SagEquilibrium` contains the balance of generalised forces, one slip law and one depth law per
+`SagEquilibrium` contains the balance of generalised forces, a slip law and a depth law per
 contact. The unknowns are the configuration and the contact forces; the set of touching contacts is
 given and can be changed by `switch`. `stance.sag.steady_state` follows a solution while
 feed-forward is removed and feet creep.
 
-The "ground frame" of a contact has its z axis along the ground normal. "Height" as a unit is
+The "ground frame" of a contact has the z axis along the ground normal. "Height" as a unit is
 `EquilibriumScales.length`.
 """
 
@@ -35,7 +35,7 @@ from pupper_analysis.statics.cone_program import split_force
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Pose of a foot at its first contact. A pinned foot rolls from there.
+    """Pose of a foot at the first contact. A pinned foot rolls from there.
 
     Attributes:
         position: Centre of the contact sphere, shape (3,) [m], in the world frame.
@@ -90,7 +90,7 @@ class ContactKinematics:
 
     Args:
         config: Configuration.
-        anchors: {touching contact: pose at its first contact}.
+        anchors: {touching contact: pose at the first contact}.
         centres: Centres of the contact spheres, shape (n, 3) [m], in the world frame.
         frames: Rotations from the world to the ground frame of each contact, shape (n, 3, 3).
         crosses: Cross-product matrices of the ground normals, shape (n, 3, 3), in the world frame.
@@ -204,8 +204,8 @@ _SLIP_STIFFNESS_RATIO = 4e-6
 robot weight / height. The spring makes the horizontal position unique. Chosen, not tuned."""
 
 _FRICTION_PENALTY_RATIO = 4.0
-"""Penalty parameter of the slip law [weights per height]. It does not change the solution. Chosen,
-not tuned."""
+"""Penalty parameter of the slip law [weights per height]. The parameter does not change the
+solution. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -315,7 +315,7 @@ class SagEquilibrium:
     and Curnier 1991). With ``feet="sliding"``: f_t = 0, apart from a weak spring that makes the
     position unique.
 
-    Welded bodies keep their pose. Of the balance, only the part along motions that the welds permit
+    Welded bodies stay in place. Of the balance, only the part along motions that the welds permit
     is an equation (``apply_welds``); the weld wrenches follow from the rest. Dry friction of joints
     is ignored.
 
@@ -326,7 +326,7 @@ class SagEquilibrium:
         feet: Slip law.
 
     Attributes:
-        anchors: {touching contact: pose at its first contact}. `switch` changes it.
+        anchors: {touching contact: pose at the first contact}. `switch` changes it.
         target: Commanded joint positions, shape (nu,) [rad, m], set by `command`.
         crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
         yielding: {contact: compliance [m/N] of the creep step}.
@@ -461,12 +461,12 @@ class SagEquilibrium:
         return places
 
     def project_soles(self, slips: Array) -> Array:
-        """Project the slips of contact points onto the rigid motions of their soles.
+        """Project the slips of contact points onto the rigid motions of the soles.
 
         A sole is a foot with several contact points; slips of other feet are unchanged.
 
         Args:
-            slips: Slips of the n touching contacts, shape (n, 2, ...) [m], or their derivatives.
+            slips: Slips of the n touching contacts, shape (n, 2, ...) [m], or derivatives.
         """
         feet = tuple(self.anchors)
         if self._sole_projection_cache[0] != feet:
@@ -724,7 +724,7 @@ class SagEquilibrium:
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch(self, foot: str, solution: Solution) -> Solution:
-        """Release a touching contact, or add a contact at its current pose.
+        """Release a touching contact, or add a contact at the current pose.
 
         Returns:
             Initial guess of the next solve.
@@ -775,7 +775,7 @@ class SagEquilibrium:
 
 
 class Welds:
-    """Weld constraints of a stand: welded bodies keep their pose, gripped points their position.
+    """Weld constraints of a stand: welded bodies keep the pose, gripped points keep the position.
 
     Several welds may be redundant: of the 24 rows of four welded feet at most ``robot.nv`` are
     independent. The equilibrium uses a set of independent rows, which is selected at the stand.
@@ -824,7 +824,7 @@ class Welds:
         return rows, wrenches
 
     def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
-        """Return the equilibrium equations, or their derivative, with the weld constraints.
+        """Return the equilibrium equations, or the derivative, with the weld constraints.
 
         The first ``nv`` equations are the balance of generalised forces. Weld constraints, and the
         balance along the motions that the welds permit, replace the balance.
@@ -895,9 +895,10 @@ def contact_compliance(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return tangential compliances {contact point: m/N}: of soles, and of all points.
 
-    The points of a sole move as one body; without compliance their slip equations would be linearly
-    dependent. A foot with one point has none, unless the legs cannot place feet in all directions
-    (`can_move_com`): two legs that swing in planes keep their distance like the points of a sole.
+    The points of a sole move as a rigid body; without compliance their slip equations would be
+    linearly dependent. A foot with one point has none, unless the legs cannot place feet in all
+    directions (`can_move_com`): two legs that swing in planes keep a constant distance like the
+    points of a sole.
 
     Args:
         robot: Robot.
@@ -920,7 +921,7 @@ def rigid_slips(
     once.
 
     Args:
-        anchors: {touching point: pose at its first contact}.
+        anchors: {touching point: pose at the first contact}.
         soles: {point: foot that has the point}.
         frames: {point: rotation from the world to the ground frame, shape (3, 3)}.
 

@@ -1,4 +1,4 @@
-"""Take robots from their model files to a verified stand."""
+"""Take robots from model files to a verified stand."""
 
 HEADING = "Design"
 """Section of ``--help`` that lists this tool."""

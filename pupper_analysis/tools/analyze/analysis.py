@@ -1,4 +1,4 @@
-"""Analysis of one robot: model data, nominal stand, simulation, gain sweep and cross-check.
+"""Analysis of a robot: model data, nominal stand, simulation, gain sweep and cross-check.
 
 Input is a robot with a floating base and a task; output is an ``Analysis`` with all results.
 """
@@ -49,7 +49,7 @@ class JointSummary(Result):
         lower: Lower position limit (rad). Here and below, a sliding joint has m for rad, N for N m
             and kg for kg m^2.
         upper: Upper position limit (rad).
-        effort: Effort limit (N m): the smallest one that the files state.
+        effort: Effort limit (N m): the smallest limit that the files state.
         velocity: Velocity limit (rad/s).
         armature: Armature of the MJCF (kg m^2).
         damping: Viscous damping (N m s/rad).
@@ -106,7 +106,7 @@ def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FootJacobian(Result):
-    """Jacobian of a foot with respect to the joints of its leg.
+    """Jacobian of a foot with respect to the joints of the leg.
 
     Attributes:
         joints: Joints of the leg.
@@ -125,7 +125,7 @@ class FootJacobian(Result):
 
 @dataclass(frozen=True, eq=False)
 class Analysis(Result):
-    """Results of the analysis of one robot.
+    """Results of the analysis of a robot.
 
     Attributes:
         name: Name of the robot.
@@ -133,7 +133,7 @@ class Analysis(Result):
         nv: Size of qvel.
         nu: Number of motors.
         total_mass: Mass of the robot (kg).
-        link_masses: {base or joint: mass of the body that it moves (kg)}, including fixed links.
+        link_masses: {base or joint: mass of the moved body (kg)}, including fixed links.
         center_of_mass: CoM at zero angles, shape (3,) (m), in the base frame.
         thigh_length: Distance between the last two joints of the first leg (m); None for a leg with
             fewer joints.
@@ -147,10 +147,10 @@ class Analysis(Result):
         min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
         hanging_torques: Motor torques in the same configuration with the base held, shape (nu,) [N
             m].
-        foot_jacobians: {foot: Jacobian of its leg}.
+        foot_jacobians: {foot: Jacobian of the leg}.
         verification: Simulation of the stand with feed-forward.
         sagging: Simulation of the stand without feed-forward.
-        verdict: Verdict on the stand, with its basis.
+        verdict: Verdict on the stand, with the basis of the verdict.
         sweep: Gain sweep.
         check: Cross-check of the two models.
         verified: True if the verdict is good, the simulation with feed-forward holds and the models
@@ -258,7 +258,7 @@ def analyze_variant(
 
 
 def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
-    """Compute the Jacobian of each foot with respect to the joints of its leg."""
+    """Compute the Jacobian of each foot with respect to the joints of the leg."""
     robot = config.robot
     jacobians = {}
     for foot, full in config.foot_jacobians().items():
@@ -275,7 +275,7 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 
 
 def _list_link_masses(robot: Robot) -> dict[str, float]:
-    """Return {base or joint: mass of the body that it moves [kg]}, including fixed links."""
+    """Return {base or joint: mass of the moved body [kg]}, including fixed links."""
     model = robot.pin_model
     root = 1 if robot.floating else 0
     masses = {robot.base: float(model.inertias[root].mass)}
@@ -287,12 +287,12 @@ def _list_link_masses(robot: Robot) -> dict[str, float]:
 def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     """Compute the lengths of the first leg's thigh and calf at zero angles.
 
-    The knee is the last joint of the leg. The thigh reaches from the joint before it to the knee.
+    The knee is the last joint of the leg. The thigh reaches from the preceding joint to the knee.
     The calf reaches from the knee to the foot, without the component along the knee axis.
 
     Returns:
-        Thigh and calf length [m]. The thigh is None for a leg with one joint; both are None for a
-        leg without joints.
+        Thigh and calf length [m]. The thigh is None for a leg with a single joint; both are None
+        for a leg without joints.
     """
     foot = robot.contact_points[0]
     rest = Configuration(robot, robot.neutral())

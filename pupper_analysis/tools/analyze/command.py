@@ -1,4 +1,4 @@
-"""Command ``pupper-analysis analyze``: take robots from their model files to a verified stand."""
+"""Command ``pupper-analysis analyze``: take robots from model files to a verified stand."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def command(
 def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
-    """Analyse robots, and print each result as soon as it is complete."""
+    """Analyse robots, and print each result after the analysis."""
     from pupper_analysis.present.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
     from pupper_analysis.tools.analyze.analysis import analyze_variant
@@ -162,7 +162,7 @@ def _analyze_all(
 def _compare_variants(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
-    """Compare each variant with its unscaled base model; robots from files have no base model."""
+    """Compare each variant with the unscaled base model; robots from files have no base model."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.tools.analyze.analysis import measure_leg_lengths

@@ -1,7 +1,7 @@
-"""Figures that compare analyses, one panel per robot: motor torques, base heights and servo gains.
+"""Figures that compare analyses, a panel per robot: motor torques, base heights and servo gains.
 
-Inputs are the results of ``analyze_variant``; output is one PNG per figure. Robots with the same
-joints (the variants of one base model) share their axes, so that panels can be compared by eye.
+Inputs are the results of ``analyze_variant``; output is a PNG per figure. Robots with the same
+joints (the variants of a base model) share the axes, so that panels can be compared by eye.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NUM_COLUMNS = 2
 
 MIN_SHOWN_DEVIATION = 1e-4
 """Height deviation [mm] at the lower end of the colour scale. Chosen, not tuned: a tenth of a
-micrometre is far below what a robot can measure, so smaller values need no colours of their own."""
+micrometre is far below what a robot can measure, so smaller values need no separate colours."""
 
 MIN_SHOWN_LOSS = 0.1
 """Smallest range of the axis of heights [mm]. Chosen, not tuned: less is rounding of a picture."""
@@ -140,7 +140,7 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw heat maps of the gain sweeps: height deviation in the last second, by kp and kd.
 
-    All panels share one logarithmic colour scale. Cells state the value; a robot that falls is
+    All panels share a logarithmic colour scale. Cells state the value; a robot that falls is
     grey, and gains at which the robot does not stay at rest are hatched.
 
     Args:
@@ -218,12 +218,12 @@ def _shared_name(names: Sequence[str]) -> str:
 
 
 def _leg_colour(leg: int) -> str:
-    """Return the colour of a leg, by its index."""
+    """Return the colour of a leg, by index."""
     return drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
 
 
 def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
-    """Write the names of the feet above a panel, right-aligned, each in the colour of its leg."""
+    """Write the names of the feet above a panel, right-aligned, each in the colour of the leg."""
     if not 1 < len(feet) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0
@@ -296,7 +296,7 @@ def _sweep_title(sweeps: Sequence[GainSweep]) -> str:
 
 
 def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm) -> None:
-    """Draw a cell for each pair of gains, with its height deviation [mm]."""
+    """Draw a cell for each pair of gains, with the height deviation [mm]."""
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
     colours = ScalarMappable(scale, _COLOUR_MAP)
     for row, column in np.ndindex(deviation.shape):
@@ -326,7 +326,7 @@ _BRIGHT_FROM = 0.6
 
 
 def _deviation_text(value: float) -> str:
-    """Return a deviation [mm] to two digits, or that it is below the colour scale."""
+    """Return a deviation [mm] to two digits, or a mark for a value below the colour scale."""
     return f"{value:.2g}" if value >= MIN_SHOWN_DEVIATION else f"<{MIN_SHOWN_DEVIATION:g}"
 
 
@@ -352,4 +352,4 @@ FIGURES: dict[str, Callable[[Sequence[Analysis], str | Path], None]] = {
     "heights.png": write_height_figure,
     "gains.png": write_gain_figure,
 }
-"""File names of the figures that ``analyze`` writes beside the poses, and their functions."""
+"""File names of the figures that ``analyze`` writes beside the poses, and the drawing functions."""

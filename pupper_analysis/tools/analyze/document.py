@@ -50,13 +50,13 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 @build_document.register(Analysis)
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
-    """Create the report of an analysis: stand, loads, simulations and their verdict.
+    """Create the report of an analysis: stand, loads, simulations and verdict.
 
     `build_document` calls this function for an `Analysis`.
 
     Args:
         analysis: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+        robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
@@ -99,7 +99,7 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
-    """State mass and peak torque, base height, and agreement of the files, one line each."""
+    """State mass and peak torque, base height, and agreement of the files, a line each."""
     statics = analysis.statics
     share = statics.motor_utilisation
     limited = not np.isnan(share).all()
@@ -231,7 +231,7 @@ def _make_joint_table(analysis: Analysis) -> doc.Table:
 
 
 def _format_length(length: float | None) -> str:
-    """Format a length [m] in mm; a dash if it is None."""
+    """Format a length [m] in mm; a dash for None."""
     return "-" if length is None else f"{1e3 * length:.1f} mm"
 
 
@@ -327,7 +327,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
 
 
 def _format_interval(values: doc.Array) -> str:
-    """Format the range of values; one number if they are equal."""
+    """Format the range of values; a single number if equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
@@ -376,7 +376,7 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRow(Result):
-    """Key figures of one robot in the comparison.
+    """Key figures of a robot in the comparison.
 
     Ratios refer to the unscaled base model; robots from files have none.
 
@@ -385,15 +385,15 @@ class ComparisonRow(Result):
         base: Name of the base model, or the robot's files.
         total_mass: Mass of the robot (kg).
         mass_ratio: Total mass relative to the base model; None for a robot from files.
-        thigh_ratio: Thigh length relative to the base model; None for legs with one joint, or a
-            robot from files.
+        thigh_ratio: Thigh length relative to the base model; None for legs with a single joint, or
+            a robot from files.
         height: Base height of the task (m).
         peak_torque: Largest torque magnitude (N m).
         peak_utilisation: Largest motor utilisation.
         servo_sag: Height loss by servo deflection without feed-forward (m).
         stands_without: True if the simulation without feed-forward holds.
         verified: True if the analysis is verified.
-        converted: Model that was converted from the other one, ``urdf`` or ``mjcf``; empty if
+        converted: Model that was converted from the other model, ``urdf`` or ``mjcf``; empty if
             neither was.
     """
 
@@ -414,7 +414,7 @@ class ComparisonRow(Result):
 def compare_with_base(
     analysis: Analysis, base: str, mass: float | None, thigh: float | None
 ) -> ComparisonRow:
-    """Compare an analysis with its base model.
+    """Compare an analysis with the base model.
 
     Args:
         analysis: Analysis.
@@ -453,7 +453,7 @@ def _compute_ratio(length: float | None, reference: float | None) -> float | Non
 
 
 def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
-    """Create the table that compares robots, one row each."""
+    """Create the table that compares robots, a row per robot."""
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),

@@ -52,14 +52,14 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 )
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
-"""Margin around a robot, relative to the width of its tile. Chosen, not tuned."""
+"""Margin around a robot, relative to the tile width. Chosen, not tuned."""
 LABEL_HEIGHT = 0.125
-"""Height of the text below a robot, relative to the width of its tile. Chosen, not tuned."""
+"""Height of the text below a robot, relative to the tile width. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Part of the picture that shows one robot, in a parallel projection.
+    """Part of the picture that shows a robot, in a parallel projection.
 
     Attributes:
         robot: Robot.
@@ -107,7 +107,7 @@ def project_points(points: Array) -> Array:
 
 
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
-    """Assign a tile to each robot, all at one scale, with the robots of a row on one baseline.
+    """Assign a tile to each robot, all at the same scale, with a common baseline per row.
 
     Args:
         poses: (robot, qpos) pairs.
@@ -194,7 +194,7 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
 
 
 def _list_backends() -> tuple[str, ...]:
-    """Return the modules of ``mujoco`` that may provide OpenGL: the user's or the usual ones.
+    """Return the modules of ``mujoco`` that may provide OpenGL: MUJOCO_GL, or the usual ones.
 
     MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
     """
@@ -213,7 +213,7 @@ def _list_backends() -> tuple[str, ...]:
 def _quiet_attempt() -> Iterator[None]:
     """Silence the drivers, and restore modules and variables so that another backend can be tried.
 
-    PyOpenGL binds to one backend on import, by an environment variable that MuJoCo sets.
+    PyOpenGL binds to a single backend on import, by an environment variable that MuJoCo sets.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)
@@ -236,7 +236,7 @@ def _quiet_attempt() -> Iterator[None]:
 
 
 def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
-    """Render all tiles with one backend."""
+    """Render all tiles with a single backend."""
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
     try:
@@ -307,7 +307,7 @@ class Picture:
 def render_variants(
     robots_and_stands: Sequence[tuple[Robot, Stand]], path: str | Path, *, width: int = 1500
 ) -> Picture:
-    """Render robots side by side at one scale, with names, leg lengths and masses.
+    """Render robots side by side at the same scale, with names, leg lengths and masses.
 
     Args:
         robots_and_stands: (robot, stand) pairs.

@@ -101,7 +101,7 @@ def sweep_gains(
     integrator: str = "implicitfast",
     progress: bool = False,
 ) -> GainSweep:
-    """Simulate a stand under a vertical force on its base, for each pair of kp and kd.
+    """Simulate a stand under a vertical force on the base, for each pair of kp and kd.
 
     The servos are commanded to the joint positions of the stand, without feed-forward. The force is
     amplitude sin(2 pi frequency t), from the first step. All pairs run in parallel, on all cores.
@@ -126,7 +126,7 @@ def sweep_gains(
         Height deviations in the last second, for each pair.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, or the base is fixed.
         ModelError: If the model has no servos, and kp or kd is not passed.
     """
     robot = check_stand(robot, stand, duration)
@@ -158,12 +158,12 @@ def sweep_gains(
 
 
 def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[float]:
-    """Return the values of one gain (kp or kd) in the sweep.
+    """Return the values of a gain (kp or kd) in the sweep.
 
     Args:
         given: Values that the caller passed; None for the default.
         own: Gains of the model's servos, shape (nu,); required without ``given``. The default is
-            their median times ``GAIN_FACTORS``.
+            the median of these gains times ``GAIN_FACTORS``.
     """
     if given is not None:
         return [float(value) for value in given]
@@ -242,7 +242,7 @@ class _SweepTrial:
     def _lasts_at_the_end(
         self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
     ) -> bool:
-        """Return True if the undisturbed robot comes to rest on its feet, and this rest lasts."""
+        """Return True if the undisturbed robot comes to rest on the feet, and this rest lasts."""
         steps = round(HOLD_DURATION / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._stands(watcher, states):

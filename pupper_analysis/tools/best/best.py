@@ -1,7 +1,7 @@
-"""Find the best stance of a robot for an objective, and simulate it.
+"""Find the best stance of a robot for an objective, and simulate the stance.
 
 `best_stance` optimises the base pose and the foot positions. `study_best` also simulates the result
-as ``stand`` does, and takes the next best stance if the best one fails.
+as ``stand`` does, and takes the next best stance if the best stance fails.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class BestStance(Result):
         payload: Payload limit of ``stand``; None for the other objectives.
         coordinates: Coordinates of the best stance [m or rad] in world axes: base height; x and y
             of the base from the centre of the feet; roll, pitch, yaw; displacement (``FR x``,
-            ``FR y`` ...) of each free foot from its position in the initial task.
+            ``FR y`` ...) of each free foot from the position in the initial task.
         bounds: Lower and upper bound of each coordinate in the search [m or rad].
         evaluations: Number of evaluated stances.
     """
@@ -82,7 +82,7 @@ def best_stance(
       centre along that axis.
 
     The smallest singular value of each leg's Jacobian must be at least ``MIN_SINGULAR_VALUE_RATIO``
-    times its initial value, because stretched legs, which need no torque, would be optimal. Parts
+    times the initial value, because stretched legs, which need no torque, would be optimal. Parts
     that are apart in the initial stand must not touch each other or the ground; contact with its
     steps is not detected.
 
@@ -103,7 +103,7 @@ def best_stance(
 
     Args:
         robot: Robot with a floating base, without loops or welds.
-        objective: Objective, or its name, such as ``"margin"``.
+        objective: Objective, or name, such as ``"margin"``.
         task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
         point: Position of the payload, as in ``with_payload``.
         kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
@@ -151,7 +151,8 @@ def _make_result(
 ) -> BestStance:
     """Make the result for a stance of a search.
 
-    For a payload, the result is the initial task if its payload limit is larger.
+    For a payload, the result is the initial task if the payload limit of the initial task is
+    larger.
     """
     robot, space, payload = search.robot, search.space, None
     # Solve the task again without the search's initial guesses, which determine redundant joints.
@@ -202,7 +203,7 @@ def _parse_objective(value: str) -> Objective:
 
 @dataclass(frozen=True, eq=False)
 class BestStudy(Result):
-    """Best stance of a search, with its simulation.
+    """Best stance of a search, with a simulation.
 
     Attributes:
         best: Result of the search.
@@ -214,7 +215,7 @@ class BestStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the stance holds, and also holds with its payload if that is the objective."""
+        """True if the stance holds, and also holds with the payload if payload is the objective."""
         return self.stance.passed and (self.best.payload is None or self.best.payload.passed)
 
 

@@ -1,4 +1,4 @@
-"""``pupper-analysis best``: search for the best stance, print and simulate it."""
+"""``pupper-analysis best``: search for the best stance, print and simulate the result."""
 
 from __future__ import annotations
 

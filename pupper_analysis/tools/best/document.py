@@ -1,4 +1,4 @@
-"""Document of a best stance: its coordinates, the result of the search, torques and verdict."""
+"""Document of a best stance: coordinates, result of the search, torques and verdict."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """First-order payload limit of a stance: motors, contacts, servo stiffness and ground contact.
 
 `SmallPayload.rows` returns linear constraints on the payload mass, `largest_feasible_mass` the
-largest mass that satisfies them. Torques and contact forces are extrapolated from two equilibria;
-the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes about a
-millisecond. It is used only as the objective of the search for the best stance; `payload_limit`
-computes the true limit.
+largest mass that satisfies the constraints. Torques and contact forces are extrapolated from two
+equilibria; the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes
+about a millisecond. The limit is used only as the objective of the search for the best stance;
+`payload_limit` computes the true limit.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class SmallPayload:
         """Compute the constraints a + b m >= 0 on the payload mass m [kg].
 
         Torques and minimum-tangential contact forces are linear in m, so two equilibria, without
-        and with ``mass``, determine them. On level ground, with or without steps, this is exact
+        and with ``mass``, determine both. On level ground, with or without steps, this is exact
         while every normal force is positive: the forces are vertical and minimise the sum of
         squares under three balance equations, whose right-hand side is linear in m. On a slope it
         is an approximation.
@@ -138,10 +138,11 @@ def _compute_buckling_modes(
 
     Gravity and the contact forces are linear in the payload mass m, and so is the stiffness:
     K(m) = K_0 + m G. K_0 is the stiffness of servos and ground, plus the geometric stiffness of the
-    robot's weight and its contact forces. G is the geometric stiffness, per mass, of the payload's
-    weight and its contact forces. K acts on motions without slip of the material contact points.
-    The stand buckles in a mode v if K(m) v = 0, which is the generalised eigenvalue problem
-    -G v = mu K_0 v with mu = 1 / m. The weight is a force of constant direction at its point.
+    robot's weight and of its contact forces. G is the geometric stiffness, per mass, of the
+    payload's weight and its contact forces. K acts on motions without slip of the material contact
+    points. The stand buckles in a mode v if K(m) v = 0, which is the generalised eigenvalue problem
+    -G v = mu K_0 v with mu = 1 / m. The weight is a force of constant direction at the payload
+    point.
 
     On level ground the result is exact for this configuration, except that the ground stiffness is
     taken at constant ``penetrations``. On a slope K is not symmetric, and is replaced by its
@@ -151,7 +152,7 @@ def _compute_buckling_modes(
         config: Configuration of the stand.
         stand: Stand.
         kp: Servo stiffness at the joints, shape (nu,) [N m/rad].
-        lines: Contact forces without payload, shape (n, 3) [N], and their derivative by the payload
+        lines: Contact forces without payload, shape (n, 3) [N], and the derivative by the payload
             mass, shape (n, 3) [N/kg], in world axes.
         point: Position of the payload.
         laws: Ground law of each stance foot.

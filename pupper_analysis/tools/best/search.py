@@ -36,37 +36,39 @@ _SAMPLE_COUNT = 128
 """Number of Latin hypercube samples, which are evaluated to choose initial guesses. Chosen."""
 
 _START_COUNT = 16
-"""Number of samples, the best ones, at which descents start; another descent starts at the initial
+"""Number of best samples at which descents start; another descent starts at the initial
 task. With 3 samples, rounding errors decide whether the payload of v3-long-leg is 10.6 or 14.1 kg;
-with 8 or more it is 14.1 kg (measured). By symmetry the nominal stand is a saddle point: rounding
-errors determine the direction in which a descent leaves it."""
+with 8 or more the payload is 14.1 kg (measured). By symmetry the nominal stand is a saddle point:
+rounding errors determine the direction in which a descent leaves it."""
 
 _RANKING_ITERATIONS = 8
-"""SLSQP iterations of the first descent from each initial guess, which ranks them. Chosen."""
+"""SLSQP iterations of the first descent from each initial guess, which ranks the guesses.
+Chosen."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents, the best ones, that are continued. Measured: v3-heavy's payload
+"""Number of best first descents that are continued. Measured: v3-heavy's payload
 requires 3; with 4, the utilisation of v3-long-leg on three feet is 3e-4 (relative) larger.
 
-Each is restarted while it gains, because a single descent can stall at a kink: with one descent per
-initial guess, v3's smallest utilisation was 5.569 or 5.588 %, depending on the number of processors
-that the linear algebra used; with restarts it is 5.569 % on one and on two processors. A descent
-with independent feet follows each. If only the very best one was followed, 4 of 24 random robots
-were 1.4 to 7.6 % worse than the best of thirty additional random descents."""
+Each descent is restarted while the restart gains, because a single descent can stall at a kink:
+with one descent per initial guess, v3's smallest utilisation was 5.569 or 5.588 %, depending on the
+number of processors that the linear algebra used; with restarts the result is 5.569 % with 1 and
+with 2 processors. A descent with independent feet follows each descent. If only the very best
+descent was followed, 4 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty
+additional random descents."""
 
 _DESCENT_ITERATIONS = 25
 """SLSQP iterations of a continued descent. Chosen."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """SLSQP iterations of a descent with independent feet from a continued descent. An iteration
-evaluates more than one stance per coordinate (14 coordinates with four feet). Chosen."""
+evaluates several stances per coordinate (14 coordinates with four feet). Chosen."""
 
 _MIN_RELATIVE_GAIN = 3e-4
 """Smallest decrease of the level, relative to the level, after which a descent is restarted.
 Chosen."""
 
 _SLSQP_FTOL = 1e-5
-"""Tolerance ``ftol`` of SLSQP: decrease of the level in one iteration that ends a descent.
+"""Tolerance ``ftol`` of SLSQP: decrease of the level in an iteration that ends a descent.
 Chosen."""
 
 _DIFFERENCE_STEP = 1e-6
@@ -101,10 +103,10 @@ class EvaluatedStance:
 
     Attributes:
         coordinates: Coordinates in the `StanceSpace`, shape (n,) [m or rad].
-        stand: Stand at these coordinates.
+        stand: Stand at the coordinates.
         level: Objective relative to its initial magnitude; smaller is better. Negative for a
             positive margin or payload.
-        rows: Constraints a + b level >= 0, shape (k, 2): those that define the level, then the
+        rows: Constraints a + b level >= 0, shape (k, 2): rows that define the level, then the
             slacks (b = 0).
         allowed: True if the slacks are >= 0, up to `JOINT_LIMIT_OVERSHOOT` at the joint limits.
     """
@@ -173,7 +175,7 @@ class StanceSearch:
         self.known: dict[tuple[float, ...], EvaluatedStance | None] = {}
 
     def _check_effort_limits(self) -> None:
-        """Raise a ConfigurationError if no motor has an effort limit, or if one is zero."""
+        """Raise a ConfigurationError if no motor has an effort limit, or if a limit is zero."""
         robot = self.robot
         if not self.bears.any():
             message = diagnose("no-effort-limits", robot=robot.name)
@@ -199,7 +201,7 @@ class StanceSearch:
             near: Stand with almost the same coordinates; see `StanceSpace.stand`.
 
         Returns:
-            Evaluated stance, also if it is not allowed. None if no stand is found, its task is
+            Evaluated stance, also if not allowed. None if no stand is found, its task is
             rejected, no contact forces balance it, or the servos do not hold it without payload.
         """
         key = tuple(coordinates.tolist())
@@ -247,7 +249,7 @@ class StanceSearch:
         return EvaluatedStance(coordinates, stand, level, rows, allowed)
 
     def _compute_level(self, stand: Stand, room: StanceSlack) -> tuple[float, Array]:
-        """Compute the level, and its constraints (k, 2): the level is the smallest feasible one."""
+        """Compute the level, the smallest feasible value, and its constraints (k, 2)."""
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_level(stand)
         if self.objective is Objective.MARGIN:
@@ -269,7 +271,7 @@ class StanceSearch:
         """Run the search: descents with coupled feet, then with independent feet.
 
         Does nothing if no coordinate can change. The final descents start at the best stance, and
-        are repeated while they gain.
+        are repeated while the level decreases.
         """
         space = self.space
         if not (space.high > space.low).any():
@@ -320,7 +322,7 @@ class StanceSearch:
 
         Returns:
             Smallest level of the allowed stances that SLSQP evaluated (finite-difference steps are
-            not included), and its shares; infinity and ``start`` if there is none.
+            not included), and the shares; infinity and ``start`` if there is none.
         """
         from scipy import optimize  # slow to import
 
@@ -374,7 +376,7 @@ class StanceSearch:
 
 
 def _draw_latin_hypercube(size: int) -> Array:
-    """Draw Latin hypercube samples in [0, 1), shape (n, size), always the same ones.
+    """Draw Latin hypercube samples in [0, 1), shape (n, size), always the same samples.
 
     McKay, Beckman and Conover, "A comparison of three methods for selecting values of input
     variables", 1979. SciPy's samplers are as good, but take half a second to import.
@@ -388,13 +390,13 @@ def _draw_latin_hypercube(size: int) -> Array:
 class Subspace:
     """Box of shares from 0 to 1 along some directions in a space of stances.
 
-    Each share interpolates along one direction, between the two ends at which a coordinate of this
-    direction alone reaches its bound. Directions without such an interval are omitted.
+    Each share interpolates along a direction, between the two ends at which a coordinate of this
+    direction alone reaches the bound. Directions without such an interval are omitted.
 
     Args:
         space: Space of stances.
         origin: Coordinates through which the subspace passes, shape (n,) [m or rad].
-        directions: One direction per column, shape (n, k). Two directions with a common coordinate
+        directions: A direction per column, shape (n, k). Two directions with a common coordinate
             could exceed the bounds.
 
     Attributes:

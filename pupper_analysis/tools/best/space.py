@@ -30,7 +30,7 @@ from pupper_analysis.statics.support_polygon import polygon_sides
 Array = NDArray[np.float64]
 
 BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
-"""Coordinates of the base; see `BestStance.coordinates` for their definition."""
+"""Coordinates of the base; see `BestStance.coordinates` for the definition."""
 
 _BASE_ROTATIONS = ("roll", "pitch", "yaw")
 
@@ -58,9 +58,9 @@ push topples the robot. The value is chosen.
 
 JOINT_RESERVE = 0.02
 """Distance from the joint limits [rad] that is required in addition to the task's joint margin, if
-the initial stand has as much. It covers the deflection of servos, and the extension of legs whose
-feet sink into soft ground. Chosen. Without a reserve, a small disturbance is enough to fail: with
-the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
+the initial stand has as much. The reserve covers the deflection of servos, and the extension of
+legs whose feet sink into soft ground. Chosen. Without a reserve, a small disturbance is enough to
+fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
 """Lower bound of the reserve [rad] that replaces `JOINT_RESERVE` if the initial stand has less, and
@@ -74,7 +74,7 @@ class StanceSlack:
 
     Attributes:
         singular_values: Shape (n,); smallest singular value of the Jacobian of each contact point
-            less its lower bound, relative to its initial value.
+            less the lower bound, relative to the initial value.
         joints: Shape (2 nu,) [rad]; distances from the lower, then the upper joint limits, less the
             joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
@@ -89,9 +89,10 @@ class StanceSlack:
     touching: float
 
     def less(self, inside: float) -> Array:
-        """Return all slacks as one vector, reduced by ``inside``; lengths are multiplied by 10.
+        """Return all slacks as a vector, reduced by ``inside``; lengths are multiplied by 10.
 
-        The entry of ``touching`` is not reduced, because it is zero for every allowed stance.
+        The entry of ``touching`` is not reduced, because this slack is zero for every allowed
+        stance.
         """
         slacks = [self.singular_values - inside, self.joints - inside, 10 * self.edges - inside]
         return np.concatenate([*slacks, [10 * self.touching]])
@@ -232,9 +233,9 @@ class StanceSpace:
     def stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM margin is not enforced: it is one of the slacks of `room`. Only the usual initial
-        guesses are tried, because stands in other IK branches are rare and the search evaluates
-        thousands.
+        The CoM margin is not enforced: the margin is one of the slacks of `room`. Only the usual
+        initial guesses are tried, because stands in other IK branches are rare and the search
+        evaluates thousands.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].

@@ -42,7 +42,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
     Args:
         hold: Result.
-        robot: Robot of the result, for notes; None if it is not available.
+        robot: Robot of the result, for notes; None if not available.
     """
     limits, run = hold.limits.tolist(), hold.verification
     return judged_document(
@@ -174,7 +174,7 @@ def _make_limit_table(
     rows: Iterable[tuple[doc.Cell, float, str]],
     notes: tuple[doc.Text, ...],
 ) -> doc.Table:
-    """Create a table of limits, each with the joint whose motor reaches its effort limit.
+    """Create a table of limits, each with the joint that reaches the effort limit.
 
     Rows are (quantity, limit, joint); "" for no joint.
     """
@@ -238,7 +238,7 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     """Create the plot of motor utilisation over the tool's distance from the first joint.
 
-    It shows the maximum and the mean over random postures, in percent over mm.
+    The plot shows the maximum and the mean over random postures, in percent over mm.
     """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
@@ -281,7 +281,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
     """State the motor with the largest finite utilisation.
 
     Nothing is stated if no utilisation is known, or a motor has a limit of zero: any load exceeds
-    this limit, so no other motor is closest to its limit.
+    this limit, so no other motor is closest to the limit.
 
     Args:
         statics: Static motor torques.
@@ -357,5 +357,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Format a limit; "" if it is not finite."""
+    """Format a limit; "" if not finite."""
     return (f"{limit:.3g}" if limit < 1e3 else f"{limit:.0f}") if math.isfinite(limit) else ""

@@ -12,10 +12,10 @@ from pupper_analysis.tools.hold.hold import Hold
 
 
 def hold_figure(hold: Hold, path: str | Path) -> None:
-    """Draw motor torques, utilisation over the reach, and forces on the tool, in one figure.
+    """Draw motor torques, utilisation over the reach, and forces on the tool, in a figure.
 
     Args:
-        hold: Posture with its results.
+        hold: Posture with results.
         path: PNG file to write.
 
     Raises:

@@ -2,9 +2,9 @@
 
 With the static load l, the Jacobian J (3, nu) of the tool and the effort limits, an external force
 f on the tool is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to the
-motors. These forces are a convex polytope, whose faces are the limits of single motors:
-`force_polytope` returns its inequalities, and `tool_force` its extent along the world axes, in
-three plane sections, and in its weakest direction.
+motors. These forces form a convex polytope. Each face is the limit of a single motor:
+`force_polytope` returns its inequalities, and `tool_force` the extent along the world axes, in
+three plane sections, and in the weakest direction.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from pupper_analysis.stance.posture import Posture
 Array = NDArray[np.float64]
 
 _NUM_SECTION_DIRECTIONS = 72
-"""Number of directions in a section of the polytope, one every 5 degrees. Chosen, not tuned."""
+"""Number of directions in a section of the polytope, every 5 degrees. Chosen, not tuned."""
 
 _MIN_LEVER_ARM = 1e-9
-"""Lever arm of a force about a hinge [m], or its component along a slide [1], below which the motor
-does not bear the force (rounding)."""
+"""Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
+motor does not bear the force (rounding)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +44,17 @@ class ToolForce(Tabular):
         forces: (6,) largest force in each direction (N); NaN if a motor that bears the force has an
             unknown limit. Otherwise 0 if the static load alone exceeds a limit, and infinite if no
             motor bears the force.
-        joints: (6,) joint whose motor reaches its limit first; "" if the force is infinite or NaN.
-        weakest: Smallest force, over all directions, at which a motor reaches its limit (N);
+        joints: (6,) joint of the first motor that reaches the effort limit; "" if the force is
+            infinite or NaN.
+        weakest: Smallest force, over all directions, with a motor at the effort limit (N);
             infinite if no motor bears forces. NaN if a motor that bears forces has an unknown
             limit, unless the static load alone exceeds another limit.
         weakest_direction: (3,) direction of the smallest force, a unit vector in world axes; zero
             if this force is infinite or NaN, or if the static load alone exceeds a limit.
-        weakest_joint: Joint whose motor reaches its limit at the smallest force; "" if this force
-            is infinite or NaN.
+        weakest_joint: Joint of the motor at the effort limit under the smallest force; "" if this
+            force is infinite or NaN.
         angles: (n,) angles of the directions in the sections, from the first axis of a section
-            towards its second axis (rad).
+            towards the second axis (rad).
         horizontal: (n,) largest forces in the x-y section (N); infinite or NaN as for ``forces``.
         sagittal: (n,) largest forces in the x-z section (N).
         frontal: (n,) largest forces in the y-z section (N).
@@ -85,7 +86,7 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     Args:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
-        tool: Point on which the force acts.
+        tool: Point of application of the force.
     """
     rows, room = force_polytope(robot, posture, tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
@@ -124,7 +125,7 @@ def force_limits_along(
     Returns:
         Largest forces, shape (n,) [N]: infinite if no motor bears the force, NaN if a motor that
         bears the force has an unknown limit, 0 if an element of ``room`` is negative; and indices
-        (n,) of the joints whose motors reach their limits first, -1 if the force is not finite.
+        (n,) of the joints that reach the effort limit first, -1 if the force is not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -145,7 +146,7 @@ def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, A
     Args:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
-        tool: Point on which the force acts.
+        tool: Point of application of the force.
 
     Returns:
         Rows, shape (2 nu, 3) [m, or 1 for a slide], and room, shape (2 nu,) [N m, N]: distance of
@@ -160,7 +161,7 @@ def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, A
 
 
 def _find_weakest_direction(rows: Array, room: Array) -> tuple[float, Array, int]:
-    """Find the smallest force at which a motor reaches its limit.
+    """Find the smallest force with a motor at the effort limit.
 
     Returns:
         Distance of the nearest face of the polytope from the origin [N], unit normal (3,) of this

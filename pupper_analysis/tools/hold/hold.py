@@ -1,9 +1,10 @@
-"""Evaluate a posture of a robot with a fixed base: torques, sag, verdict, and limits of its tool.
+"""Evaluate a posture of a robot with a fixed base: torques, sag, verdict, and tool limits.
 
 `hold_posture` computes the motor torques in the posture, predicts the static deflection of the
-position servos without feed-forward, and verifies both in MuJoCo. It also computes the largest
-payload at the tool (`tool_payload`), in the posture and over all postures of a search, the forces
-on the tool that the motors withstand, and the motor utilisation over the reach (`reach_load`).
+position servos without feed-forward, and verifies both in MuJoCo. The module also computes the
+largest payload at the tool (`tool_payload`), in the posture and over all postures of a search, the
+forces on the tool that the motors withstand, and the motor utilisation over the reach
+(`reach_load`).
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ class ReachLoad(Tabular):
     """Motor utilisation and tool position in random postures.
 
     Attributes:
-        distances: (n,) horizontal distances of the tool from the first joint of its chain (m); from
-            the world's z axis if no joint moves the tool.
+        distances: (n,) horizontal distances of the tool from the first joint of the kinematic chain
+            (m); from the world's z axis if no joint moves the tool.
         heights: (n,) heights of the tool in the world (m).
         utilisation: (n,) largest motor utilisation; infinite if a motor with a limit of zero must
             exert a torque, NaN if no motor has a stated limit.
@@ -86,7 +87,8 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture of the robot, with closed loops; loops keep its assembly mode.
+        posture: Posture of the robot, with closed loops; loops keep the assembly mode of this
+            posture.
         tool: Point of which the position is returned.
     """
     samples = []
@@ -109,37 +111,38 @@ _MAX_PAYLOAD_ROUNDS = 6
 suffice."""
 
 _PAYLOAD_RTOL = 1e-4
-"""Relative change of the payload at which the iteration over worst postures stops. Chosen, not
+"""Relative change of the payload that ends the iteration over worst postures. Chosen, not
 tuned."""
 
 _MIN_SOFTENING = 1e-6
 """Lower bound of the fraction of the stiffness that a payload as heavy as the robot cancels, in the
-motion in which it cancels most. Below this bound the fraction is rounding, and the stiffness does
-not limit the mass. Chosen, not tuned."""
+motion with the largest cancellation. Below this bound the fraction is rounding, and the stiffness
+does not limit the mass. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolPayload(Result):
     """Largest point masses at a tool that motors and servos hold.
 
-    A motor may bear the mass if its joint moves the tool, or is coupled to such a joint.
+    A motor may bear the mass if the joint moves the tool, or is coupled to such a joint.
 
     Attributes:
         mass: Largest mass that the motors hold in the posture (kg); 0 if the static load alone
             exceeds a limit, or a motor that may bear the mass has a limit of zero. Otherwise NaN if
             a motor that bears the mass has an unknown limit, and infinite if no motor bears the
             mass.
-        joint: Joint whose motor limits the mass in the posture; "" if this mass is infinite or NaN.
+        joint: Joint of the motor that limits the mass in the posture; "" if this mass is infinite
+            or NaN.
         servos: Largest mass that the servos hold in the posture, without regard to effort limits
             (kg): with more, gravity exceeds the servo stiffness, or a command exceeds its
             ``ctrlrange``. Infinite if no mass is too large.
-        servo: Joint whose command limits the mass that the servos hold; "" if the stiffness does,
-            or nothing.
+        servo: Joint with the command that limits the mass that the servos hold; "" if the stiffness
+            does, or nothing.
         somewhere: Smallest limit of all postures in a search (kg): with a larger mass, a posture
             was found that the motors do not hold. 0 if a motor that may bear the mass has a limit
             of zero, otherwise NaN if such a motor has an unknown limit.
-        weakest: Joint whose motor limits the mass in all postures; "" if this mass is infinite or
-            NaN.
+        weakest: Joint of the motor that limits the mass in all postures; "" if this mass is
+            infinite or NaN.
         posture: (nu,) posture with the smallest limit (rad or m); the given posture if there was no
             search.
         code: ``zero`` if a motor that may bear the mass has a limit of zero; else ``unknown`` if
@@ -169,7 +172,7 @@ def tool_payload(
 ) -> ToolPayload:
     """Compute the largest point masses at a tool that motors and servos hold.
 
-    In one posture, torques are linear in the mass, and the limit is in closed form. Over all
+    In a single posture, torques are linear in the mass, and the limit is in closed form. Over all
     postures, a mass M is reduced iteratively: the worst postures with payload M are searched, and M
     becomes the smallest limit of these postures. The iteration stops if this changes M by at most
     `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches.
@@ -231,17 +234,17 @@ def tool_payload(
 
 
 def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
-    """Compute the largest mass that the motors hold at a tool, at rest in one posture.
+    """Compute the largest mass that the motors hold at a tool, at rest in a single posture.
 
     Args:
         robot: Robot with a fixed base.
         qpos: Posture, shape (nu,) [rad, m].
-        tool: Point at which the mass is attached.
+        tool: Attachment point of the mass.
 
     Returns:
         Mass [kg] and the joint whose effort limit is reached first. The mass is
 
-        - 0 if a motor exceeds its limit without the mass; the joint is the one with the largest
+        - 0 if a motor exceeds its limit without the mass; the joint has the largest
           excess;
         - otherwise NaN, with "" for the joint, if a motor that bears the mass has an unknown limit;
         - infinite, with "" for the joint, above `UNLIMITED_MASS_RATIO` times the robot's mass.
@@ -267,9 +270,9 @@ def servo_payload(
 
     With servo stiffness K, derivatives G_0 and m G_1 of the static load without mass and of the
     mass m, and a basis W of the joint velocities that loops and couplings permit, the stiffness is
-    W^T (K + G_0 + m G_1) W. It is positive definite up to the smallest positive eigenvalue m of the
-    generalised problem. The commands q + tau(m) / kp with feed-forward must be within their ranges.
-    Effort limits are ignored.
+    W^T (K + G_0 + m G_1) W. This matrix is positive definite up to the smallest positive eigenvalue
+    m of the generalised problem. The commands q + tau(m) / kp with feed-forward must be within the
+    command ranges. Effort limits are ignored.
 
     Args:
         robot: Robot with a fixed base.
@@ -279,8 +282,8 @@ def servo_payload(
 
     Returns:
         Mass [kg], 0 if the stiffness is not positive definite without mass, infinite without limit;
-        and the joint whose command reaches the end of its range, "" if the stiffness limits the
-        mass, or nothing.
+        and the joint of the command that reaches the end of the range, "" if the stiffness limits
+        the mass, or nothing.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -314,7 +317,7 @@ def servo_payload(
 def _find_smallest_payload(
     robot: Robot, tool: Tool, postures: list[Array]
 ) -> tuple[float, str, Array]:
-    """Return the smallest `posture_payload` of several postures, its joint, and its posture."""
+    """Return the smallest `posture_payload` of several postures, with the joint and the posture."""
     limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(limits, key=lambda limit: limit[0])
 
@@ -322,7 +325,7 @@ def _find_smallest_payload(
 def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     """Return a mask (nu,) of the motors that may bear a mass at a tool.
 
-    These are the joints of the tool's chain and all joints that are coupled to these, without
+    These are the joints of the tool's chain and all joints that are coupled to the chain, without
     dependent joints, which have no motor.
     """
     may_bear = np.isin(robot.joint_names, tool.chain)
@@ -336,16 +339,16 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
 
 VERIFIED_FRACTION = 0.95
 """Fraction of the payload limit (the smaller limit of motors and servos) that is simulated: at the
-limit itself, rounding decides whether the posture holds."""
+limit itself, rounding determines the verdict."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hold(Tabular):
-    """Posture of a robot with a fixed base: statics, simulation, verdict, and limits of its tool.
+    """Posture of a robot with a fixed base: statics, simulation, verdict, and tool limits.
 
     Attributes:
         name: Name of the robot.
-        hangs: Whether the base, which is fixed here, is free in the MJCF; the ground then touches
+        hangs: True if the base, fixed here, is free in the MJCF; the ground then touches
             nothing.
         posture: Commanded posture.
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
@@ -365,7 +368,7 @@ class Hold(Tabular):
             None without ``settled``.
         simulated_tool_sag: (3,) displacement of the tool in the simulation without feed-forward, in
             world axes (m); NaN if the simulation diverged.
-        verdict: Verdict on the posture, with its assumptions.
+        verdict: Verdict on the posture, with the assumptions of the verdict.
         worst: Worst posture of each motor, with ``carried``.
         carried: Payload at the tool that all results include (kg).
         payload: Largest masses at the tool in addition to ``carried``.
@@ -401,7 +404,7 @@ class Hold(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict passes."""
+        """True if the verdict passes."""
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:

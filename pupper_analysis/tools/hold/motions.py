@@ -1,7 +1,7 @@
-"""Motions of a robot with a fixed base that keep its loops and joint couplings closed.
+"""Motions of a robot with a fixed base with closed loops and joint couplings.
 
-`JointMotions` defines one motion per independent joint. The dependent joints follow in proportion
-(no coupling, or a linear one), or so that a loop stays closed, which requires Newton iterations.
+`JointMotions` defines a motion per independent joint. The dependent joints follow in proportion
+(no coupling, or a linear coupling), or so that a loop stays closed (Newton iterations).
 Searches over postures and samples of random postures use these motions.
 """
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _MAX_LINEAR_OPENING = 1e-6
-"""Largest opening of a loop [m, rad], at `_TESTED_RANGE_FRACTIONS`, with which its dependent joints
+"""Largest opening of a loop [m, rad], at `_TESTED_RANGE_FRACTIONS`, with which the dependent joints
 count as moving in proportion to the independent joint. With a larger opening, samples of the loop
 are closed numerically. Chosen, not tuned."""
 
@@ -43,16 +43,16 @@ _NUM_LOOP_SAMPLES = 25
 Bounds the computing time, since closing a loop takes 15 ms."""
 
 _NUM_COMBINED_SAMPLES = 9
-"""Number of samples along each of several independent joints of one loop. The loop is closed at
-combinations of these samples, so that there are fewer than `_NUM_LOOP_SAMPLES`."""
+"""Number of samples along each of several independent joints of a loop. The loop is closed at
+combinations of these samples, fewer than `_NUM_LOOP_SAMPLES`."""
 
 _LIMIT_ATOL = 1e-6
-"""Largest distance [rad, m] of a dependent joint beyond its limits that counts as rounding. Chosen,
+"""Largest distance [rad, m] of a dependent joint beyond the limits that counts as rounding. Chosen,
 not tuned."""
 
 
 class JointMotions:
-    """Motions of the independent joints of a robot, with the joints that depend on them.
+    """Motions of the independent joints of a robot, with the dependent joints.
 
     Args:
         robot: Robot with a fixed base.
@@ -60,20 +60,20 @@ class JointMotions:
 
     Attributes:
         origin: Joint positions of the posture, shape (nu,) [rad, m].
-        free: Indices of the independent joints, one per motion; n is their number.
+        free: Indices of the independent joints, a joint per motion; n is the number of motions.
         steps: Velocities of all joints per velocity of each independent joint, at the posture,
             shape (nu, n).
         moved: Indices of the joints that move with each motion; for a bent motion, all joints that
-            are coupled to its independent joint.
-        bent: Whether the motion is part of a loop whose joints do not move in proportion, shape
+            are coupled to the independent joint.
+        bent: True if the motion is part of a loop with joints that do not move in proportion, shape
             (n,).
         ranges: Joint ranges, shape (nu, 2) [rad, m]. An infinite limit is replaced by the posture
             -+ pi.
         shares: Motor torques per load of the joints, shape (nu, nu), at the posture.
-        constant: Whether the row of ``shares`` is taken as the same in all postures, shape (nu,):
+        constant: True if the row of ``shares`` is taken as the same in all postures, shape (nu,):
             false for joints of bent motions.
-        slides: Whether a joint is a slide, shape (nu,).
-        endless: Whether a slide lacks a limit.
+        slides: True for a slide, shape (nu,).
+        endless: True for a slide without a limit.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:
@@ -102,7 +102,7 @@ class JointMotions:
         """Return random postures (nu,) with closed loops; the same postures in each call.
 
         Along a bent motion, positions are restricted to the samples of `places`. A position at
-        which its loop cannot be closed is skipped.
+        which the loop cannot be closed is skipped.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):
@@ -136,10 +136,10 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def places(self, way: int) -> int:
-        """Return the number of samples along a motion, given its index.
+        """Return the number of samples along a motion, from the index.
 
         Samples of a bent motion are equally spaced over its range, so that the closed positions of
-        its loop are computed once, and then cached.
+        the loop are computed once, and then cached.
         """
         if not self.bent[way]:
             return _NUM_LINEAR_SAMPLES
@@ -150,7 +150,7 @@ class JointMotions:
         )
 
     def along(self, qpos: Array, way: int, length: float) -> Array | None:
-        """Move a posture along a motion, and close its loop.
+        """Move a posture along a motion, and close the loop.
 
         Args:
             qpos: Posture, shape (nu,).
@@ -222,8 +222,8 @@ class JointMotions:
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     """Return the sets of joints that loops and couplings connect, as sorted joint indices.
 
-    Two joints are connected if the same constraint depends on both, at the posture or at one of two
-    random postures nearby (in a singular posture, single elements of the Jacobian vanish).
+    Two joints are connected if the same constraint depends on both, at the posture or at either of
+    two random postures nearby (in a singular posture, single elements of the Jacobian vanish).
 
     Args:
         closure: Loops and couplings.

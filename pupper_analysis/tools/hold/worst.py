@@ -1,6 +1,6 @@
 """Find the posture with the largest static torque of each motor.
 
-Inputs are a robot with a fixed base, its tool and a payload; `worst_postures` returns a torque and
+Inputs are a robot with a fixed base, a tool and a payload; `worst_postures` returns a torque and
 a posture per motor. Method (`TorqueSearch`): coordinate search from several postures. Along one
 joint, the torque is a sinusoid plus a linear term, with a maximum in closed form. Along coupled
 joints, and with other forces at rest (for example, tendon springs), the torque is sampled. The
@@ -39,7 +39,7 @@ _SAME_TORQUE_RTOL = 1e-9
 """Relative difference of two torques that count as the same maximum."""
 
 _MAX_SWEEPS = 30
-"""Maximum number of sweeps over all joints in one search. Chosen, not tuned."""
+"""Maximum number of sweeps over all joints in a search. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
 """Relative gain of a sweep at which a search stops, and relative variation of samples that count as
@@ -50,8 +50,8 @@ _PEAK_POSITION_ATOL = 1e-6
 second order, about 1e-12 of the torque."""
 
 _UNDEFINED_TORQUE = 1e300
-"""Larger than any torque [N m, N]. Its negative is the value of a posture in which a loop cannot be
-closed or is singular."""
+"""Larger than any torque [N m, N]. The negative is the value of a posture with a loop that cannot
+be closed or is singular."""
 
 _MIN_LOAD_FRACTION = 1e-12
 """Fraction of a joint's load below which a motor does not bear that load (rounding)."""
@@ -62,7 +62,7 @@ class TorqueSearch:
 
     Args:
         robot: Robot with a fixed base.
-        motions: Motions of its joints.
+        motions: Motions of the joints.
         tool: Point that carries the payload.
         payload: Point mass at the tool [kg].
 
@@ -94,11 +94,11 @@ class TorqueSearch:
 
         Args:
             joint: Index of the joint.
-            sign: 1 or -1: direction in which the torque is maximised.
+            sign: 1 or -1: direction of maximisation.
             starts: Start postures, each of shape (nu,).
 
         Returns:
-            ``sign`` times the torque [N m, N], and its posture (nu,).
+            ``sign`` times the torque [N m, N], and the posture (nu,).
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
@@ -116,12 +116,12 @@ class TorqueSearch:
 
         Args:
             joint: Index of the joint.
-            sign: 1 or -1: direction in which the torque is maximised.
+            sign: 1 or -1: direction of maximisation.
             qpos: Start posture, shape (nu,).
-            fine: Also search between the samples of motions whose loops are closed numerically.
+            fine: Also search between the samples of motions with numerically closed loops.
 
         Returns:
-            ``sign`` times the torque [N m, N], and its posture (nu,).
+            ``sign`` times the torque [N m, N], and the posture (nu,).
         """
         best = self._evaluate_torque(joint, sign, qpos)
         borne = np.abs(self._motions.shares[joint]) > _MIN_LOAD_FRACTION
@@ -154,8 +154,9 @@ class TorqueSearch:
     ) -> float:
         """Return the displacement along a motion [rad, m] with the largest torque.
 
-        `current` is the torque at zero displacement. The maximum is in closed form for one hinge;
-        along slides, where the torque is linear, it is an end of the range. Else it is sampled.
+        `current` is the torque at zero displacement. The maximum is in closed form for a hinge;
+        along slides the torque is linear, and an end of the range is the maximum. Else the torque
+        is sampled.
         """
         motions = self._motions
         low, high = motions.span(qpos, motion)
@@ -262,11 +263,12 @@ _NUM_RANDOM_STARTS = 12
 not tuned."""
 
 _NUM_POOL_POSTURES = 500
-"""Number of random postures of a robot with loops whose joints do not move in proportion. Searches
-start from the worst of them, too: such loops have many local maxima. Chosen, not tuned."""
+"""Number of random postures of a robot with loops of joints that do not move in proportion.
+Searches start from the worst random postures, too: such loops have many local maxima. Chosen, not
+tuned."""
 
 _NUM_POOL_STARTS = 3
-"""Number of the postures with the largest torques in that sample from which searches start. Chosen,
+"""Number of the postures with the largest torques in the random sample, as start postures. Chosen,
 not tuned."""
 
 _MIN_TORQUE_PER_WEIGHT = 1e-14
@@ -281,11 +283,11 @@ class WorstPostures(Tabular):
     Attributes:
         joint_names: Names of the joints, in actuator order.
         joint_torques: (nu,) torques of largest magnitude found, with sign (N m or N).
-        postures: (nu, nu) posture of each torque, one row per motor (rad or m).
+        postures: (nu, nu) posture of each torque, a row per motor (rad or m).
         limits: (nu,) effort limits (N m or N); infinite if no file states a limit.
         utilisation: (nu,) |torque| / limit; 0 without torque. With torque, NaN for an unknown limit
             and, beyond rounding, infinite for a limit of zero.
-        endless: Reason for which the torques may be unbounded; None if all are bounded.
+        endless: Reason for unbounded torques; None if all are bounded.
     """
 
     joint_names: tuple[str, ...]
@@ -315,9 +317,9 @@ def worst_postures(
 ) -> WorstPostures:
     """Find the posture with the largest static torque of each motor.
 
-    As a function of the angle q of one joint, with all other joints at rest, the torque of gravity
+    As a function of the angle q of a joint, with all other joints at rest, the torque of gravity
     and joint springs is a + b cos q + c sin q + k q (a + b q for a slide). Three evaluations give
-    its maximum over q in closed form. A search maximises joint by joint until a sweep gains
+    the maximum over q in closed form. A search maximises joint by joint until a sweep gains
     nothing. Searches start from random postures until several end at the same torque. The result is
     not proven: another posture may require a larger torque. Of 20,000 random postures of each of
     seven arms and hands, none did.
@@ -328,7 +330,7 @@ def worst_postures(
         tool: Point that carries the payload.
         payload: Point mass at the tool [kg].
         near: Worst postures for another payload, from which searches start first.
-        bearing: Whether a motor may bear the payload, shape (nu,). The results of all other motors
+        bearing: True if a motor may bear the payload, shape (nu,). The results of all other motors
             are copied from ``near``; without ``near`` this argument is ignored.
     """
     motions = JointMotions(robot, posture)
@@ -367,7 +369,7 @@ def worst_postures(
 def _explain_unbounded_torque(
     robot: Robot, motions: JointMotions, stiffness: Array
 ) -> Diagnostic | None:
-    """Return the reason for which torques may be unbounded, or None.
+    """Return the reason for unbounded torques, or None.
 
     Reasons are a slide without a limit, and a spring at a joint without a limit.
     """

@@ -1,7 +1,7 @@
 """Simulate stands with a force on the base, and judge whether the robot recovers.
 
 `PushBench` simulates pushes in MuJoCo, to the end or until the outcome is decided. `simulate_push`
-simulates one push, and returns its outcome with the motion.
+simulates a single push, and returns the outcome with the motion.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ more. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class PushSettings(SimulationSettings):
-    """Settings of the pushes and of their simulation.
+    """Settings of the pushes and of the simulation.
 
     Attributes:
         point: (3,) point of application in the world: CoM of the base body in the stand [m].
@@ -86,7 +86,7 @@ class PushSettings(SimulationSettings):
 
 @dataclass(eq=False)
 class PushBench:
-    """Simulations of a stand with pushes on its base.
+    """Simulations of a stand with pushes on the base.
 
     Attributes:
         held: Initial state at rest, with the servo commands.
@@ -307,7 +307,7 @@ class PushBench:
 
 
 def _combine_failures(failures: list[Diagnostic]) -> Diagnostic | None:
-    """Combine the failures of one push; None without a failure."""
+    """Combine the failures of a push; None without a failure."""
     if len(failures) < 2:
         return failures[0] if failures else None
     return diagnose("failures-together", failures=failures)
@@ -339,7 +339,7 @@ def make_push_bench(
         verification: Result of ``verify_stand`` with the same arguments; computed if None.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
+        ConfigurationError: If an argument is out of range.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
@@ -370,17 +370,17 @@ MAX_IMPULSE = 1e6
 
 @dataclass(frozen=True, eq=False)
 class PushTrial(PushSettings):
-    """Response of a stand to one push, with the ``PushSettings``.
+    """Response of a stand to a push, with the ``PushSettings``.
 
     Attributes:
         recovered: Whether the robot recovers, as in ``push_recovery``.
         failure: Failure of the robot; None after a recovery.
         impulse: Impulse of the push [N s].
-        direction: Direction of the push about the vertical [rad]: 0 is the base's forward, pi/2 its
-            left.
+        direction: Direction of the push about the vertical [rad]: 0 is the base's forward, pi/2 the
+            base's left.
         velocity_step: Change of the robot's velocity: impulse / mass [m/s].
         motion_time: (m,) times of the configurations from the start of the push [s].
-        motion: (m, nq) configurations at these times, rounded to six decimals.
+        motion: (m, nq) configurations at ``motion_time``, rounded to six decimals.
     """
 
     recovered: bool
@@ -405,7 +405,7 @@ def simulate_push(
     feedforward: bool = True,
     integrator: str | None = None,
 ) -> PushTrial:
-    """Simulate one push on a stand; ``push_recovery`` finds the largest one with a recovery.
+    """Simulate a push on a stand; ``push_recovery`` finds the largest push with a recovery.
 
     Push and recovery are defined in ``push_recovery``. A robot that does not stay on its feet
     without a push does not recover.
@@ -415,7 +415,7 @@ def simulate_push(
         stand: The stand.
         impulse: Impulse of the push [N s].
         direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
-            its left.
+            the base's left.
         duration: Simulated time from the start of the push [s], 2 to 600.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
@@ -423,10 +423,10 @@ def simulate_push(
         integrator: MuJoCo integrator. Default: the model's.
 
     Returns:
-        The outcome, with the motion. If the simulation diverges, its finite states are included.
+        The outcome, with the motion. If the simulation diverges, the finite states are included.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of range, or the base is fixed.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """

@@ -1,4 +1,4 @@
-"""Documents of pushes: largest impulses of a stance by direction, and response to one push."""
+"""Documents of pushes: largest impulses of a stance by direction, and response to a push."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """State the weakest direction, its impulse and its failure.
+    """State the weakest direction, the impulse and the failure.
 
     Of a robot that falls without a push, only the mass is stated. If torque limits are unknown, the
     largest torque of a motor without limit is stated in place of the failure.
@@ -81,7 +81,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:
-    """Create the table of the largest pushes, one direction per row."""
+    """Create the table of the largest pushes, a direction per row."""
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -116,7 +116,7 @@ def _make_push_table(pushed: PushedStance) -> doc.Table:
 
 
 def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
-    """Create the plot of the largest pushes over the direction, one line per robot.
+    """Create the plot of the largest pushes over the direction, a line per robot.
 
     Args:
         pushed: {robot: largest pushes}.
@@ -161,7 +161,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 
     Args:
         first: Result of the first robot, whose tipping estimate is drawn.
-        results: Results of all robots, the first one included.
+        results: Results of all robots, including the first robot.
 
     Returns:
         The blocks; none if the directions of the results differ.
@@ -192,7 +192,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Create the document of one simulated push; see ``build_document``."""
+    """Create the document of a simulated push; see ``build_document``."""
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),

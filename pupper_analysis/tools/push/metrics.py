@@ -18,4 +18,4 @@ def _measure_weakest_push(design: Any) -> float:
 METRICS: dict[str, dict[str, Any]] = {
     "push_recovery": {"function": _measure_weakest_push, "unit": "N s", "simulates": True},
 }
-"""{name of the metric: arguments of its `Metric`}."""
+"""{name of the metric: arguments of the `Metric`}."""

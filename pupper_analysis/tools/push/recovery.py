@@ -1,7 +1,8 @@
 """Find the largest horizontal impulse, in each direction, from which a stand recovers.
 
 `push_recovery` bisects the impulses by simulations of a `PushBench`; `tipping_impulses` is the
-estimate for a rigid robot. `study_pushes` solves, judges and pushes several robots in one stance.
+estimate for a rigid robot. `study_pushes` solves, judges and pushes several robots in the same
+stance.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class PushedStance(Result):
             states.
         peak_torques: (nu,) largest |torque| of each motor during the weakest push of ``recovery``
             [N m]; None if ``unknown_limits`` is empty, or the robot does not stand without a push.
-        verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on its
+        verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on the
             feet although the verdict fails is pushed as well.
     """
 
@@ -93,7 +94,7 @@ def study_pushes(
         task: Task of all stands.
         kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
-        directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
+        directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
 
     Returns:
@@ -182,7 +183,7 @@ class PushRecovery(PushSettings, Tabular):
         velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
         failures: (n,) failure of the larger push.
         bisected: (n,) result of the bisection [N s], before the check of smaller pushes; larger
-            than ``impulses`` if a smaller push failed, or if the push itself failed when it was
+            than ``impulses`` if a smaller push failed, or if the push itself failed when
             simulated to the end.
         tipping_estimate: (n,) impulse that tips the robot over if it were rigid [N s]; infinite if
             the feet span no polygon.
@@ -211,7 +212,7 @@ class PushRecovery(PushSettings, Tabular):
     unpushed: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns of the table, one row per direction."""
+        """Return the columns of the table, a row per direction."""
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
         values = (
             self.directions,
@@ -248,7 +249,7 @@ def push_recovery(
     the feet, against friction, or exclude the feet, against the joints. The servos hold the stand.
     (Without feed-forward the robot starts to sag during the push.)
 
-    A stand that does not stay on its feet in ``verify_stand`` withstands no push.
+    A stand that does not stay on the feet in ``verify_stand`` withstands no push.
 
     The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
     base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
@@ -258,15 +259,15 @@ def push_recovery(
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
-    example by sliding. Bisection finds one of possibly several boundaries. Therefore 8 smaller
-    pushes are simulated afterwards, if their distance is larger than ``resolution``. If one fails,
-    the boundary below the smallest failed push is returned. A failure between these pushes may
-    remain undetected.
+    example by sliding. Bisection finds a single boundary of possibly several. Therefore 8 smaller
+    pushes are simulated afterwards, if the distance between them is larger than ``resolution``. If
+    a smaller push fails, the boundary below the smallest failed push is returned. A failure between
+    these pushes may remain undetected.
 
     Args:
         robot: The robot.
         stand: The stand.
-        directions: Number of directions, evenly spaced, the first one forward; 3 to 360.
+        directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         duration: Simulated time from the start of the push [s], 2 to 600.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
@@ -332,12 +333,12 @@ def push_recovery(
 def tipping_impulses(
     config: Configuration, point: Array, axes: Array, feet: Iterable[str] | None = None
 ) -> Array:
-    """Compute the impulses that would tip over the robot if it were one rigid body [N s].
+    """Compute the impulses that would tip over the robot if it were a rigid body [N s].
 
-    The robot rolls over an edge of its support polygon on two feet, spheres of radius r. With the
+    The robot rolls over an edge of the support polygon on two feet, spheres of radius r. With the
     inertia I about the edge on the ground and the lever s of the push, an impulse p gives the
-    energy (p s)^2 / (2 I). The feet's centres keep their height, so the CoM rises from its height
-    h over the centres to its distance from the line between them, hypot(h, d):
+    energy (p s)^2 / (2 I). The feet's centres keep their height, so the CoM rises from the height
+    h over the centres to the distance from the line between the centres, hypot(h, d):
 
         p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 

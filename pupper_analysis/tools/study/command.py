@@ -163,7 +163,7 @@ def _run_study(
     workers: int | None,
     show: Callable[[Progress], None],
 ) -> None:
-    """Evaluate the study; if it is interrupted, print how to resume."""
+    """Evaluate the study; after an interruption, print how to resume."""
     try:
         study.execute(folder, workers=workers, progress=show)
     except BaseException:

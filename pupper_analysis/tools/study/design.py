@@ -1,4 +1,4 @@
-"""One design of a study: variable values, the robot and stand that result, and measured columns.
+"""Design of a study: variable values, the resulting robot and stand, and measured columns.
 
 Diagnostics of failed designs are stored as plain data, so that the message can be rendered later in
 any language.
@@ -104,7 +104,7 @@ def from_record(record: dict[str, Any]) -> Diagnostic:
 
 
 def _encode_value(value: Value) -> Any:
-    """Encode a value as JSON; a typed value becomes a dict with its type as the only key."""
+    """Encode a value as JSON; a typed value becomes a dict with the type as the only key."""
     if isinstance(value, tuple):
         return [_encode_value(item) for item in value]
     if isinstance(value, Diagnostic):
@@ -142,7 +142,7 @@ _FILE_OPTIONS = ("take", "body", "feet", "name", "joints", "keyframe", "packages
 
 
 def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
-    """Load the robot of a study from files, and remove the visual geoms of its MJCF.
+    """Load the robot of a study from files, and remove the visual geoms of the MJCF.
 
     Args:
         arguments: ``models`` or ``urdf`` and/or ``mjcf`` (the files), and other arguments of
@@ -231,7 +231,7 @@ def make_robot_source(robot: Any) -> RobotSource:
 
 
 def hash_description(description: Description) -> str:
-    """Return the SHA-256 hash of a robot description, independent of the folders of its files."""
+    """Return the SHA-256 hash of a robot description, independent of the file folders."""
     parts = {
         "urdf": description.urdf,
         "mjcf": spec_to_data(description.mjcf),
@@ -314,7 +314,7 @@ class DesignBuilder:
         """Build the robot of a design and solve its stance, for given values of the variables.
 
         Args:
-            numbers: {variable: value in its own unit}.
+            numbers: {variable: value in the unit of the variable}.
 
         Raises:
             PupperAnalysisError: If the robot cannot be built or the stance cannot be solved; see
@@ -419,7 +419,8 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 def check_variable_range(name: str, low: float, high: float) -> None:
     """Check the smallest and largest value of a variable against the bounds of the variable.
 
-    Infinite bounds of a distribution are not checked here: each design is checked when it is built.
+    Infinite bounds of a distribution are not checked here: each design is checked during
+    construction.
 
     Raises:
         ConfigurationError: If a finite value is out of bounds.
@@ -479,10 +480,10 @@ def classify_failure(error: BaseException) -> str:
 def measure_design(
     builder: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
 ) -> Row:
-    """Build one design, evaluate all metrics, and record failures in the row.
+    """Build a design, evaluate all metrics, and record failures in the row.
 
     A metric that fails does not stop the others; the row records the first failure. If the error is
-    one of `STAND_FAILURES`, a metric with a ``fallen`` value gets that value.
+    in `STAND_FAILURES`, a metric with a ``fallen`` value gets that value.
     """
     row: Row = dict.fromkeys(FAILURE_COLUMNS)
     try:
@@ -509,7 +510,7 @@ Row = dict[str, Any]
 """Row of the table of a study: {column: value}."""
 
 FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
-"""Columns that describe a failure: its kind; the metric that failed (None if the design could not
+"""Columns that describe a failure: kind; the metric that failed (None if the design could not
 be built); the reason in English; the reason as the record of a diagnostic (JSON)."""
 
 
@@ -550,7 +551,7 @@ def _to_float(name: str, value: Any) -> float:
 
 
 def describe_error(error: BaseException) -> Diagnostic:
-    """Return the diagnostic of an error; a foreign error is described by its type and message."""
+    """Return the diagnostic of an error; a foreign error is described by type and message."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic
     return diagnose("other-error", error=type(error).__name__, message=str(error))

@@ -44,8 +44,8 @@ tuned."""
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
     """Create the report of a study of robot designs.
 
-    The report contains tables of metrics, failures, best designs, effects and designs. It is
-    registered with `build_document` for this kind of result.
+    The report contains tables of metrics, failures, best designs, effects and designs. The report
+    is registered with `build_document` for this kind of result.
     """
     failed = sum(group.designs for group in outcome.failures)
     count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
@@ -255,7 +255,7 @@ def format_duration(seconds: float) -> str:
 
 
 def _find_meaning(metric: str) -> doc.Words:
-    """Return the meaning of a metric from the catalogue; without an entry, its name."""
+    """Return the meaning of a metric from the catalogue; without an entry, the name."""
     try:
         return text(text_key(metric))
     except KeyError:
@@ -279,7 +279,7 @@ def metrics_document() -> doc.Document:
 def written_document(written: WrittenDesign) -> doc.Document:
     """Create the report of a design that was written to files.
 
-    A table compares the metrics that the study measured with those of the written files.
+    A table compares the metrics that the study measured with the metrics of the written files.
     """
     rows = tuple(
         (

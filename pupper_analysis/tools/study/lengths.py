@@ -1,11 +1,11 @@
 """Stretched links: geometry, mass and inertia of the links of a robot, in the URDF and the MJCF.
 
-A link is stretched along the line from its own joint to the next joint, or to its foot. The
+A link is stretched along the line from the joint of the link to the next joint, or to the foot. The
 component of this line along the axis of the joint at its end is removed, so that a lateral offset
 remains. With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions
 become p' = A p. The density is constant, so that m' = s m, and the second moments become S' = s A S
 A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are fixed to a stretched link are
-stretched with it. A shape with a principal axis along u is lengthened; any other shape keeps its
+stretched as well. A shape with a principal axis along u is lengthened; any other shape keeps its
 size and is moved.
 """
 
@@ -91,7 +91,7 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
 
     Raises:
         ConfigurationError: If the joint is ``""`` (the base), the link does not end at exactly one
-            joint or foot, or its length is below `_MIN_LINK_LENGTH`.
+            joint or foot, or the length is below `_MIN_LINK_LENGTH`.
     """
     urdf = UrdfTree.of(robot.description.urdf)
     name = f"length:{joint}" if joint else "length"
@@ -128,7 +128,7 @@ def _link_pose(config: Configuration, link: str) -> pin.SE3:
 
 
 def _normalise(vector: Array) -> Array:
-    """Return the vector divided by its norm."""
+    """Return the vector divided by the norm."""
     normalised: Array = np.array(vector) / np.linalg.norm(vector)
     return normalised
 
@@ -136,7 +136,7 @@ def _normalise(vector: Array) -> Array:
 def stretch_links(
     robot: Robot, trees: tuple[UrdfTree, SpecTree], factors: Mapping[str, float]
 ) -> float:
-    """Stretch links in both files, in place; keyframes keep their clearance above the ground.
+    """Stretch links in both files, in place; keyframes keep the clearance above the ground.
 
     Args:
         robot: Robot of the files.
@@ -145,7 +145,7 @@ def stretch_links(
 
     Returns:
         Base height of the nominal stand [m], for the same joint positions as the keyframe. If the
-        nominal stand is another, its height is scaled by the ratio of the keyframe's heights.
+        nominal stand is another, the height is scaled by the ratio of the keyframe's heights.
 
     Raises:
         ConfigurationError: If a link has no length.
@@ -213,7 +213,7 @@ def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
 
 
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
-    """Stretch the inertial, the shapes and the joint origins of one link of the URDF."""
+    """Stretch the inertial, the shapes and the joint origins of a link of the URDF."""
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia
     if inertia is not None:
@@ -235,7 +235,7 @@ def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
 
 
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
-    """Scale the size of a shape of the URDF; spheres keep their size."""
+    """Scale the size of a shape of the URDF; spheres keep the size."""
     attributes: dict[object, tuple[str, Callable[[Array], Array]]] = {
         "box": ("size", lambda factors: factors),
         "mesh": ("scale", lambda factors: factors),
@@ -265,7 +265,7 @@ def _stretch_body(
     factor: float,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
-    """Stretch a body of the MJCF: inertial, sites, cameras, geoms, origins of its children."""
+    """Stretch a body of the MJCF: inertial, sites, cameras, geoms, origins of the children."""
     matrix, shift = transform
     if inertia.mass > 0:
         stretched = stretch_inertia(inertia, matrix, shift, factor)
@@ -285,7 +285,7 @@ def _stretch_geom(
     shift: Array,
     meshes: dict[str, list[tuple[mujoco.MjsGeom, Array]]],
 ) -> None:
-    """Stretch one geom of the MJCF; mesh geoms are collected in ``meshes``."""
+    """Stretch a geom of the MJCF; mesh geoms are collected in ``meshes``."""
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)
         geom.fromto = np.concatenate([matrix @ end + shift for end in (ends[:3], ends[3:])])
@@ -312,7 +312,7 @@ def _stretch_geom(
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Scale mesh assets. A mesh whose geoms need different stretches gets one asset per stretch."""
+    """Scale mesh assets. A mesh whose geoms need different stretches gets an asset per stretch."""
     for name, users in meshes.items():
         mesh = spec.mesh(name)
         scale, file = np.array(mesh.scale), mesh.file
@@ -332,7 +332,7 @@ def _stretch_meshes(
 
 
 def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
-    """Raise the base and the keyframes so that their clearance above the ground is unchanged.
+    """Raise the base and the keyframes so that the clearance above the ground is unchanged.
 
     Returns the new height of the nominal stand [m].
     """

@@ -109,7 +109,7 @@ class Design:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stability of `rest`, from the spectrum of one simulation step.
+        """Stability of `rest`, from the spectrum of a simulation step.
 
         Raises:
             PupperAnalysisError: As `rest`.
@@ -137,7 +137,7 @@ class Design:
         return {name: float(value) for name, value in pairs}
 
     def span(self, direction: str) -> float:
-        """Return the length of the base workspace in one direction [m or rad]."""
+        """Return the length of the base workspace in a direction [m or rad]."""
         interval = self.workspace.intervals[direction]
         return interval.high - interval.low
 
@@ -148,7 +148,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Metric:
-    """One metric.
+    """Metric.
 
     Attributes:
         name: Column of the table; a mapping of values fills the columns ``NAME.KEY``.
@@ -181,7 +181,7 @@ def text_key(metric: str) -> str:
 def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
 
-    With the gains of the file, the simulation of the published file from its keyframe must not fail
+    With the gains of the file, the simulation of the published file from the keyframe must not fail
     either.
 
     Raises:
@@ -259,7 +259,7 @@ def make_metric(requested: str | MetricFunction) -> Metric:
 
     Args:
         requested: Name of `METRICS`, followed by ``:FILE`` if the metric needs a file; or a
-            function at the top level of a module, so that other processes can import it.
+            function at the top level of a module, so that other processes can import the function.
 
     Raises:
         ConfigurationError: If the name is unknown, a file is missing or not needed, or the function
@@ -303,7 +303,7 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Return a requested metric with its file taken relative to a folder."""
+    """Return a requested metric with the file path relative to a folder."""
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
     return f"{name}:{folder / file}" if file and metric and metric.of_file else requested
@@ -325,7 +325,7 @@ class UserFunction:
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
 
     def fingerprint(self) -> str:
-        """Return the name of the function and a hash of its source text, to detect changes."""
+        """Return the name of the function and a hash of the source text, to detect changes."""
         try:
             text = inspect.getsource(self.function)
         except (OSError, TypeError):
@@ -341,7 +341,7 @@ def format_metric(metric: Metric) -> str:
 
 
 def fingerprint_metric(metric: Metric) -> str:
-    """Return a text that differs if the metric, its function or its file has changed."""
+    """Return a text that differs if the metric, the function or the file has changed."""
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()
     return function.fingerprint() if isinstance(function, UserFunction) else metric_name

@@ -44,11 +44,11 @@ class Failures(Result):
 
     Attributes:
         kind: Failure kind.
-        metric: Metric that failed in the first of these designs; None if the design could not be
-            built.
-        designs: Number of these designs.
+        metric: Metric that failed in the first design with this failure; None if the design could
+            not be built.
+        designs: Number of designs with this failure.
         share: Fraction of all designs.
-        reason: Reason of the first of these designs, in English.
+        reason: Reason for the first design with this failure, in English.
         diagnostic: Reason as a diagnostic; None if the folder is of an older version.
     """
 
@@ -62,7 +62,7 @@ class Failures(Result):
 
 @dataclass(frozen=True)
 class MetricSummary(Result):
-    """Summary of one metric over all designs.
+    """Summary of a metric over all designs.
 
     Attributes:
         metric: Column of the metric.
@@ -98,7 +98,7 @@ class StudyOutcome(Result):
             both files exist.
         rests_on: Assumptions of the stands: simulation of the published file, added servos.
         variables: {variable: values or distribution, as in the study file}.
-        table: One row per stored design.
+        table: A row per stored design.
         designs: Number of designs of the study.
         measured: Summary of each metric.
         failures: Failed designs by kind, the most frequent first.
@@ -169,7 +169,8 @@ def study_outcome(
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return the assumptions on which the simulated stands of a robot depend.
 
-    These are the behaviour of the published file from its keyframe, and servos that were added.
+    The assumptions are the behaviour of the published file from its keyframe, and servos that were
+    added.
     """
     messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
@@ -217,8 +218,8 @@ def compute_main_effects(
         sampled: True if the designs are samples, False for the full product of lists.
 
     Returns:
-        {variable: fraction}. Zero if the metric or the variable has one value only; NaN if each
-        sample has its own cell.
+        {variable: fraction}. Zero if the metric or the variable has a single value; NaN if each
+        sample has a separate cell.
     """
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)
@@ -245,7 +246,7 @@ def compute_main_effects(
 def _summarise_metric(
     table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
 ) -> MetricSummary:
-    """Summarise one metric column."""
+    """Summarise a metric column."""
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     alone = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
     is_complete = not sampled and len(column) == len(study) and len(alone) > 1
@@ -286,7 +287,7 @@ def _read_diagnostic(cell: object) -> Diagnostic | None:
 
 
 def _format_source(source: Any) -> str:
-    """Describe a robot source in one line: its base with scales, or the names of its files."""
+    """Describe a robot source in a line: base with scales, or the names of the files."""
     if not isinstance(source, Mapping):
         return reprlib.repr(source)
     if "base" in source:
@@ -363,7 +364,7 @@ def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
-"""Maximum number of distinct values that are cells of their own, and of cells of equal width.
+"""Maximum number of distinct values that are separate cells, and of cells of equal width.
 `MIN_CELLS` is the minimum number of cells, and `DESIGNS_PER_CELL` scales their number: sqrt(n /
 `DESIGNS_PER_CELL`) for n designs. Chosen, not tuned."""
 
@@ -372,7 +373,7 @@ ROUNDING_RTOL = 1e-9
 
 
 def _assign_cells(values: Array) -> Array:
-    """Return the cell of each value: its own value, or an index of cells of equal width."""
+    """Return the cell of each value: the value itself, or an index of cells of equal width."""
     levels = np.unique(values)
     if len(levels) <= MAX_VALUE_CELLS:
         return values
@@ -400,7 +401,7 @@ def find_column_unit(column: str) -> str:
 
 
 def format_column_label(column: str) -> str:
-    """Return the name of a metric or variable, with its unit."""
+    """Return the name of a metric or variable, with the unit."""
     unit = find_column_unit(column)
     return f"{column} ({unit})" if unit else column
 
@@ -411,7 +412,7 @@ def measure_span(low: float, high: float) -> float:
 
 
 def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the columns of metrics with at least one value."""
+    """Return the columns of metrics with values."""
     other_columns = (*variables, "design", *FAILURE_COLUMNS)
     return [
         str(name)

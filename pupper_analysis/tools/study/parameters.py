@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 # Names of factors and offsets, and the joints and bodies that match.
 
 JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
-"""Kinds that are fields of the stance with one value per joint."""
+"""Kinds that are fields of the stance with a value per joint."""
 
 LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
-"""Kinds that are fields of the stance with one value per link, for contacts that the stance of the
+"""Kinds that are fields of the stance with a value per link, for contacts that the stance of the
 study defines."""
 
 PATTERN_KINDS = {
@@ -56,7 +56,7 @@ PATTERN_KINDS = {
         LINK_STANCE_KINDS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"
     ),
 }
-"""Kinds of ``KIND:PATTERN`` with their meanings. All are factors on numbers of the files, except
+"""Kinds of ``KIND:PATTERN`` with meanings. All are factors on numbers of the files, except
 `ADDITIVE_KINDS`."""
 
 COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
@@ -76,7 +76,7 @@ class VariablePattern:
     """Parsed name of a variable of the form ``KIND:PATTERN``.
 
     Attributes:
-        kind: One of `PATTERN_KINDS`.
+        kind: An element of `PATTERN_KINDS`.
         pattern: Pattern for the names of bodies or joints, with ``*`` and ``?`` as in file names.
     """
 
@@ -85,7 +85,7 @@ class VariablePattern:
 
     @staticmethod
     def parse(name: str) -> VariablePattern | None:
-        """Parse the name of a variable; return None if it contains no colon.
+        """Parse the name of a variable; return None if the name contains no colon.
 
         Raises:
             ConfigurationError: If the kind is unknown or the pattern is empty.
@@ -103,8 +103,8 @@ class VariablePattern:
 def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
     """Return the joints that match a pattern, or that move the matching bodies.
 
-    The base is returned as ``""``. A body matches by its link name in the URDF, its body name in
-    the MJCF, or the name of its joint.
+    The base is returned as ``""``. A body matches by the link name in the URDF, the body name in
+    the MJCF, or the name of the joint.
 
     Raises:
         UnknownNameError: If nothing matches; the message lists the names.
@@ -127,7 +127,7 @@ def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """Return {joint: names that a pattern may match} for joints, or for the bodies they move."""
+    """Return {joint: names that a pattern may match} for joints, or for the moved bodies."""
     if kind not in BODY_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
@@ -150,7 +150,7 @@ Chosen, not tuned."""
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
-    """Return a robot with factors and offsets applied to both of its models.
+    """Return a robot with factors and offsets applied to both models.
 
     Links and bodies that are fixed to a matching body are scaled as well. Servo gains are ignored
     here; see `with_gains`.
@@ -209,7 +209,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 def _add_offsets(
     offsets: dict[str, Array], robot: Robot, name: str, pattern: VariablePattern, offset: float
 ) -> None:
-    """Add the offset of one variable [m] to the offsets of all matching bodies."""
+    """Add the offset of a variable [m] to the offsets of all matching bodies."""
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
     for joint in match_joints(robot, pattern):
@@ -221,11 +221,11 @@ def _add_offsets(
 def _scale_value(
     tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot
 ) -> None:
-    """Scale one number in one file, in place.
+    """Scale a number in a file, in place.
 
     Args:
         tree: Tree of the URDF or the MJCF.
-        link: Link whose mass or inertia is scaled, with all links fixed to it; used only for the
+        link: Link whose mass or inertia is scaled, with all fixed links; used only for the
             kinds ``BODY_KINDS``.
         kind: Kind of the number: one of ``BODY_KINDS``, or the kind of a joint number.
         joint: Joint whose number is scaled, for all other kinds.
@@ -303,8 +303,8 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 def with_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with the given coefficient of sliding friction between feet and ground.
 
-    All geoms of the feet and of the world body get the coefficient, so that it results whether
-    MuJoCo takes the larger value or that of the geom with higher priority.
+    All geoms of the feet and of the world body get the coefficient, so that this coefficient
+    results whether MuJoCo takes the larger value or that of the geom with higher priority.
 
     Raises:
         ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has
@@ -330,7 +330,7 @@ def with_friction(robot: Robot, friction: float) -> Robot:
 def with_gains(
     robot: Robot, kp: float | None, kd: float | None, factors: Mapping[str, float]
 ) -> Robot:
-    """Return a robot with other servo gains, in its MJCF and its MuJoCo model.
+    """Return a robot with other servo gains, in the MJCF and the MuJoCo model.
 
     Args:
         robot: Robot.
@@ -363,7 +363,7 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Return a description without visual geoms, unused meshes and textures in its MJCF.
+    """Return a description without visual geoms, unused meshes and textures in the MJCF.
 
     The dynamics and the contacts are unchanged: a geom that gives its body mass is kept. Models
     with many meshes compile several times faster.
@@ -398,11 +398,11 @@ def _has_no_mass(geom: mujoco.MjsGeom) -> bool:
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
     """Move centres of mass in both files, in place.
 
-    All links fixed to a link are moved by the same offset in the world, so that their common CoM
+    All links fixed to a link are moved by the same offset in the world, so that the common CoM
     moves by the offset. No inertia about a centre of mass changes.
 
     Args:
-        robot: Robot of the files. Its links have the orientations of all joints at zero.
+        robot: Robot of the files. The links have the orientations of all joints at zero.
         trees: Trees of the URDF and of the MJCF.
         offsets: {joint: offset, shape (3,) [m], in the axes of the URDF's link that the joint
             moves}; ``""`` is the base.

@@ -80,7 +80,7 @@ class WorkDefinition:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Designs for one call of a worker.
+    """Designs for a single call of a worker.
 
     Attributes:
         work: Pickled `WorkDefinition`.
@@ -98,7 +98,7 @@ class ChunkOutcome:
     """Results of a chunk.
 
     Attributes:
-        rows: One row per design.
+        rows: A row per design.
         seconds: Duration of the evaluation [s].
     """
 
@@ -246,7 +246,7 @@ do not release (PlaCo: 0.4 MB for each robot read from a file). A start takes as
 designs."""
 
 EXIT_WAIT_SECONDS = 5.0
-"""Maximum time [s] to wait for the end of a process of a broken pool, to read its exit code.
+"""Maximum time [s] to wait for the end of a process of a broken pool, to read the exit code.
 Chosen, not tuned."""
 
 TIME_LIMIT_EXIT_CODE = 1
@@ -288,12 +288,12 @@ class Progress:
 
 
 class WorkerPool:
-    """Executor of the caller, or worker processes that are replaced if one ends.
+    """Executor of the caller, or worker processes that are replaced after an unexpected end.
 
     Args:
         executor: Executor of the caller, or None.
         workers: Number of processes, or of workers of the executor; None for the number that the
-            executor reports, or one per core.
+            executor reports, or a process per core.
     """
 
     def __init__(self, executor: Executor | None, workers: int | None) -> None:
@@ -313,7 +313,7 @@ class WorkerPool:
         return self.renewable and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
-        """End all worker processes and start new ones; wait until these are ready."""
+        """End all worker processes and start new ones; wait until the new processes are ready."""
         self.end()
         self.check()  # wait for the start, so that it does not count for the next design
 
@@ -327,7 +327,7 @@ class WorkerPool:
         """Check that worker processes can start.
 
         Raises:
-            StudyError: If a process ends during its start.
+            StudyError: If a process ends during startup.
         """
         if self._given_executor is None:
             try:
@@ -391,7 +391,7 @@ def _count_workers(executor: Executor | None) -> int | None:
 
 
 class StudyRun:
-    """One run of a study.
+    """Run of a study.
 
     Args:
         work: Pickled `WorkDefinition`.
@@ -527,7 +527,7 @@ class StudyRun:
             self._restart_workers(pool, None)
 
     def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
-        """Store the rows of a finished chunk, or handle the loss of its worker."""
+        """Store the rows of a finished chunk, or handle the loss of the worker."""
         chunk, start = self._in_flight.pop(future)
         try:
             outcome = future.result()
@@ -597,5 +597,5 @@ class StudyRun:
 
 
 def _split_singly(chunk: Chunk) -> Iterator[Chunk]:
-    """Yield the designs of a chunk as chunks of one design."""
+    """Yield the designs of a chunk as chunks of a single design."""
     return split_chunks(chunk.work, chunk.names, chunk.numbers, 1)

@@ -1,4 +1,4 @@
-"""Folder of a study: its definition, a lock, and shards of rows that are written atomically."""
+"""Folder of a study: definition, lock, and shards of rows that are written atomically."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the folder for one run. The operating system releases the lock if the process ends.
+        """Lock the folder for a run. The operating system releases the lock if the process ends.
 
         Raises:
             StudyError: If another run has locked the folder.
@@ -96,7 +96,7 @@ class Store:
         """Read the definition of the study.
 
         Raises:
-            StudyError: If the folder contains no definition, or its format differs.
+            StudyError: If the folder contains no definition, or the format differs.
         """
         path = self.folder / "study.json"
         try:
@@ -114,7 +114,7 @@ class Store:
         return request
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write rows as one shard. The name of the shard is a hash of its designs.
+        """Write rows as a shard. The name of the shard is a hash of the designs.
 
         Raises:
             OutputError: If the shard cannot be written; the folder is then unchanged.
@@ -146,7 +146,7 @@ class Store:
         return np.unique(np.concatenate(parts))
 
     def table(self) -> pd.DataFrame:
-        """Return all stored rows, one per design, sorted by design.
+        """Return all stored rows, a row per design, sorted by design.
 
         Raises:
             StudyError: If a shard cannot be read.

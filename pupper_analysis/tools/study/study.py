@@ -72,7 +72,7 @@ STUDY_KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_p
 
 
 class Study:
-    """Designs of one robot, and the metrics that are evaluated for each design.
+    """Designs of a robot, and the metrics that are evaluated for each design.
 
     Attributes:
         source: Source of the robots.
@@ -112,7 +112,7 @@ class Study:
             payload_point: Position of a payload, shape (3,) [m] in the frame of the base, or
                 (frame, x, y, z) in the frame of a link, site or body.
             time_limit: Time limit per design [s]; None for no limit. A design that exceeds the
-                limit ends the process of its worker, so that the limit applies to processes and
+                limit ends the worker process, so that the limit applies to processes and
                 Dask, not to threads.
 
         Raises:
@@ -321,11 +321,11 @@ class Study:
             executor: Any `concurrent.futures.Executor`, such as Dask's ``client.get_executor()``;
                 by default processes on this machine.
             workers: Number of processes; by default the number of cores. For an executor that does
-                not report its number of workers: this number.
+                not report a number of workers: this number.
             progress: Function that is called with the progress.
 
         Returns:
-            One row per design, in the order of the study: hash, variable values, measured values,
+            A row per design, in the order of the study: hash, variable values, measured values,
             and the failure columns.
 
         Raises:
@@ -424,7 +424,7 @@ def read_study(folder: str | Path) -> pd.DataFrame:
     """Read the results in the folder of a study.
 
     Returns:
-        One row per stored design, as `Study.run` returns.
+        A row per stored design, as `Study.run` returns.
 
     Raises:
         StudyError: If the folder contains no study, or a shard is damaged.

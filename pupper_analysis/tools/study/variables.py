@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 _MIN_PROBABILITY = 2.0**-33
-"""Lower bound of a probability and of its complement: half of the finest step of the Sobol
+"""Lower bound of a probability and of the complement: half of the finest step of the Sobol
 sequence. At 0 and 1 the normal quantile is infinite."""
 
 
@@ -42,7 +42,7 @@ _QUANTILE_FUNCTIONS: Mapping[str, Callable[[float, float, Array], Array]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Values of one variable of a study.
+    """Values of a variable of a study.
 
     Attributes:
         kind: ``values`` (all equally likely), ``linspace``, or a distribution: ``uniform`` or
@@ -83,7 +83,7 @@ class Variable:
 
 
 MAX_LEVELS = 1_000_000
-"""Maximum number of values of one variable. Longer lists should be a distribution. Chosen, not
+"""Maximum number of values of a variable. Longer lists should be a distribution. Chosen, not
 tuned."""
 
 
@@ -138,7 +138,7 @@ def log_uniform(low: float, high: float) -> Variable:
     """Create a variable of a study whose logarithm is distributed uniformly between two bounds.
 
     Raises:
-        ConfigurationError: If the interval is empty, or its lower bound is not positive.
+        ConfigurationError: If the interval is empty, or the lower bound is not positive.
     """
     first, last = _check_interval("log_uniform", low, high)
     if first <= 0:
@@ -216,7 +216,7 @@ def _diagnose_grid(numbers: Any) -> Diagnostic:
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return the bounds of an interval; raise ConfigurationError if it is empty."""
+    """Return the bounds of an interval; raise ConfigurationError if the interval is empty."""
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))
@@ -236,11 +236,11 @@ MAX_SAMPLES = 2**30
 
 @dataclass(frozen=True)
 class Sampling:
-    """Designs of a study, generated block by block, so that memory does not grow with their number.
+    """Designs of a study, generated block by block: memory does not grow with their number.
 
     If all variables are lists, the designs are the product of the lists, with the last variable
     changing fastest. If a variable has a distribution, the designs are a scrambled Sobol sequence.
-    Its first n samples do not depend on the number of samples, so that a study can be extended.
+    The first n samples do not depend on the number of samples, so that a study can be extended.
 
     Source: Sobol, "On the distribution of points in a cube", 1967; Owen's scrambling (scipy.stats).
 

@@ -1,4 +1,4 @@
-"""Writing a design as URDF, MJCF and stance, and evaluating its metrics again from these files."""
+"""Writing a design as URDF, MJCF and stance, and evaluating the metrics again from these files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from pupper_analysis.tools.study.study import Study
 
 _METRIC_RTOL = 1e-6
 """Relative tolerance between the metrics of the study and of the written files. The files contain
-all digits; iterative solvers differ within their tolerances. Chosen, not tuned."""
+all digits; iterative solvers differ within the solver tolerances. Chosen, not tuned."""
 
 _MESH_FOLDER = "meshes"
 """Folder of the meshes, relative to the models."""
@@ -47,7 +47,7 @@ _MESH_FOLDER = "meshes"
 
 @dataclass(frozen=True, eq=False)
 class WrittenDesign(Result):
-    """A design as files, with its metrics before and after writing.
+    """A design as files, with the metrics before and after writing.
 
     Attributes:
         number: Row of the design in the table of the study, from 1.
@@ -162,7 +162,7 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
-    """Load the written files; return the robot and the options that specify its feet."""
+    """Load the written files; return the robot and the options that specify the feet."""
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
     has_own_frames = any(link not in robot.description.made_frames for link, _ in feet.values())
@@ -190,7 +190,7 @@ def format_stance(task: StandTask) -> str:
 
 
 def _format_value(value: Any, unit: str = "") -> str:
-    """Format a value of the stance as TOML, lengths and angles with their unit."""
+    """Format a value of the stance as TOML, lengths and angles with the unit."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, str | Contact | Weld):
@@ -201,7 +201,7 @@ def _format_value(value: Any, unit: str = "") -> str:
 def _make_files(
     description: Description, packages: Mapping[str, Path] | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield (path, content) of both models and of the meshes and textures that they need."""
+    """Yield (path, content) of both models and of the meshes and textures that both models need."""
     description = _without_made_frames(description)
     taken: dict[str, tuple[Path | None, bytes]] = {}
     urdf = urdf_from(
@@ -250,7 +250,7 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
         return existing_file(source_folder / folder / name)
 
     def register_file(name: str, folder: str) -> str:
-        """Register a file; return its absolute path, to be replaced in the rendered XML."""
+        """Register a file; return the absolute path, to be replaced in the rendered XML."""
         file = find_file(name, folder)
         if file is None:
             return name
