@@ -7,6 +7,7 @@ because a URDF does not contain these.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -21,6 +22,20 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.structure import Workspace
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+Reference = Literal["local", "world", "local_world_aligned"]
+"""Reference frame of a Jacobian, as ``pin.ReferenceFrame``."""
+
+_REFERENCE_FRAMES = {
+    "local": pin.LOCAL,
+    "world": pin.WORLD,
+    "local_world_aligned": pin.LOCAL_WORLD_ALIGNED,
+}
+"""{name of a reference frame: Pinocchio's constant}."""
+
+_MOTION_ROWS = {"linear": slice(0, 3), "angular": slice(3, 6), "both": slice(0, 6)}
+"""{kind of motion: rows of a Jacobian (6, nv)}."""
 
 UP = np.array([0.0, 0.0, 1.0])
 """Unit vector of the world's z axis."""
@@ -112,23 +127,114 @@ class Configuration:
         """
         return np.array(self._data.oMf[self._frame_index(name)].rotation)
 
-    def frame_jacobian(self, name: str, offset: ArrayLike | None = None) -> Array:
+    def frame_jacobian(
+        self,
+        name: str,
+        offset: ArrayLike | None = None,
+        *,
+        reference: Reference = "local_world_aligned",
+    ) -> Array:
         """Return the Jacobian (6, nv) of a point that moves with a link.
 
-        J qvel = (linear velocity of the point [m/s], angular velocity [rad/s]), in world axes.
+        J qvel = (linear velocity [m/s], angular velocity [rad/s]), as ``pin.getFrameJacobian``.
 
         Args:
             name: Name of the link.
             offset: Vector (3,) [m] from the origin of the link to the point, in world axes; zero
                 by default.
+            reference: "local_world_aligned": velocity of the point, in world axes. "local":
+                velocity of the point, in the axes of the link. "world": velocity of the point of
+                the link that coincides with the world origin, in world axes; ``offset`` has no
+                effect.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
+            ConfigurationError: If ``reference`` is unknown.
         """
-        jacobian = self._jacobian(self._frame_index(name))
-        if offset is not None:
-            jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
+        frame = self._frame_index(name)
+        if reference == "local_world_aligned":
+            jacobian = self._jacobian(frame)
+            if offset is not None:
+                jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
+            return jacobian
+        frame_type = _check_reference(reference)
+        columns = pin.getFrameJacobian(self._model, self._data, frame, frame_type)
+        jacobian = self._structure.columns(columns)
+        if offset is not None and reference == "local":
+            lever = self._data.oMf[frame].rotation.T @ np.asarray(offset, dtype=float)
+            jacobian[:3] -= pin.skew(lever) @ jacobian[3:]
         return jacobian
+
+    def frame_jacobian_time_variation(
+        self,
+        name: str,
+        offset: ArrayLike | None = None,
+        *,
+        reference: Reference = "local_world_aligned",
+    ) -> Array:
+        """Return the time derivative dJ/dt, shape (6, nv), of ``frame_jacobian`` at ``qvel``.
+
+        The acceleration of the point is J qacc + dJ/dt qvel if ``reference`` is
+        "local_world_aligned". Computed by ``pin.getFrameJacobianTimeVariation``.
+
+        Args:
+            name: Name of the link.
+            offset: Vector (3,) [m] from the origin of the link to the point, in world axes at this
+                state; it moves with the link. Zero by default.
+            reference: As in ``frame_jacobian``.
+
+        Raises:
+            UnknownNameError: If the URDF has no such link.
+            ConfigurationError: If ``reference`` is unknown.
+        """
+        frame, frame_type = self._frame_index(name), _check_reference(reference)
+        workspace = self._structure.workspace()
+        data = workspace.data
+        pin.computeJointJacobiansTimeVariation(self._model, data, self._q, self._v)
+        pin.updateFramePlacements(self._model, data)
+        columns = pin.getFrameJacobianTimeVariation(self._model, data, frame, frame_type)
+        variation = self._structure.columns(columns)
+        if offset is not None and reference != "world":
+            lever = np.asarray(offset, dtype=float)
+            if reference == "local":  # the lever is constant in the axes of the link
+                lever = data.oMf[frame].rotation.T @ lever
+            else:
+                turning = self._jacobian(frame)[3:]
+                variation[:3] -= pin.skew(np.cross(turning @ self.qvel, lever)) @ turning
+            variation[:3] -= pin.skew(lever) @ variation[3:]
+        return variation
+
+    def manipulability(
+        self,
+        name: str,
+        offset: ArrayLike | None = None,
+        *,
+        motion: Literal["linear", "angular", "both"] = "linear",
+    ) -> float:
+        """Return Yoshikawa's manipulability of a point on a link: sqrt(det(J J^T)).
+
+        J contains the columns of the joints: the base is held. The result is the product of the
+        singular values of J, and 0 at a singular configuration (Yoshikawa 1985, "Manipulability of
+        robotic mechanisms").
+
+        Args:
+            name: Name of the link.
+            offset: As in ``frame_jacobian``.
+            motion: Rows of J: "linear" (three rows, unit m^3/rad^3 with hinges), "angular" (three
+                rows, unit 1 with hinges), or "both" (six rows).
+
+        Raises:
+            UnknownNameError: If the URDF has no such link.
+            ConfigurationError: If ``motion`` is unknown.
+        """
+        rows = _MOTION_ROWS.get(motion)
+        if rows is None:
+            known = list(_MOTION_ROWS)
+            raise ConfigurationError("motion", diagnose("not-one-of", given=motion, known=known))
+        jacobian = self.frame_jacobian(name, offset)[rows, self.robot.nv - self.robot.nu :]
+        if jacobian.shape[1] < jacobian.shape[0]:
+            return 0.0  # fewer joints than rows: J J^T is singular
+        return float(np.prod(np.linalg.svd(jacobian, compute_uv=False)))
 
     def point_jacobian(self, name: str, point: Array) -> Array:
         """Return the Jacobian (3, nv) of a point that moves with a link, in world axes.
@@ -260,14 +366,55 @@ class Configuration:
         jacobian: Array = (1 - self._structure.fixed) * self._structure.columns(moving)
         return jacobian
 
+    def centroidal_map(self) -> Array:
+        """Return the centroidal momentum matrix A (6, nv).
+
+        A qvel = (linear momentum [kg m/s], angular momentum about the CoM [kg m^2/s]), in world
+        axes, as ``pin.computeCentroidalMap``. Armature is not included (Orin and Goswami 2008,
+        "Centroidal momentum matrix of a humanoid robot").
+        """
+        workspace = self._structure.workspace()
+        moving = pin.computeCentroidalMap(self._model, workspace.data, self._q)
+        momentum = np.array(self._structure.columns(moving))
+        if self._structure.fixed:  # Pinocchio's CoM does not include fixed mass
+            momentum[3:] += pin.skew(self._moving_com_offset()) @ momentum[:3]
+        return momentum
+
+    def centroidal_map_time_variation(self) -> Array:
+        """Return the time derivative dA/dt, shape (6, nv), of ``centroidal_map`` at ``qvel``.
+
+        The derivative of the centroidal momentum is A qacc + dA/dt qvel, and equals the sum of the
+        external forces and of their moments about the CoM. The bias of the momentum is dA/dt qvel.
+
+        ``pin.computeCentroidalMapTimeVariation`` keeps the CoM at its place: its product with the
+        velocity is equal, but the angular rows of its matrix differ from the derivative by the
+        velocity of the CoM times the linear rows (Pinocchio's issue 2093).
+        """
+        workspace = self._structure.workspace()
+        data = workspace.data
+        moving = pin.computeCentroidalMapTimeVariation(self._model, data, self._q, self._v)
+        variation = np.array(self._structure.columns(moving))
+        momentum = self._structure.columns(np.array(data.Ag))
+        variation[3:] -= pin.skew(self.com_jacobian() @ self.qvel) @ momentum[:3]
+        if self._structure.fixed:
+            variation[3:] += pin.skew(self._moving_com_offset()) @ variation[:3]
+        return variation
+
+    def _moving_com_offset(self) -> Array:
+        """Return the vector (3,) [m] from the CoM of all mass to that of the moving mass."""
+        fixed, lever = self._structure.fixed, self._structure.lever
+        offset: Array = fixed / (1 - fixed) * (self.center_of_mass() - lever)
+        return offset
+
     def mass_matrix(self) -> Array:
-        """Return the joint-space inertia matrix M (nv, nv), including armature."""
+        """Return the joint-space inertia matrix M (nv, nv), including armature (``pin.crba``)."""
         return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
 
     def bias_forces(self) -> Array:
         """Return the bias h (nv,): Coriolis, centrifugal and gravity forces.
 
-        M qacc + h = tau + J^T f. Passive joint forces are not part of h.
+        M qacc + h = tau + J^T f. Passive joint forces are not part of h. As
+        ``pin.nonLinearEffects``.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.dual(forces)
@@ -275,7 +422,9 @@ class Configuration:
     def gravity(self) -> Array:
         """Return the gravity vector g (nv,), the bias at rest.
 
-        With a free base, g[:3] = -m gravity [N].
+        With a free base, g[:3] = -m gravity [N]. As ``pin.computeGeneralizedGravity``. The joint
+        part contains the torques of a robot that hangs by its base; ``gravity_compensation``
+        computes those of a standing robot.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.dual(forces)
@@ -362,6 +511,47 @@ class Configuration:
         acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, model_force)
         return self._structure.dual(acceleration)
 
+    def joint_torque_regressor(self, qacc: ArrayLike) -> Array:
+        """Return the regressor Y (nv, 10 n) of the inverse dynamics of n bodies.
+
+        Y ``dynamic_parameters()`` = M qacc + h without armature, because inverse dynamics are
+        linear in the inertial parameters. As ``pin.computeJointTorqueRegressor``.
+
+        Args:
+            qacc: Generalised acceleration (nv,).
+
+        Returns:
+            Ten columns per moving body: the base if it is free, then the body of each joint in
+            actuator order.
+
+        Raises:
+            ConfigurationError: If the vector has a wrong length, or a value is not finite.
+        """
+        acceleration = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
+        workspace = self._structure.workspace()
+        regressor = pin.computeJointTorqueRegressor(
+            self._model, workspace.data, self._q, self._v, acceleration
+        )
+        blocks = np.reshape(regressor, (self.robot.nv, -1, 10))[:, self._bodies() - 1]
+        rows = [self._structure.dual(column) for column in blocks.reshape(self.robot.nv, -1).T]
+        return np.array(rows).T
+
+    def dynamic_parameters(self) -> Array:
+        """Return the inertial parameters (10 n,) of the bodies of ``joint_torque_regressor``.
+
+        Per body: mass m [kg], m c [kg m] with c the CoM, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg m^2]
+        about the origin of the joint, in the axes of the joint, as in Pinocchio's
+        ``Inertia.toDynamicParameters``. A body contains the links that fixed joints attach.
+        """
+        inertias = self._model.inertias
+        parameters = [inertias[int(body)].toDynamicParameters() for body in self._bodies()]
+        return np.array(parameters, dtype=float).reshape(-1)
+
+    def _bodies(self) -> IntArray:
+        """Return the joint indices (n,) of the moving bodies: free base, then actuator order."""
+        base = [2] if self._structure.floating else []  # translation 1, then rotation 2
+        return np.array([*base, *self._structure.joints.values()], dtype=np.int64)
+
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
         """Return {contact point: acceleration (6,)} in world axes.
 
@@ -445,6 +635,14 @@ class Configuration:
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
+
+
+def _check_reference(reference: str) -> pin.ReferenceFrame:
+    """Return Pinocchio's constant of a reference frame; ConfigurationError if it is unknown."""
+    if reference not in _REFERENCE_FRAMES:
+        problem = diagnose("not-one-of", given=str(reference), known=list(_REFERENCE_FRAMES))
+        raise ConfigurationError("reference", problem)
+    return _REFERENCE_FRAMES[reference]
 
 
 _DIFFERENCE_STEP = 1e-6
