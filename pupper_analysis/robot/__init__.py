@@ -1,4 +1,4 @@
-"""The robot: its models in both engines, its configuration, contacts, servos and ground."""
+"""The robot: models in both engines, configuration, contacts, servos and ground."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

@@ -1,8 +1,8 @@
 """Detection of a limb without a foot among limbs with the same structure.
 
 Limbs with the same joints, and with equal masses or dimensions, have the same function. If most of
-these limbs end in a foot on the ground and one does not, its file contains a wrong value or lacks a
-shape.
+these limbs end in a foot on the ground and one limb does not, the file of that limb contains a
+wrong value or lacks a shape.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ them."""
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Limb, from the base to its end.
+    """Limb, from the base to the end.
 
     Attributes:
         bodies: Ids of the moving bodies.
         kinds: Types of the joints.
-        masses: Masses [kg] of the bodies, with the bodies fixed to them.
+        masses: Masses [kg] of the bodies, including fixed bodies.
         lengths: Distances [m] between successive joints, invariant under mirroring.
         turns: |cos| of the angles between successive joint axes, invariant under mirroring.
     """
@@ -99,7 +99,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     """Return {joint: corresponding joints of similar limbs}.
 
     Limbs are similar if `Limb.like` holds, for example the legs of a quadruped. Corresponding
-    joints have the same position in the order of their limb. Joints without a similar limb are
+    joints have the same position in the order of the limb. Joints without a similar limb are
     omitted.
     """
     model, limbs = robot.mj_model, limbs_of(robot)

@@ -1,7 +1,7 @@
 """Results about the robot as published: own simulation, servos, and causes of deviations.
 
-Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates them, and
-``present/verdict.py`` formats them.
+Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates the results, and
+``present/verdict.py`` formats the results.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ServosUsed:
     """Servos that a result depends on.
 
     Attributes:
-        source: Origin of the gains: the MJCF; added on loading at one or more joints, where the
+        source: Origin of the gains: the MJCF; added on loading at some joints, where the
             MJCF has no servo or an invalid one; or passed by the caller.
         kp: Minimum and maximum stiffness (N m/rad) of the added servos; of all servos if none was
             added.
@@ -139,12 +139,12 @@ states. Chosen, not tuned: one knee with a wrong sign gives 18 to 21 deg (Solo 1
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
-    """Simulation of a published file from its keyframe, with a nudge and without other changes.
+    """Simulation of a published file from its keyframe, with a nudge and no other changes.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
             servos etc., but with its own shapes.
-        timestep: Time step (s) of an import, if smaller than the robot's because of its shapes.
+        timestep: Time step (s) of an import, if smaller than the robot's because of the shapes.
         keyframe: Name of the keyframe; "" if the run starts at the nominal stand.
         commands: Commands of the actuators.
         limp: Whether most joints have torque motors, or no actuators, without commands.
@@ -173,7 +173,7 @@ class OwnRun(BodyMotion):
 
     @property
     def left(self) -> bool:
-        """True if a joint of a robot with a fixed base has left its posture without a command.
+        """True if a joint of a robot with a fixed base has left the posture without a command.
 
         The displacement exceeds ``MIN_POSTURE_DEVIATION``, and is not `JointOff.commanded_away`.
         """
@@ -186,7 +186,7 @@ class OwnRun(BodyMotion):
 
     @property
     def lifted(self) -> bool:
-        """True if the robot ends upright, raised by ``MAX_HEIGHT_LOSS_RATIO`` of its CoM height."""
+        """True if the robot ends upright, raised by ``MAX_HEIGHT_LOSS_RATIO`` of the CoM height."""
         gain = self.end_height - self.height
         upright = not self.diverged and self.lean <= FALLEN_TILT
         return self.standing and upright and gain > MAX_HEIGHT_LOSS_RATIO * self.height
@@ -198,7 +198,7 @@ class OwnRun(BodyMotion):
 
     @property
     def falls(self) -> bool:
-        """Whether the robot collapses, or a joint leaves its position without being commanded."""
+        """Whether the robot collapses, or a joint leaves the position without being commanded."""
         return self.collapses or self.left or self.unheld is not None
 
     @property
@@ -275,6 +275,6 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """Deviating run, preferably one that collapses, then one with feed-forward; or None."""
+        """Deviating run, preferably a collapsing run, then a run with feed-forward; or None."""
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

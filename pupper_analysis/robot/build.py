@@ -1,6 +1,6 @@
 """Building of a ``Robot`` from a ``Description``, and rebuilding with changes.
 
-Input: URDF and MJCF. Both models are built, their joints are matched by name, and the armature of
+Input: URDF and MJCF. Both models are built, the joints are matched by name, and the armature of
 the MJCF is copied to Pinocchio's model. The result contains contact points, nominal stand and
 notes. Effort limits can be replaced, and limits that appear to be placeholders are reported.
 """
@@ -66,14 +66,14 @@ def build_robot(
 
     Args:
         description: Contents of both files.
-        fixed_base: Whether to fix a free base to the world at its pose in the MJCF; contacts with
+        fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
             the ground are then disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand. By default, the
             lowest foot of the keyframe ``home`` touches the ground.
 
     Raises:
-        ModelError: If a model cannot be built, its joints are not supported or differ from those of
-            the other model, or a contact point has no geom.
+        ModelError: If a model cannot be built, the joints are not supported or differ from the
+            joints of the other model, or a contact point has no geom.
         UnknownNameError: If the frame of a foot is missing in a model.
     """
     mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)
@@ -158,15 +158,15 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to its MJCF; keep nominal stand, notes and published file."""
+    """Build a robot with additions to the MJCF; keep nominal stand, notes and published file."""
     description = robot.description.given(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Copy data that no description contains from a robot to its rebuilt version.
+    """Copy data that no description contains from a robot to the rebuilt version.
 
-    These are height of the nominal stand, notes, published file, and contacts of a task with the
+    The data are height of the nominal stand, notes, published file, and contacts of a task with the
     fingerprint.
 
     Args:
@@ -188,7 +188,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
     Args:
         built: Robot that was rebuilt with the contact geometry.
         robot: Original robot, whose fingerprint (key for caches) is kept.
-        touching: {foot or other part: its contact}.
+        touching: {foot or other part: contact of this part}.
     """
     hands = {name for name, properties in touching.items() if properties.offset is not None}
     feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # hands last
@@ -329,7 +329,7 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Return the static body with the name of the URDF's root link, if it carries the base.
+    """Return the static body with the name of the URDF's root link, if this body carries the base.
 
     Otherwise, return the first whose name contains the root link's between separators, as files may
     add a prefix or suffix to all names (``right_``, ``robot/``); otherwise the base.
@@ -369,10 +369,10 @@ def _build_pinocchio_model(
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Build the model of the URDF; a fixed base has its pose in the MJCF.
+    """Build the model of the URDF; a fixed base has the pose of the MJCF.
 
     Raises:
-        ModelError: If the joints differ from those of the MJCF, or are not supported.
+        ModelError: If the joints differ from the joints of the MJCF, or are not supported.
     """
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)
@@ -448,10 +448,10 @@ def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
 
 @check_arguments
 def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
-    """Return a robot with other effort limits, reported in its notes.
+    """Return a robot with other effort limits, reported in the notes.
 
     For files with placeholder limits. The limits apply to computations and simulations of the
-    robot; the published file is simulated with its own limits.
+    robot; the published file is simulated with the limits of the file.
 
     Args:
         robot: The robot.

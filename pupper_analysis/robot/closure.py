@@ -1,8 +1,8 @@
 """Closed kinematic loops and joint couplings from the equality constraints of an MJCF.
 
 A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
-are closed. With their Jacobian A, A qvel = 0, and the constraints exert A^T lambda. The dependent
-joints F have no motor and carry no torque:
+are closed. With the Jacobian A of phi, A qvel = 0, and the constraints exert A^T lambda. The
+dependent joints F have no motor and carry no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
@@ -56,8 +56,8 @@ _START_ATOL = 1e-3
 are closed to rounding, in keyframes to a millimetre."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of the central differences of the loop springs by the joints [rad, m]. It is small, because
-the stiffness of a constraint varies within a millimetre of opening. Chosen, not tuned."""
+"""Step of the central differences of the loop springs by the joints [rad, m]. The step is small,
+because the stiffness of a constraint varies within a millimetre of opening. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
 """Safety factor of the accepted opening of a loop: opening / static deflection at maximum
@@ -166,7 +166,7 @@ class Closure:
         """Return the joint torques and forces that the soft loop constraints exert at rest.
 
         tau = -A^T (r / c), with the Jacobian A, the openings r (constraint violations, m and rad),
-        and the compliances c at these openings. All velocities are zero.
+        and the compliances c at the same openings. All velocities are zero.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -277,7 +277,7 @@ class Closure:
         return float(np.abs(self.residual(qpos)).max(initial=0.0))
 
     def open_by(self, qpos: Array, give: Array | None = None) -> float:
-        """Return the largest deviation of the openings from the required ones (m and rad mixed).
+        """Return the largest deviation of the openings from the required openings (m, rad mixed).
 
         Only independent combinations of equations count: in files with rounded numbers, a planar
         loop is open by nanometres in the redundant direction.
@@ -304,9 +304,10 @@ class Closure:
             )
 
     def readiness(self, placing: IntArray) -> Array:
-        """Return the mobility of each joint, shape (nu,), with which `closed` weights its steps.
+        """Return the mobility of each joint, shape (nu,), with which `closed` weights the steps.
 
-        It is 1, and low for joints that place feet, so that closing the loops moves feet little.
+        The mobility is 1, and low for joints that place feet, so that closing the loops moves feet
+        little.
 
         Args:
             placing: Indices of the joints that place feet.
@@ -316,7 +317,7 @@ class Closure:
         return mobility
 
     def describe(self) -> Diagnostic:
-        """Return a message that lists the dependent joints and the joints that drive them."""
+        """Return a message that lists the dependent joints and the driving joints."""
         following = [self._joint_names[joint] for joint in self.following]
         leading = [self._joint_names[joint] for joint in self.leading]
         if not following:

@@ -31,7 +31,7 @@ _DEPTH_RTOL = 4e-16
 
 @dataclass(frozen=True)
 class GroundLaw:
-    """Force law of the ground under one foot, as in MuJoCo at rest.
+    """Force law of the ground under a foot, as in MuJoCo at rest.
 
     r is the penetration plus the contact margin, d(r) the impedance of ``solimp``, A the
     ``diagApprox`` of the contact, and R = (1 - d)/d A. A constraint at rest has the force aref / R,
@@ -100,7 +100,7 @@ class GroundLaw:
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
-        """Return the impedance d and its derivative [1/m] at a penetration [m]."""
+        """Return the impedance d and the derivative [1/m] at a penetration [m]."""
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
@@ -123,11 +123,11 @@ class GroundLaw:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
         Positive forces are solved for by Newton's method. With ``near``, up to
-        `_NUM_UNBOUNDED_STEPS` steps start from this guess. If they do not converge, or without
-        ``near``, a second iteration keeps a lower and an upper bound of the penetration. There a
-        step is replaced by the geometric mean of the bounds if the step leaves the bounds, or if
-        the previous step did not halve the residual. While the lower bound is zero, half the upper
-        bound replaces the mean.
+        `_NUM_UNBOUNDED_STEPS` steps start from this guess. If these steps do not converge, or
+        without ``near``, a second iteration keeps a lower and an upper bound of the penetration.
+        There a step is replaced by the geometric mean of the bounds if the step leaves the bounds,
+        or if the previous step did not halve the residual. While the lower bound is zero, half the
+        upper bound replaces the mean.
 
         The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
         the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
@@ -178,7 +178,7 @@ class GroundLaw:
         return start + x
 
     def _force_and_stiffness(self, depth: float) -> tuple[float, float]:
-        """Return the normal force [N] and its derivative [N/m] at a penetration [m]."""
+        """Return the normal force [N] and the derivative [N/m] at a penetration [m]."""
         d, impedance_slope = self._impedance_and_slope(depth)
         penetration = depth + self.margin
         slope_term = impedance_slope * (2 - d) * d / (1 - d) ** 2 * penetration

@@ -1,7 +1,7 @@
 """``Configuration``: kinematics and dynamics of a robot at a state, in public coordinates.
 
 Computed by Pinocchio from the URDF. Forces of springs, gravity compensation and wind are MuJoCo's,
-because a URDF does not contain these.
+because a URDF does not contain such forces.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ UP = np.array([0.0, 0.0, 1.0])
 class Configuration:
     """Robot at a state (qpos, qvel). Construction runs the forward kinematics.
 
-    Coordinates are those of ``pupper_analysis.robot.coordinates``: MuJoCo's, with the joints in
-    actuator order. A configuration is immutable; its quaternion is normalised.
+    The coordinates are defined in ``pupper_analysis.robot.coordinates``: MuJoCo's, with the joints
+    in actuator order. A configuration is immutable; the quaternion is normalised.
 
     Attributes:
         robot: The robot.
@@ -120,7 +120,7 @@ class Configuration:
         return np.array(self._data.oMf[self._frame_index(name)].translation)
 
     def frame_rotation(self, name: str) -> Array:
-        """Return the rotation (3, 3) from the axes of a link to those of the world.
+        """Return the rotation (3, 3) from the axes of a link to the world axes.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -299,7 +299,7 @@ class Configuration:
         return index
 
     def foot_positions(self) -> dict[str, Array]:
-        """Return {contact point: centre (3,) [m] of its sphere} in the world."""
+        """Return {contact point: centre (3,) [m] of the sphere} in the world."""
         placements, frames = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
@@ -310,7 +310,7 @@ class Configuration:
         return np.array(positions, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
-        """Return {contact point: Jacobian (3, nv) of its centre} in world axes.
+        """Return {contact point: Jacobian (3, nv) of the centre} in world axes.
 
         J qvel is the velocity of the centre in the world [m/s].
         """
@@ -329,7 +329,7 @@ class Configuration:
         return self._jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
-        """Return {contact point: lowest point (3,) [m] of its sphere} in the world.
+        """Return {contact point: lowest point (3,) [m] of the sphere} in the world.
 
         Args:
             feet: Contact points; all by default.
@@ -432,8 +432,8 @@ class Configuration:
     def passive(self) -> Array:
         """Return the passive generalised forces (nv,) [N, N m] at rest.
 
-        Their sources are springs, gravity compensation, wind, flexes and plugins. Computed by
-        MuJoCo from the MJCF, because a URDF does not contain these. Zero if there are none.
+        The sources are springs, gravity compensation, wind, flexes and plugins. Computed by
+        MuJoCo from the MJCF, because a URDF does not contain such forces. Zero without sources.
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -604,7 +604,8 @@ class Configuration:
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Return the readings of gyro and accelerometer at the frame of a link.
 
-        The accelerometer measures the proper acceleration: acceleration of its point minus gravity.
+        The accelerometer measures the proper acceleration: acceleration of the sensor's point minus
+        gravity.
 
         Args:
             qacc: Generalised acceleration (nv,).
@@ -631,7 +632,7 @@ class Configuration:
         return np.array(gyro), np.array(linear - gravity)
 
     def base_rotation(self) -> Array:
-        """Return the rotation (3, 3) from the axes of the base to those of the world."""
+        """Return the rotation (3, 3) from the axes of the base to the world axes."""
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)

@@ -177,7 +177,7 @@ def ground_forces(
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Return the names of the bodies with ground contacts of other geoms than those of feet.
+    """Return the names of the bodies with ground contacts of non-foot geoms.
 
     Args:
         model: MuJoCo model.
@@ -216,7 +216,7 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 def foot_geoms(
     description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
-    """Return {contact point: (id of its geom, radius [m])}.
+    """Return {contact point: (id of the geom, radius [m])}.
 
     Raises:
         ModelError: If a contact point has neither a stated geom nor a collision sphere whose centre
@@ -245,7 +245,7 @@ def ground_contacts(
 
     Args:
         model: MuJoCo model.
-        geoms: {contact point: (id of its geom, radius [m])}.
+        geoms: {contact point: (id of the geom, radius [m])}.
 
     Returns:
         {contact point: parameters}; empty if the model has no ground.
@@ -269,7 +269,7 @@ def stand_height(
     """Return the height [m] of the base in the nominal stand.
 
     With ``foot_depth``, the centres of the feet are this distance below the first bodies of their
-    legs, with all joints at their values in qpos0. Otherwise, the lowest foot touches the ground
+    legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the ground
     with the joint positions of the keyframe. Distances are along the z axis of the base. The height
     is 0 without feet.
 

@@ -1,4 +1,4 @@
-"""Public generalised coordinates, and their maps to the coordinates of Pinocchio and MuJoCo.
+"""Public generalised coordinates, and maps to the coordinates of Pinocchio and MuJoCo.
 
 Public coordinates are MuJoCo's, with the joints in actuator order:
 
@@ -7,7 +7,7 @@ Public coordinates are MuJoCo's, with the joints in actuator order:
   the base frame, joint velocities;
 * generalised forces and Jacobian columns are dual to ``qvel``.
 
-A robot with a fixed base has the joint coordinates only. Each joint has one coordinate.
+A robot with a fixed base has the joint coordinates only. Each joint has a single coordinate.
 
 With R the rotation of the base, Pinocchio's velocity is v_pin = T qvel with T = diag(R^T, 1, P), P
 a permutation. Therefore M = T^T M_pin T, J = J_pin T and g = T^T g_pin. Because T changes with R,
@@ -166,7 +166,7 @@ class PinocchioConvention:
 
 @dataclass(frozen=True, eq=False)
 class MujocoConvention:
-    """Maps between public coordinates and those of a MuJoCo model, which differ in their order.
+    """Maps between public coordinates and those of a MuJoCo model, which have another order.
 
     ``data.qpos[qpos_index]`` is the public qpos, ``data.qvel[qvel_index]`` the public qvel. The
     first control of an actuator is ``data.ctrl[model.actuator_ctrladr[actuator_index]]``.

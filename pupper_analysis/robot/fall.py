@@ -3,7 +3,7 @@
 Heights are those of the robot's centre of mass (CoM) above the ground that carries it. The height
 of the base frame is not used, because a file may place that frame anywhere.
 
-Each reference is taken at reset, before the motion that it judges. The initial height is the CoM
+Each reference is taken at reset, before the motion that is judged. The initial height is the CoM
 height at reset minus the clearance of the robot's lowest point at reset.
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FALLEN_TILT = 0.5
-"""Tilt of the base against its task [rad] above which a robot has fallen over. Chosen, not
+"""Tilt of the base against the task [rad] above which a robot has fallen over. Chosen, not
 tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
@@ -49,16 +49,16 @@ and slow failures have become visible (a knee without torque: 2 cm/s after 2 s).
 
 _MAX_KEYFRAME_STEPS = 5000
 """Number of time steps of a run from a keyframe above which the simulated time is shortened, but
-not below `_MIN_KEYFRAME_DURATION`. It bounds the computing time of files with short time steps.
-Chosen, not tuned."""
+not below `_MIN_KEYFRAME_DURATION`. This number bounds the computing time of files with short time
+steps. Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
 """Lower bound of the simulated time of a run from a keyframe [s]: a robot that falls over from its
 own height lies on the ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
-"""Horizontal travel of the CoM, relative to its height, above which a robot has left its place. On
-planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
+"""Horizontal travel of the CoM, relative to the CoM height, above which a robot has left its place.
+On planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
 """Largest component of a nudge [m/s, rad/s]. Equilibria that a later touch destroys have basins of
@@ -86,7 +86,7 @@ _RESET_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQVEL.value,
     mujoco.mjtWarning.mjWARN_BADQACC.value,
 )
-"""MuJoCo's warnings about numbers that are not finite or too large, after which it resets the
+"""MuJoCo's warnings about numbers that are not finite or too large, after which MuJoCo resets the
 state."""
 
 
@@ -113,11 +113,11 @@ class BodyMotion:
         end_height: CoM height above the ground at the end (m).
         lean: Angle between the base's vertical axis at reset and at the end (rad).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
-        diverged: Whether MuJoCo reset the state because it was no longer finite, or stopped with an
-            error.
+        diverged: Whether MuJoCo reset the state because the state was no longer finite, or stopped
+            with an error.
         clearance: Vertical distance of the robot's lowest point from the ground at reset (m);
-            negative if it penetrates the ground.
-        lies: Whether the robot ends on its base or hips, or on no end of a limb. Then the drop by
+            negative if the point penetrates the ground.
+        lies: Whether the robot ends on the base or hips, or on no end of a limb. Then the drop by
             ``clearance`` counts as lost height.
     """
 
@@ -153,14 +153,14 @@ def simulate_keyframe(
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a state for ``keyframe_duration`` with a nudge, its opposite, and no nudge.
+    """Simulate a state for ``keyframe_duration`` with a nudge, the opposite nudge, and no nudge.
 
     A drop may end on an edge between a fall and a stand; a nudge of one sign then leads to the
     fall. The first run that collapses is returned, otherwise the first run.
 
     Args:
         model: MuJoCo model.
-        start: State with its commands; not changed.
+        start: State with commands; not changed.
         base: Body index of the base.
         ground: Height of the ground [m], if no geom of the ground is found below the robot.
         advance: Advances a state by a time [s], in place.
@@ -190,11 +190,11 @@ def simulate_held_keyframe(
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``. It can only diverge.
+    """Simulate a robot with a fixed base, nudged, for ``keyframe_duration``; it can only diverge.
 
     Args:
         model: MuJoCo model.
-        start: State with its commands; it is not changed.
+        start: State with commands; not changed.
         advance: Advances a state by a time [s], in place.
 
     Returns:
@@ -284,9 +284,9 @@ def initial_height(
     ``_CONTACT_DISTANCE``.
 
     Args:
-        model: MuJoCo model. Its option ``o_margin`` and its flag ``override`` are changed during
+        model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
             the call.
-        start: State at reset; it is not changed.
+        start: State at reset; not changed.
         base: Body index of the base.
         ground: Height of the ground (m) that is returned if no ground is found.
     """
@@ -344,7 +344,7 @@ def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[
 
 
 def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
-    """Return the bodies that touch the world, as indices of their weld groups."""
+    """Return the bodies that touch the world, as indices of weld groups."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
     return set(bodies[_find_world_contacts(model, data)].ravel().tolist()) - {0}
 
@@ -371,7 +371,7 @@ def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool
         leaning: Tilt of the base [rad]; NaN, like the next two, after a divergence, which returns
             True.
         lost: Height loss of the CoM [m].
-        away: Horizontal distance of the CoM from its start [m].
+        away: Horizontal distance of the CoM from the start [m].
         size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _LEVEL_ATOL = 1e-9
 """Tolerance with which a floor counts as level at z = 0 and is not changed: distance from z = 0
-[m], and x and y components of its quaternion. Chosen, not tuned."""
+[m], and x and y components of the quaternion. Chosen, not tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
@@ -92,7 +92,7 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
 
 
 def _is_level_at_zero(floor: mujoco.MjsGeom) -> bool:
-    """Return True if a plane is level at z = 0 by its own attributes in the world body."""
+    """Return True if a plane is level at z = 0 by own attributes in the world body."""
     return bool(
         floor.parent.name == "world"
         and floor.frame is None
@@ -108,7 +108,7 @@ def _level_floor(
     """Return the floor; if no plane is level at z = 0, replace one plane by a level plane.
 
     The replaced plane is the first that is level at another height, or the first if none is level.
-    The list ``floors`` is reordered so that the result is its first element.
+    The list ``floors`` is reordered so that the result is the first element.
 
     Returns:
         The floor, and a diagnostic with the tilt and height of the replaced plane. There is no
@@ -143,7 +143,7 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Return the cosine of the tilt of each plane, and its height above the world's origin [m]."""
+    """Return the cosine of the tilt of each plane, and the height above the world's origin [m]."""
     numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
     copied = spec.copy()
     copied.compiler.discardvisual = False  # removing geoms would change their order
@@ -167,7 +167,7 @@ def _disable_scenery(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
 
 
 def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
-    """Move the contact parameters of each ``<pair>`` with the floor to its geom, in place."""
+    """Move the contact parameters of each ``<pair>`` with the floor to the floor geom, in place."""
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     used_bits = floor.contype | floor.conaffinity
     for geom in spec.geoms:

@@ -101,7 +101,7 @@ class Ground:
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
-        """Return a copy of the ground in which some feet touch planes of their own.
+        """Return a copy of the ground in which some feet touch separate planes.
 
         Args:
             planes: {foot: plane}.
@@ -114,7 +114,7 @@ class Ground:
         """Return the upward unit normal of the ground, shape (3,), in the world frame.
 
         Args:
-            foot: Foot with a plane of its own, whose normal is returned. Default: the slope.
+            foot: Foot with a separate plane, whose normal is returned. Default: the slope.
         """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
@@ -137,10 +137,10 @@ class Ground:
 
     @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, Step]:
-        """Return {foot: box or bar} of the feet on a step or on a plane of their own.
+        """Return {foot: box or bar} of the feet on a step or on a separate plane.
 
         The box extends ``STEP_HALF_WIDTH`` beyond the contact points. The top of the box for a step
-        down is the bottom of the pit, and its thickness is the depth of the pit.
+        down is the bottom of the pit, and the thickness is the depth of the pit.
 
         Args:
             places: {contact point: centre (3,) [m]}; the points of a flat foot are ``foot/1``,
@@ -238,4 +238,4 @@ bar."""
 
 STEP_HALF_WIDTH = 0.03
 """Distance [m] by which the box of a step extends horizontally beyond the contact points of its
-foot, so that the foot stays on the box if it slips a little. Chosen, not tuned."""
+foot, so that the foot stays on the box if the foot slips a little. Chosen, not tuned."""

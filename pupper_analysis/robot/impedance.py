@@ -58,9 +58,9 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 
 
 def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
-    """Return the impedance d of a constraint, and its derivative [1/m, 1/rad].
+    """Return the impedance d of a constraint, and the derivative [1/m, 1/rad].
 
-    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero it is their mean.
+    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero d is the mean of both.
     Source: MuJoCo documentation, "Computation:
     Solver parameters"; ``engine_core_constraint.c``.
 
@@ -108,7 +108,7 @@ class EqualityCompliance:
             row += num_rows
 
     def here(self) -> Array:
-        """Return the compliance of each equation (m,) at its current opening [m/N, rad/(N m)]."""
+        """Return the compliance of each equation (m,) at the current opening [m/N, rad/(N m)]."""
         return self._compliance.copy()
 
     def most(self) -> Array:

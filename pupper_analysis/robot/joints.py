@@ -29,7 +29,7 @@ def joint_motions(robot: Robot) -> dict[str, str]:
     """Classify the motion of each joint, for example as roll, pitch or yaw.
 
     The direction of the joint axis in the world at zero angles determines the motion. The axes of a
-    free base are then those of the world; a fixed base has its pose in the MJCF.
+    free base are then those of the world; a fixed base has the pose of the MJCF.
 
     Returns:
         {joint: motion}.
@@ -90,7 +90,7 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
         ConfigurationError: If a joint carries a foot, a joint is part of a loop or coupling that
-            the posture does not close with all its joints, or a position is not valid.
+            the posture does not close with all joints of the loop, or a position is not valid.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
@@ -103,14 +103,14 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
 
 _CLOSED = 1e-6
-"""Largest residual [rad, m] of the loops and couplings of a posture that closes them: positions are
+"""Largest residual [rad, m] of the loops and couplings of a posture that closes both: positions are
 typed with up to six decimals."""
 
 
 def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of loops and couplings if a posture names all of them, and closes them.
+    """Return the joints of loops and couplings if a posture names all joints, and closes the loops.
 
-    Joints that move a foot are left out: the stance determines their positions.
+    Joints that move a foot are left out: the stance determines the positions.
     """
     closure = robot.closure
     assert closure is not None
@@ -178,7 +178,7 @@ def named_positions(
 def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
     """Return a posture in which each position has the unit of the matching joints.
 
-    A position stays without unit if its pattern matches both hinges and slides.
+    A position stays without unit if the pattern matches both hinges and slides.
     """
     result = dict(posture)
     for pattern, value in posture.items():
@@ -211,10 +211,10 @@ def joint_ranges(robot: Robot) -> Array:
 
 
 def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
-    """Return the default posture of a robot with a fixed base, and its keyframe.
+    """Return the default posture of a robot with a fixed base, and the keyframe.
 
-    The posture is the keyframe ``home``, or else the first keyframe, if its positions are within
-    the joint ranges. Otherwise each joint is at the middle of its range; a joint with an infinite
+    The posture is the keyframe ``home``, or else the first keyframe, if the positions are within
+    the joint ranges. Otherwise each joint is at the middle of the range; a joint with an infinite
     limit is at zero, or at the limit that is nearest to zero. Loops are not closed.
 
     Args:

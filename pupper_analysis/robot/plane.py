@@ -1,4 +1,4 @@
-"""Planes, slopes and bars that a robot touches, and its contacts and welds.
+"""Planes, slopes and bars that a robot touches, and contacts and welds on these.
 
 Each ``Contact`` is formatted in the syntax of the command line, in which the error messages print
 it.
@@ -82,12 +82,12 @@ class Plane:
     def through(self, _check_position: Point) -> Plane:
         """Return this plane unchanged; the point is ignored, because the plane has a position.
 
-        `Slope.through` and `Bar.through` use the point, so all three can be called in one way.
+        `Slope.through` and `Bar.through` use the point, so all three have the same signature.
         """
         return self
 
     def moved(self, number: float) -> Plane:
-        """Return the parallel plane with another ``number``, its coordinate or offset [m]."""
+        """Return the parallel plane with another ``number``, the coordinate or offset [m]."""
         offset, displacement = (
             self._number_sign * number,
             self._number_sign * (number - self.number),
@@ -141,7 +141,7 @@ class Slope:
 class Bar:
     """Round bar in the world, such as a rung; with a radius of a millimetre, an edge.
 
-    A contact touches the bar in its tangent plane.
+    A contact touches the bar in the tangent plane.
 
     Attributes:
         point: Point (x, y, z) on the axis (m); z is the ``number``.
@@ -223,8 +223,8 @@ no nearest point on the bar. Chosen, not tuned."""
 class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
-    A foot touches with its own geometry. A hand touches with a massless ball at a point of its
-    link, which collides with that plane only. A sole (foot with several contact points) cannot
+    A foot touches with the collision geometry. A hand touches with a massless ball at a point of
+    its link, which collides with that plane only. A sole (foot with several contact points) cannot
     touch a bar.
 
     Attributes:
@@ -280,7 +280,7 @@ class Contact:
     def numbers(self) -> tuple[float, ...]:
         """Adjustable numbers: point of a bar [m], ``number`` of a plane [m] or of a slope [rad].
 
-        A relaxation of the contact changes these numbers.
+        A relaxation of the contact changes such numbers.
         """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.number,)
 
@@ -332,7 +332,7 @@ class Weld:
     Attributes:
         place: Position (x, y, z) of the point of another part (m); by default with the joints at
             home.
-        offset: Point (x, y, z) of another part in the frame of its link (m).
+        offset: Point (x, y, z) of another part in the frame of the link (m).
     """
 
     plane: ClassVar[None] = None
@@ -424,7 +424,7 @@ KINDS: dict[str, Point] = {
     "table": (0.0, 0.0, 1.0),
     "ceiling": (0.0, 0.0, -1.0),
 }
-"""{kind of plane: its normal}."""
+"""{kind of plane: normal}."""
 
 
 def slope_normal(angle: float, uphill: float) -> Point:

@@ -65,7 +65,7 @@ def efforts_of(
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints.
         original_limits: {joint: original limit} of motors that were replaced by servos. If the
-            servo has an equal limit, the original one is returned, with its sources.
+            servo has an equal limit, the original limit is returned, with sources.
         null: {joint: empty force range of the MJCF}.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
@@ -136,7 +136,7 @@ _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds",
     "grips", "_cache",
 )  # fmt: skip
-"""Cached attributes that are not pickled, because computing them again is faster."""
+"""Cached attributes that are not pickled, because recomputation is faster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,8 +204,8 @@ def with_friction(
 
     Args:
         contacts: {contact point: parameters} on the ground.
-        feet: {foot: its contact points}.
-        touching: {foot: its contact}; a contact without own friction changes nothing.
+        feet: {foot: contact points}.
+        touching: {foot: contact}; a contact without own friction changes nothing.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -231,15 +231,15 @@ class Robot:
         joint_names: Joints in actuator order.
         contact_points: Contact points of the feet; the keys of all dictionaries of contact forces.
             A spherical foot has a single contact point with the name of the foot.
-        feet: {foot: contact points}; a flat foot has several on one body.
+        feet: {foot: contact points}; a flat foot has several on the same body.
         contact_frames: {contact point: frame in the URDF}.
-        contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of its sphere in
+        contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
             the frame of the body)}.
         foot_geoms: {geom id of ``mj_model``: foot}.
         contact_radius: {contact point: radius [m] of its sphere}; 0 for the corner of a sole.
-        contacts: {contact point: effective parameters of its contact with the ground}.
+        contacts: {contact point: effective parameters of the contact with the ground}.
         home: Configuration (nq,) of the keyframe ``home``, of the first keyframe, or of qpos0.
-        nominal: Joint positions (nu,) [rad, m] at which the feet have their nominal horizontal
+        nominal: Joint positions (nu,) [rad, m] at which the feet have the nominal horizontal
             positions.
         stand_height: Height [m] of the base above the ground in the nominal stand.
         imu: Frame with gyro and accelerometer; None if there is none.
@@ -322,7 +322,7 @@ class Robot:
 
     @property
     def hands(self) -> tuple[str, ...]:
-        """Names of the parts in ``feet`` that a task uses as hands: they touch with a ball."""
+        """Names of the parts in ``feet`` that a task uses as hands, which touch with a ball."""
         touching = self.touching.items()
         return tuple(
             name
@@ -332,7 +332,7 @@ class Robot:
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """{part that a task fixes to the world: contact point on it, or None for the base}.
+        """{part that a task fixes to the world: contact point on the part, or None for the base}.
 
         The entries of ``grips`` are last.
         """
@@ -354,7 +354,7 @@ class Robot:
     def welded(self) -> bool:
         """Whether a part is welded to the world, which balances the robot for any CoM.
 
-        A grip alone does not count: it permits rotation, and its force is limited.
+        A grip alone does not count: it permits rotation, and the force is limited.
         """
         return len(self.welds) > len(self.grips)
 
@@ -373,7 +373,7 @@ class Robot:
 
     @property
     def bearing(self) -> tuple[str, ...]:
-        """Contact points that can bear contact forces: all but those of welded or gripping parts.
+        """Contact points that can bear contact forces: all but points of welded or gripping parts.
 
         Empty for a robot with a fixed base.
         """
@@ -428,7 +428,7 @@ class Robot:
     def structure(self) -> Structure:
         """Pinocchio model with the indices of joints, links and contact points; cached.
 
-        Every `Configuration` of the robot uses it.
+        Every `Configuration` of the robot uses this object.
         """
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
@@ -447,7 +447,7 @@ class Robot:
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes of the moving bodies in MuJoCo, including those of the feet."""
+        """Collision shapes of the moving bodies in MuJoCo, including foot shapes."""
         return shapes_of(
             self.mj_model,
             self.mj_convention,
@@ -495,7 +495,7 @@ class Robot:
 
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
-        """Effort limit of each joint from both files, with its source, in actuator order."""
+        """Effort limit of each joint from both files, with the source, in actuator order."""
         return efforts_of(
             self.mj_model,
             self.pin_model,
@@ -526,7 +526,7 @@ class Robot:
     def velocity_limits(self) -> Array:
         """Velocity limits (nu,) [rad/s, m/s] of the URDF.
 
-        Infinite if the URDF states none; 0 if it states 0 or less: a joint that may not move.
+        Infinite if the URDF states none; 0 if the URDF states 0 or less: a joint that may not move.
         """
         limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
         found: Array = np.maximum(limits, 0.0)
@@ -555,7 +555,7 @@ class Robot:
         """Raise an error if the robot has loops, couplings, welds or grips.
 
         Args:
-            what: Requested analysis, which does not support these, for the message.
+            what: Requested analysis, which does not support such robots, for the message.
 
         Raises:
             ConfigurationError: If so.
@@ -588,10 +588,11 @@ class Robot:
         self.once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
-        """Return the name of a contact point, if it exists.
+        """Return the name of a contact point, if the point exists.
 
         Raises:
-            UnknownNameError: If there is no such contact point; the message lists these.
+            UnknownNameError: If there is no such contact point; the message lists the existing
+                points.
         """
         if foot not in self.contact_frames:
             raise UnknownNameError(self.name, "foot", foot, self.contact_points)
@@ -616,7 +617,7 @@ class Robot:
         return next(foot for foot, points in self.feet.items() if point in points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet with at least one of some contact points."""
+        """Return the feet with any of some contact points."""
         requested = set(points)
         return tuple(
             foot for foot, foot_points in self.feet.items() if not requested.isdisjoint(foot_points)
@@ -626,7 +627,7 @@ class Robot:
         """Sum the forces on the contact points of each foot.
 
         Args:
-            forces: {contact point: force, shape (3,) [N]}, all in one frame.
+            forces: {contact point: force, shape (3,) [N]}, all in the same frame.
 
         Returns:
             {foot: force, shape (3,) [N]} for the feet with a contact point in ``forces``.
@@ -675,7 +676,7 @@ of the body."""
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Evaluate `Robot.check_bodies`, without its cache."""
+    """Evaluate `Robot.check_bodies`, without the cache."""
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)
@@ -705,7 +706,7 @@ _pool_lock = Lock()
 def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     """Borrow an object that belongs to a robot, for a single user at a time. Thread-safe.
 
-    Returned objects are reused while they are in the pool of recently used objects.
+    Returned objects are reused while present in the pool of recently used objects.
 
     Args:
         robot: The robot.

@@ -1,6 +1,6 @@
 """Position servos of a robot's MuJoCo model: gains, commands, and models with other gains.
 
-A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at its joint.
+A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at the joint.
 `model_with_servos` returns a copy of the model with requested gains; `resolve_servo_gains` returns
 the gains without a model.
 """
@@ -155,7 +155,7 @@ def model_with_servos(
 ) -> Servos:
     """Return a copy of the robot's MuJoCo model with position servos.
 
-    Its force ranges are narrowed to the effort limits of the robot.
+    The force ranges are narrowed to the effort limits of the robot.
 
     Args:
         robot: Robot.
@@ -166,7 +166,7 @@ def model_with_servos(
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
             integrator is unknown.
-        ModelError: If a joint without coupling has no motor, or its motor is no position servo and
+        ModelError: If a joint without coupling has no motor, or the motor is no position servo and
             kp and kd are not both given.
     """
     model = copy.copy(robot.mj_model)
@@ -195,9 +195,9 @@ def write_position_servos(
 
     Args:
         model: MuJoCo model.
-        actuators: Actuator ids, each at one joint, shape (n,).
-        kp: Stiffness at the joints, one or shape (n,) [N m/rad].
-        kd: Damping at the joints, one or shape (n,) [N m s/rad].
+        actuators: Actuator ids, each at a single joint, shape (n,).
+        kp: Stiffness at the joints, scalar or shape (n,) [N m/rad].
+        kd: Damping at the joints, scalar or shape (n,) [N m s/rad].
     """
     squared = model.actuator_gear[actuators, 0] ** 2
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
@@ -235,7 +235,7 @@ def _narrow_force_ranges(
     """Bound the actuators of a model by the efforts of the joints, in place.
 
     MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. The
-    bounds of an actuator are the efforts divided by its gear. Each end of an existing force range
+    bounds of an actuator are the efforts divided by the gear. Each end of an existing force range
     is replaced if the new end is narrower. A range with an infinite bound, or for a gear of 0, is
     not written.
 
@@ -316,7 +316,7 @@ def resolve_servo_gains(
 def command_ranges(robot: Robot) -> Array:
     """Return the ranges of servo commands, shape (nu, 2) [rad, m].
 
-    MuJoCo clips the command of a servo to its ``ctrlrange``. The range is infinite for a servo
+    MuJoCo clips the command of a servo to the ``ctrlrange``. The range is infinite for a servo
     without ``ctrlrange``, a torque motor that is driven as a servo, and a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
@@ -383,7 +383,7 @@ def _read_gains(
     """Return gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
 
     An actuator with a constant force, or with an integrated or delayed command, is no position
-    servo: its ctrl is not a joint position.
+    servo: the ctrl is not a joint position.
     """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -399,7 +399,7 @@ def _read_gains(
 
 
 def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
-    """Convert a gain to shape (size,), and check its range."""
+    """Convert a gain to shape (size,), and check the range."""
     given = real_array(name, value)
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()
@@ -429,7 +429,7 @@ def with_options(
 ) -> Robot:
     """Return a robot with other MuJoCo options; the robot itself without options.
 
-    A time step, and a cone or ``impratio``, are reported in its notes. Simulations of the
+    A time step, and a cone or ``impratio``, are reported in the notes. Simulations of the
     unmodified file use the options as well.
 
     Args:

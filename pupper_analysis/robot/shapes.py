@@ -1,6 +1,6 @@
 """Collision shapes of a robot, in the frames of the URDF's links.
 
-The shapes are those of MuJoCo's compiled model: primitives and convex hulls of meshes. Clearances
+The shapes come from MuJoCo's compiled model: primitives and convex hulls of meshes. Clearances
 that are computed before a simulation therefore agree with MuJoCo's collisions.
 """
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """Collision geom, and the link that carries it.
+    """Collision geom, and the link that carries the geom.
 
     Attributes:
         geom: Id of the geom in ``mj_model``.
@@ -57,7 +57,7 @@ def shapes_of(
 
     If the base of the MJCF is the world, the shapes that are fixed in the world are included.
 
-    The pose of a body in its link is computed at zero angles, for which both models agree.
+    The pose of a body in the link is computed at zero angles, for which both models agree.
 
     Args:
         model: MuJoCo's model of the MJCF.
@@ -135,7 +135,7 @@ class _LinkFinder:
                 self._first_link_by_joint.setdefault(joint, name)
 
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
-        """Return the link that carries a body, and its world placement at zero angles.
+        """Return the link that carries a body, and the world placement at zero angles.
 
         The link has the name of the body if such a link moves with the body. Otherwise, it is the
         first link that moves with the body.

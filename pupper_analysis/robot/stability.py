@@ -1,4 +1,4 @@
-"""Spectrum of one MuJoCo step at a state, with its contacts, servos and integrator.
+"""Spectrum of a MuJoCo step at a state, with contacts, servos and integrator.
 
 `step_stability` returns the modes that grow. Such a mode is a hypothesis: the linearisation is
 valid for motions of micrometres only if a foot carries almost no load, and it depends on the
@@ -35,7 +35,7 @@ public MJCFs with dry friction have a spectral radius of 1.041 with ``DIFFERENCE
 
 _RATE_TOLERANCE = 0.3
 """Relative difference of the growth per time step, up to which the modes of both finite-difference
-steps count as one mode. Chosen, not tuned."""
+steps count as the same mode. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-14
 """Solver tolerance during differences. Measured with the default of 1e-8: the solver sometimes
@@ -48,7 +48,7 @@ SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
 
 
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Return a copy of a state with its own memory.
+    """Return a copy of a state with separate memory.
 
     Args:
         model: MuJoCo model.
@@ -68,8 +68,8 @@ def step_derivative(
     """Compute the derivative of a step by the state, shape (2 nv + na, 2 nv + na).
 
     Args:
-        model: MuJoCo model. The tolerance of its solver is tightened during the call.
-        data: State; it is not changed.
+        model: MuJoCo model. The tolerance of the solver is tightened during the call.
+        data: State; not changed.
         difference: Step of the centred differences (m, rad, and their rates).
     """
     size = 2 * model.nv + model.na
@@ -125,7 +125,7 @@ _MAX_SETTLING_TIME = 600.0
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
 """Distance from a joint limit [rad, m] below which differences would be taken partly beyond the
-limit, so that their mean is invalid. ANYmal at a hard knee limit appeared to shake at 9 Hz, and
+limit, so that the mean is invalid. ANYmal at a hard knee limit appeared to shake at 9 Hz, and
 returned from each nudge."""
 
 _NEUTRAL_RATE = 1e-4
@@ -148,7 +148,7 @@ is evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings within the settling time by which a mode can throw off a robot from a
-deviation below a millimetre. With fewer, the robot moves since its start was no equilibrium, and
+deviation below a millimetre. With fewer, the robot moves since the start was no equilibrium, and
 the spectrum at the start is meaningless (v3 half way down on soft servos: 1.5 to 25 s for one rest
 position)."""
 
@@ -207,7 +207,7 @@ class Mode(Result):
 
     @property
     def shakes(self) -> bool:
-        """Whether the mode oscillates, by more than 1 rad of phase in its time constant.
+        """Whether the mode oscillates, by more than 1 rad of phase in the time constant.
 
         Oscillations with a period above ``HOLD_DURATION`` are creep, and do not count.
         """
@@ -228,7 +228,7 @@ class Mode(Result):
 
 @dataclass(frozen=True, eq=False)
 class Stability(Result):
-    """Stability of a state of a MuJoCo model, with its critical modes.
+    """Stability of a state of a MuJoCo model, with the critical modes.
 
     Attributes:
         timestep: Time step (s).
@@ -238,7 +238,7 @@ class Stability(Result):
         least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
             friction; None if no oscillation decays.
         speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
-            rest, the spectrum does not describe its stability.
+            rest, the spectrum does not describe the stability.
         sticks: Whether MuJoCo's no-slip solver is active. Friction then holds buckling modes until
             the contact slips; a simulation shows such modes, the spectrum does not.
         refuted: Modes that grow in the spectrum, but not in a nudged simulation.
@@ -272,9 +272,9 @@ class Stability(Result):
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of oscillations: 1 without any, negative if one grows.
+        """Smallest damping ratio of oscillations: 1 without any, negative if an oscillation grows.
 
-        Growing modes count if they shake (`Mode.shakes`).
+        Growing modes count if `Mode.shakes` is true.
         """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
@@ -298,7 +298,7 @@ class Stability(Result):
 def step_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Evaluate the stability of a state by the eigenvalues of one MuJoCo step.
+    """Evaluate the stability of a state by the eigenvalues of a MuJoCo step.
 
     A step maps a deviation x of (qpos, qvel, act) to A x, with contacts, servos under their
     commands (``data.ctrl``), friction and integrator of the model. An eigenvalue outside of the
@@ -306,8 +306,8 @@ def step_stability(
     buckles). With time step h, the rate is ln|eigenvalue| / h.
 
     Dry friction of joints and tendons is viscous in MuJoCo while nothing slides, and hides a mode
-    until a push overcomes it. Modes that leave within ``HOLD_DURATION`` without this friction are
-    therefore returned as well (``Mode.freed``). Contacts keep their friction.
+    until a push overcomes the friction. Modes that leave within ``HOLD_DURATION`` without this
+    friction are therefore returned as well (``Mode.freed``). Contacts keep the friction.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     pushes, simulate.
@@ -315,10 +315,10 @@ def step_stability(
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: MuJoCo model. During the call its solver tolerance is smaller, sleeping is disabled,
+        model: MuJoCo model. During the call the solver tolerance is smaller, sleeping is disabled,
             joint limits may be displaced by 1e-6, and the dry friction of joints and tendons may be
             zero.
-        data: State with ``ctrl``; it is not changed.
+        data: State with ``ctrl``; not changed.
         settle: Time for which the state is simulated first [s].
 
     Returns:
@@ -337,12 +337,12 @@ def step_stability(
 def judge_settled(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Simulate a state for a settling time, and compute the stability where it settled.
+    """Simulate a state for a settling time, and compute the stability in the settled state.
 
-    The result is that of `step_stability`, with the state to which it applies. This is the state
-    after settling. It is the initial state if ``settle`` is below half a time step, or if the
-    simulation diverges. It is also the initial state if only this state is at rest, and has a mode
-    that is fast enough to throw off the robot while it settles.
+    The result equals the result of `step_stability`, with the state to which the result applies.
+    This is the state after settling. It is the initial state if ``settle`` is below half a time
+    step, or if the simulation diverges. It is also the initial state if only this state is at rest,
+    and has a mode that is fast enough to throw off the robot during settling.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
@@ -416,7 +416,7 @@ def _evaluate_at_limits(
     """Evaluate the spectrum of a state in which joints may be at their limits.
 
     Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of limits,
-    these limits are moved by this distance, once outward and once inward. The result with the
+    the limits are moved by this distance, once outward and once inward. The result with the
     larger spectral radius is returned.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))

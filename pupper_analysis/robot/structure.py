@@ -24,7 +24,7 @@ _MAX_SPARE_DATA = 32
 
 
 class Workspace:
-    """Pinocchio data with one owner; returned to the pool when the workspace is deleted.
+    """Pinocchio data with a single owner; returned to the pool when the workspace is deleted.
 
     Attributes:
         data: Pinocchio data.
@@ -48,7 +48,7 @@ class Structure:
         floating: Whether the base is free.
         nq: Size of the public qpos.
         nv: Size of the public qvel.
-        convention: Maps between public coordinates and those of the model.
+        convention: Maps between public coordinates and coordinates of the model.
         links: {link: frame index}.
         joints: {joint: joint index}.
         feet: {foot: frame index}.
@@ -264,7 +264,7 @@ class Kinematics:
         """Compute the positions of CoM, feet and links in the world frame at a configuration.
 
         Args:
-            qpos: Configuration, shape (nq,); its quaternion is normalised in a copy.
+            qpos: Configuration, shape (nq,); the quaternion is normalised in a copy.
 
         Raises:
             ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is

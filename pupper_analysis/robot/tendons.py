@@ -1,7 +1,7 @@
 """Reports of MuJoCo constraints that the stance solver ignores.
 
 Equality constraints of flexes and ranges of tendons act in MuJoCo's simulation only; stances are
-computed without these. A URDF cannot express either.
+computed without such constraints. A URDF cannot express either.
 """
 
 from __future__ import annotations

@@ -28,15 +28,15 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     """Return a robot whose MuJoCo model has the ground and the welds of a task.
 
     The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
-    parameters of the floor; those of a plane with its own friction come from `Robot.contacts`.
-    A foot on a step does not collide with the floor, because it would sink into the floor through a
-    low step, and the floor covers a step down. A flat foot collides with a plane on top of its box,
-    which no other geom touches: MuJoCo's contacts of a sole with a plane differ from those with a
-    box, and the contact points are those with a plane. Only the ball of a hand collides with the
-    hand's plane, because the hand's shapes surround the ball.
+    parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
+    A foot on a step does not collide with the floor, because the foot would sink into the floor
+    through a low step, and the floor covers a step down. A flat foot collides with a plane on top
+    of the box, which no other geom touches: MuJoCo's contacts of a sole with a plane differ from
+    those with a box, and the contact points are those with a plane. Only the ball of a hand
+    collides with the hand's plane, because the hand's shapes surround the ball.
 
-    A welded part collides with none of these; its weld to the world is initially inactive (see
-    ``close_welds``).
+    A welded part collides with none of these geoms; the weld to the world is initially inactive
+    (see ``close_welds``).
 
     Args:
         robot: Robot whose MJCF has a floor.
@@ -56,7 +56,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add inactive welds of parts to the world, and exclude their contacts with the world."""
+    """Add inactive welds of parts to the world, and exclude the contacts with the world."""
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.welds.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
@@ -82,14 +82,14 @@ def close_welds(
 ) -> None:
     """Activate the welds of a model at a configuration, in place.
 
-    MuJoCo's constraints are soft. Each weld is offset by its static deflection (nanometres), so
+    MuJoCo's constraints are soft. Each weld is offset by the static deflection (nanometres), so
     that the configuration is an equilibrium.
 
     Args:
         robot: Robot ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
         qpos: Configuration (nq,).
-        pushes: {welded part: generalised force (nv,) of its weld}.
+        pushes: {welded part: generalised force (nv,) of the weld}.
     """
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
     if not welds:
@@ -132,7 +132,7 @@ def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
-    """Set the target of a weld to the pose of its body, minus an opening.
+    """Set the target of a weld to the pose of the body, minus an opening.
 
     Args:
         model: Model to modify.
@@ -167,7 +167,7 @@ def _add_ground(
         robot: Robot.
         spec: MJCF of the robot, which is changed.
         ground: Ground.
-        places: {contact point: centre of its sphere on rigid ground, shape (3,) [m]}, for the
+        places: {contact point: centre of the sphere on rigid ground, shape (3,) [m]}, for the
             steps.
     """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
@@ -241,10 +241,10 @@ def _separate_from_floor(
         spec: Spec to modify.
         floor: Floor of the spec.
         feet: Feet that must not collide with the floor.
-        alone: Feet that get a contact bit of their own.
+        alone: Feet that get a separate contact bit.
 
     Returns:
-        {foot in ``alone``: bit of ``contype`` that only its geoms have}.
+        {foot in ``alone``: bit of ``contype`` that only geoms of this foot have}.
 
     Raises:
         ModelError: If the MJCF has not enough unused bits.

@@ -26,7 +26,7 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 _MIN_ARM_JOINTS = 3
-"""Minimum number of joints of an arm below its hand. The tool of an arm with a hand is the link
+"""Minimum number of joints of an arm below the hand. The tool of an arm with a hand is the link
 that carries the fingers."""
 
 _MAX_FINGER_JOINTS = 4
@@ -66,7 +66,7 @@ class Tool(Result):
         return position
 
     def in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Return the body of the MJCF that carries the point, and the position (3,) [m] in it."""
+        """Return the MJCF body that carries the point, and the position (3,) [m] in this body."""
         model, data = robot.mj_model, robot.placed()
         body = model.body(robot.mj_base).id
         if self.chain:
@@ -152,7 +152,7 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
 
 def split_place(point: Any) -> tuple[str, Any]:
-    """Split a place into the name of its frame ("" for the base) and its coordinates.
+    """Split a place into the name of the frame ("" for the base) and the coordinates.
 
     Args:
         point: (frame, x, y, z) [m], or coordinates (x, y, z) [m] in the base frame.
@@ -180,7 +180,7 @@ def check_point(point: ArrayLike) -> Array:
 
 
 def _express_in_link(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
-    """Return the link that moves with a body, and a world point (3,) [m] in its frame."""
+    """Return the link that moves with a body, and a world point (3,) [m] in the link frame."""
     link, config = _find_carrying_link(robot, body), Configuration(robot, robot.neutral())
     return link, config.frame_rotation(link).T @ (world - config.frame_position(link))
 
@@ -219,7 +219,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Return the link at the end of the longest chain, or the link that carries its fingers."""
+    """Return the link at the end of the longest chain, or the link that carries the fingers."""
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
     last = int(np.argmax(lengths))  # the first of equals

@@ -41,8 +41,9 @@ _CACHE_SIZE = 8
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Armature of the free joint of a welded base [total masses of the robot]. It represents the
-environment to which the base is fixed: MuJoCo's welds are soft, and a light base would oscillate.
+"""Armature of the free joint of a welded base [total masses of the robot]. This armature represents
+the environment to which the base is fixed: MuJoCo's welds are soft, and a light base would
+oscillate.
 """
 
 
@@ -51,7 +52,7 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
 
     A part other than a foot gets a contact point: a massless ball that collides only with its
     plane. The friction of a plane is that of the contact. Welded parts do not collide. A base that
-    the file fixes to the world becomes free, and is held by its weld.
+    the file fixes to the world becomes free, and is held by the weld.
 
     Args:
         robot: Robot, which may already be the result of this function.
@@ -91,7 +92,7 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
-    """Convert a contact or weld of a foot or hand to the changes that it requires of a robot."""
+    """Convert a contact or weld of a foot or hand to the required changes of a robot."""
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
         return Touching(offset=None if foot else contact.offset, welded=True)
@@ -157,10 +158,10 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 
 
 def _free_base(robot: Robot) -> Robot:
-    """Return a robot with a free base instead of one that the file or the caller fixed.
+    """Return a robot with a free base instead of a base fixed by the file or the caller.
 
     A robot without feet starts in the default posture of the fixed robot, as ``find_posture``
-    returns it. A floor that the file lacks cannot touch: the fixed robot has none.
+    returns the posture. A floor that the file lacks cannot touch: the fixed robot has none.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
@@ -247,16 +248,16 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of a small ball whose distance from shapes is computed: it represents the contact
-point of a hand, of which coal needs a volume. Chosen, not tuned."""
+"""Radius [m] of a small ball whose distance from shapes is computed: the ball represents the
+contact point of a hand, of which coal needs a volume. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
 """Radius [m] of the contact ball of a hand whose contact point is not inside a collision shape of
-its link. Chosen, not tuned."""
+the link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
-    """Return the radius [m] of the largest ball at a point inside a collision shape of its link."""
+    """Return the radius [m] of the largest ball at a point inside a collision shape of the link."""
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.move(robot.neutral())
     rotation, position = kinematics.links[tool.link]

@@ -1,1 +1,1 @@
-"""Comparison of two files of one robot in both engines, and explanation of the differences."""
+"""Comparison of two files of the same robot in both engines, and explanation of the differences."""

@@ -1,4 +1,4 @@
-"""Explanation of the deviation between two models: each difference with its effect on the dynamics.
+"""Explanation of the deviation between two models: each difference with the effect on the dynamics.
 
 Input: a robot with two models. Output: an ``Explanation``. Method: the multibody trees are compared
 value by value, and elements that only an MJCF can contain are listed. The effect of each difference
@@ -66,12 +66,12 @@ def explain_differences(
     conventions: Conventions | None = None,
     unstated: Mapping[str, Collection[str]] | None = None,
 ) -> Explanation:
-    """Return all differences between the URDF and the MJCF of a robot, with their effects.
+    """Return all differences between the URDF and the MJCF of a robot, with effects.
 
     Values of both trees are compared body by body, and elements that only the MJCF can contain are
-    listed. The effect of each difference is evaluated by applying it alone to the URDF's model, or
-    to a MuJoCo model without other such elements. Finally, all differences are applied to the
-    URDF's model, which must behave as the MJCF without the listed elements.
+    listed. The effect of each difference is evaluated by applying this difference alone to the
+    URDF's model, or to a MuJoCo model without other such elements. Finally, all differences are
+    applied to the URDF's model, which must behave as the MJCF without the listed elements.
 
     Args:
         robot: The robot.
@@ -138,7 +138,7 @@ def explain_differences(
 def _compute_residual(
     relative_error: RelativeError, patched: Mapping[str, Array], reduced: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return {quantity: deviation between two evaluations, relative to its scale}.
+    """Return {quantity: deviation between two evaluations, relative to the scale}.
 
     For accelerations, the rounding error grows with the condition number of the mass matrix (1e8
     for a link of 1e-6 kg at the end of an arm). If the deviation of the forces M (a1 - a2) is below
@@ -158,7 +158,7 @@ def _compute_residual(
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Express the multibody tree of a robot's MJCF in the link frames of its URDF.
+    """Express the multibody tree of a robot's MJCF in the link frames of the URDF.
 
     Args:
         robot: Robot.

@@ -135,7 +135,7 @@ def _is_robot_body(robot: Robot, reference: Reference) -> list[bool]:
 
 
 class Behaviour:
-    """Evaluation of the quantities for multibody trees of one robot, in MuJoCo.
+    """Evaluation of the quantities for multibody trees of a robot, in MuJoCo.
 
     Trees with the same structure share a MuJoCo model. ``tools/crosscheck`` compares with
     Pinocchio.
@@ -218,8 +218,8 @@ nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
 """
 
 _MAX_STATE_BYTES: Final = 80e6
-"""Maximum size of the mass matrices of all states in one of the five evaluations [bytes]. A robot
-with 306 degrees of freedom is compared at 106 states, one with 1000 at 10."""
+"""Maximum size of the mass matrices of all states in each of the five evaluations [bytes]. A robot
+with 306 degrees of freedom is compared at 106 states, a robot with 1000 at 10."""
 
 _MIN_STATES: Final = 2
 """Smallest number of random states of a comparison, however large the robot is: a single state

@@ -1,4 +1,4 @@
-"""Comparison of a robot's URDF with its MJCF: agreement, differences, and causes of differences.
+"""Comparison of a robot's URDF and MJCF: agreement, differences, and causes of differences.
 
 The world pose of a fixed base is no difference: the URDF is moved to the base of the MJCF. A tilt
 of the base is reported, because it changes the torques for users of the unmodified URDF.
@@ -72,14 +72,14 @@ from pupper_analysis.robot.shapes import may_touch
 Array = NDArray[np.float64]
 
 CONTACT_HEIGHT_ATOL = 2e-4
-"""Difference of the heights of two contact surfaces [m] up to which it is not reported. Meshes are
-accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm. Chosen, not
-tuned."""
+"""Difference of the heights of two contact surfaces [m] up to which the difference is not reported.
+Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
+Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""A limb ends in a foot if its lowest point is at most this fraction of the CoM height higher than
-the lowest point of all limbs. Heights are measured at the initial pose; the CoM height is that
-above the lowest point. Hands are higher. Chosen, not tuned."""
+"""A limb ends in a foot if the lowest point of the limb is at most this fraction of the CoM height
+higher than the lowest point of all limbs. Heights are measured at the initial pose; the CoM height
+is that above the lowest point. Hands are higher. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class _PlacedShape:
     """Collision shape in MuJoCo's world at the initial pose.
 
     Attributes:
-        shape: Shape in the frame of its body.
+        shape: Shape in the frame of the body.
         world: Shape in the world frame.
         place: Function that returns the location in the file.
     """
@@ -106,8 +106,8 @@ def compare_collisions(
         matched: Matched files.
         urdf: The URDF.
         mjcf: The MJCF.
-        moved: Joints (or the base) with different placements in the files. Shapes on these are not
-            compared.
+        moved: Joints (or the base) with different placements in the files. Shapes on such joints
+            are not compared.
 
     Returns:
         Differences of feet, and a note if the shapes were not compared because the files differ in
@@ -278,7 +278,7 @@ def _compare_feet(
 def _find_lowest_shape(
     shapes: Sequence[_PlacedShape],
 ) -> tuple[float, Diagnostic | Term, _PlacedShape | None]:
-    """Return the lowest height [m] of shapes, the description of its shape, and the shape."""
+    """Return the lowest height [m] of shapes, a description of the lowest shape, and the shape."""
     if not shapes:
         return math.nan, Term("none"), None
     heights = [float(-shape.world.support(_DOWN_DIRECTION)[0]) for shape in shapes]  # type: ignore[index]
@@ -333,7 +333,7 @@ class FilesCompared(Tabular):
             by names without prefixes and suffixes.
         only_urdf: Joints that only the URDF has, fixed at zero for the comparison.
         only_mjcf: Joints that only the MJCF has, fixed at zero for the comparison.
-        parts: Diagnostics of parts that only one file has, with their joints; these parts were
+        parts: Diagnostics of parts that only one file has, with their joints; the parts were
             removed for the comparison.
         notes: Diagnostics of assumptions and omissions.
         differences: Differences, the most urgent first; see `Difference.rank`.
@@ -342,12 +342,13 @@ class FilesCompared(Tabular):
         residual: {quantity: relative deviation without all differences}.
         explained: Fraction of the largest deviation that the differences explain.
         complete: Whether each residual is at most 1e-9.
-        mount: Diagnostic of the tilt of a fixed base in one file; None as in `report_base_tilt`.
+        mount: Diagnostic of the tilt of a fixed base in a single file; None as in
+            `report_base_tilt`.
         objections: Reasons against agreement besides the differences: an unexplained residual, a
             total deviation of differences within the tolerances, a missing mass of a base with
             legs, and (if names must be equal) the tilt of a fixed base.
-        agree: Whether the models agree within the tolerances: no difference, no joint in one file
-            only, and no objection.
+        agree: Whether the models agree within the tolerances: no difference, no joint in a single
+            file only, and no objection.
         same_robot: Whether the models agree except for the conventions: frame of the base and zeros
             of joints.
     """
@@ -414,7 +415,7 @@ class Compared:
     Attributes:
         result: Differences.
         matched: Matched files.
-        explanation: All differences, with their effects and the residual.
+        explanation: All differences, with effects and the residual.
         sources: Locations of the values in both files.
     """
 
@@ -437,12 +438,12 @@ def compare_files(
 ) -> Compared:
     """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
-    The arguments are those of ``compare_models``, which also cross-checks both engines.
+    The arguments are the same as for ``compare_models``, which also cross-checks both engines.
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, or the robot has no mass.
         MissingPackageError: If the reader of a format is not installed.
-        UnknownNameError: If a name is not in its file.
+        UnknownNameError: If a name is not in the file.
         ConfigurationError: If an argument is out of range.
     """
     tolerances = tolerances or Tolerances()
@@ -525,7 +526,7 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
 
 
 def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
-    """Return the bodies whose mass is computed from their geoms."""
+    """Return the bodies whose mass is computed from geoms."""
     spec = mjcf.spec
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 

@@ -1,7 +1,7 @@
 """Differences between two multibody trees: detection, ranking, effects and messages.
 
 ``changes_between`` yields the differences of two trees; each can be applied to the first tree.
-``RelativeError`` evaluates their effects. Messages include probable causes, such as degrees instead
+``RelativeError`` evaluates the effects. Messages include probable causes, such as degrees instead
 of radians.
 """
 
@@ -103,7 +103,7 @@ _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 
 @dataclass(frozen=True)
 class Effect(Result):
-    """Effect of one difference on one quantity.
+    """Effect of a difference on a quantity.
 
     Attributes:
         deviation: Largest absolute deviation that the difference causes alone.
@@ -119,7 +119,7 @@ class Effect(Result):
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """Values of two files for one property.
+    """Values of two files for a property.
 
     Attributes:
         kind: Kind of the property, an entry of ``KIND_ORDER``: for example ``mass``,
@@ -127,7 +127,7 @@ class Stated:
             ``collision`` for the shapes of a foot; ``joint`` for a joint that one of two versions
             lacks.
         element: Name of the joint, of the frame, or of the body: the joint that moves the body, or
-            the base. For an element that only the MJCF has, its name there, or its number: ``#3``.
+            the base. For an element that only the MJCF has, the name there, or the number: ``#3``.
         urdf: Value in the URDF, in the frames of the URDF; None if the URDF has none.
         mjcf: Value in the MJCF, in the frames of the URDF; None if the MJCF has none.
         unit: Unit of both values.
@@ -147,7 +147,7 @@ class Stated:
         return str(self.diagnostic)
 
     def difference(self, effects: dict[str, Effect]) -> Difference:
-        """Return the difference as a result, with its effects."""
+        """Return the difference as a result, with the effects."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -227,7 +227,7 @@ class PatternCause(Result):
     Attributes:
         kind: Kind of the mistake: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``,
             ``geoms``, ``equalities``, ``links``, ``scaled links``, ``inertial`` or ``line``.
-        diagnostic: Message that describes the mistake, with its numbers.
+        diagnostic: Message that describes the mistake, with the numbers.
         differences: Indices of the explained differences, from 0.
     """
 
@@ -244,8 +244,8 @@ class PatternCause(Result):
     def leads(self) -> bool:
         """Whether the cause is reported first.
 
-        This applies to efforts at another side of the gear: these do not affect the dynamics, but
-        all results about motors are wrong by the gear ratio.
+        This applies to efforts at another side of the gear: such efforts do not affect the
+        dynamics, but all results about motors are wrong by the gear ratio.
         """
         return self.kind == "gears"
 
@@ -287,8 +287,8 @@ class RelativeError:
         """Return the largest absolute value of a quantity in the first model.
 
         If the first model returns NaN, the second model is used. Gravity and bias forces may be
-        nearly zero (all joints upright). Their lower bound is 1e-3 g times the largest element of
-        the mass matrix.
+        nearly zero (all joints upright). The lower bound of the scale is 1e-3 g times the largest
+        element of the mass matrix.
         """
         lower_bound = 1e-300
         if name in ("gravity", "bias forces"):
@@ -298,11 +298,11 @@ class RelativeError:
         return max(float(np.abs(values).max()), lower_bound)
 
     def relative(self, name: str, first: Array, second: Array) -> float:
-        """Return the largest deviation between two arrays of a quantity, divided by its ``scale``.
+        """Return the largest deviation between two arrays of a quantity, relative to its ``scale``.
 
         Args:
             name: Quantity.
-            first: Values of one model.
+            first: Values of the first model.
             second: Values of the other model, same shape.
 
         Returns:
@@ -367,7 +367,7 @@ FORMAT_NAMES = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
 """Names of a URDF and an MJCF."""
 
 VERSION_NAMES = ModelNames(Term("the old file"), Term("the new file"), alike=True)
-"""Names of two files of one format."""
+"""Names of two files of the same format."""
 
 
 def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
@@ -385,7 +385,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return two numbers of a message as ``one`` and ``two``, with their unit.
+    """Return two numbers of a message as ``one`` and ``two``, with the unit.
 
     An infinite number is replaced by the term "unlimited".
     """
@@ -426,7 +426,7 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Return a diagnostic if one value seems to be in degrees: a ratio of 57.3 or 1/57.3 to 1 %."""
+    """Return a diagnostic if a value seems to be in degrees: a ratio of 57.3 or 1/57.3 to 1 %."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
     ratio = mjcf / urdf
@@ -490,8 +490,8 @@ def change_of(
         unit: Unit of the values.
         sides: Names of the models.
         details: Further values of the message.
-        element: Element, if it differs from the name of the subject.
-        shown: Values in the message, if they differ from ``values``.
+        element: Element, if different from the name of the subject.
+        shown: Values in the message, if different from ``values``.
         felt: Whether the difference affects the dynamics.
     """
     first, second = (_format_value(value, unit) for value in shown or values)
@@ -644,7 +644,7 @@ def _compare_joint_parameters(
 ) -> Iterable[Change]:
     """Yield the differences of the scalar parameters of two joints.
 
-    Parameters that only one format supports are compared only for two versions of a file.
+    Parameters that a single format supports are compared only for two versions of a file.
     """
     for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)

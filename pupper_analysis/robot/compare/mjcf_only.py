@@ -4,8 +4,8 @@ A URDF contains a tree of bodies, and damping and friction of joints. MuJoCo's s
 further terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``, ``qfrc_fluid``),
 inertia of tendons and actuators, and equality constraints. Each such element of a compiled model is
 listed with the array entries that must be zero to disable it. The list need not be complete
-(flexes, plugins): its users disable the listed elements, and compare the rest with a model that has
-none.
+(flexes, plugins): the callers disable the listed elements, and compare the rest with a model that
+has none.
 
 Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
 arrays are those of ``mjModel``.
@@ -84,7 +84,7 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator is an enabled DC motor without controller: its back-EMF brakes."""
+    """Return True if an actuator is an enabled DC motor without controller: the back-EMF brakes."""
     is_dc_motor = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
     # Bits of the inputs: 1 and 2 are setpoints of a controller; 4, 8 and 16 are not.
     controlled = bool(model.actuator_ctrlspec[motor] & 3)
@@ -112,11 +112,11 @@ _DISABLING_FLAGS = {
     "dampingpoly": (DISABLE.mjDSBL_DAMPER,),
     "frictionloss": (DISABLE.mjDSBL_FRICTIONLOSS,),
 }
-"""{attribute: flags that disable it}."""
+"""{attribute: flags that disable the element}."""
 
 
 class NamedModel:
-    """Reference model with names, values and flags of its elements."""
+    """Reference model with names, values and flags of the elements."""
 
     def __init__(self, reference: Reference) -> None:
         self.reference, self.model, self.names = reference, reference.model, reference.names
@@ -149,7 +149,7 @@ class NamedModel:
         )
 
     def name(self, kind: str, index: int) -> str:
-        """Return the name of an element, or its number: ``#3``."""
+        """Return the name of an element, or the number: ``#3``."""
         object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}").value
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 
@@ -316,7 +316,7 @@ def split_mimics(
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the fluid around the robot, if the MJCF states its density or viscosity."""
+    """Yield the fluid around the robot, if the MJCF states a density or viscosity."""
     option = scene.model.opt
     if option.density or option.viscosity:
         value: Numbers = {"density": option.density, "viscosity": option.viscosity}

@@ -1,4 +1,4 @@
-"""Matching of a URDF and an MJCF of one robot: joints, bodies, frames and conventions."""
+"""Matching of a URDF and an MJCF of the same robot: joints, bodies, frames and conventions."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

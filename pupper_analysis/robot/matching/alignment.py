@@ -1,4 +1,4 @@
-"""Transformation of the link frames of one multibody tree to those of another.
+"""Transformation of the link frames of one multibody tree to the frames of another tree.
 
 Link frames are a convention. A hinge is a line and a slide a direction; a body is a mass, a CoM and
 an inertia. The axes of a link frame, and the position of the origin on the line of the joint, do
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 0.5
 """Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
-of a body is accepted. It excludes rounding errors. Chosen, not tuned."""
+of a body is accepted. The minimum excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Alignment:
     """Tree in the link frames of another.
 
     Attributes:
-        values: The same robot, in these frames.
-        moved: {joint: displacement (3,) [m] of its origin, in the original axes of its body};
+        values: The same robot, in the aligned frames.
+        moved: {joint: displacement (3,) [m] of the origin, in the original axes of the body};
             without unchanged origins.
     """
 
@@ -48,7 +48,7 @@ def align_frames(
     fixed: Collection[str] = (),
     only: Iterable[str] | None = None,
 ) -> Alignment:
-    """Transform the link frames of a tree to those of another.
+    """Transform the link frames of a tree to the frames of another tree.
 
     Args:
         second: Tree whose frames are transformed.
@@ -82,7 +82,7 @@ def _align_by_cost(
     *,
     as_the_first: bool,
 ) -> Alignment:
-    """Transform link frames to those of another tree, minimising the deviation of each joint.
+    """Transform link frames to the frames of another tree, minimising the deviation of each joint.
 
     Args:
         second: Tree whose frames are transformed.
@@ -118,7 +118,7 @@ def _align_by_cost(
 
 
 def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
-    """Return tolerances that are a hundredth of the given ones."""
+    """Return tolerances that are a hundredth of the given tolerances."""
     return Tolerances(
         **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
     )
@@ -139,7 +139,7 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, its body, and the placements of its children."""
+    """Return the deviation [bits] of a joint, the moved body, and the child placements."""
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):
         if second.joints[child].parent == name:
@@ -150,14 +150,14 @@ def measure_joint_deviation(
 def measure_tree_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of all joints and their bodies."""
+    """Return the deviation [bits] of all joints and moved bodies."""
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
 
 def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation [bits] of a joint, its body and its frames."""
+    """Return the deviation [bits] of a joint, the moved body and the frames on this body."""
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
         _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
@@ -227,7 +227,7 @@ def _matching_points(
 
 
 def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
-    """Return the limits of the first joint minus those of the second [rad, m].
+    """Return the limits of the first joint minus the limits of the second [rad, m].
 
     0 if the offsets of lower and upper limit differ, or a limit is infinite.
     """
@@ -240,7 +240,7 @@ def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
 def _candidate_steps(
     first: MultibodyTree, second: MultibodyTree, name: str, *, still: bool
 ) -> Iterator[Array]:
-    """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of its body.
+    """Yield candidate displacements (3,) [m] of the origin of a joint, in the axes of the body.
 
     The origin of a hinge may move along the axis, that of a slide in any direction: to the other's
     origin, or so that the median of the points on the body agrees.
@@ -273,7 +273,7 @@ def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
 
 
 def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
-    """Express a body relative to a displaced origin of its frame; the robot does not change.
+    """Express a body relative to a displaced origin of the frame; the robot does not change.
 
     Args:
         values: Tree of the robot.

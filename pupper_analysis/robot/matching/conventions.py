@@ -1,7 +1,7 @@
 """Detection of different conventions in two files: frame of the base, and zero angles of joints.
 
-Both conventions do not affect the robot, but its qpos. A displaced frame of the base, and a joint
-with a displaced zero (and displaced limits), are detected, removed from the comparison, and
+Both conventions do not affect the robot, but change qpos. A displaced frame of the base, and a
+joint with a displaced zero (and displaced limits), are detected, removed from the comparison, and
 reported as a single difference.
 """
 
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 _MIN_SAVED_BITS = 3.0
 """Minimum decrease of the deviation [bits, see `measure_deviation_bits`] with which another frame
-of the base is accepted, if it explains the whole deviation. Chosen, not tuned."""
+of the base is accepted, if the frame explains the whole deviation. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Largest number of joints on the base whose frames are tried as candidates for the pose between
@@ -54,8 +54,8 @@ class Conventions:
     Attributes:
         base: Pose of the URDF's base frame in the MJCF's; None if equal.
         shown: Whether the displaced base frame is confirmed by the body of the base, by several
-            joints on it, or by equal limits of the single joint. Otherwise, the zero of that joint
-            may be displaced.
+            joints on the base, or by equal limits of the single joint. Otherwise, the zero of that
+            joint may be displaced.
         zeros: {joint: q in the URDF minus q in the MJCF [rad, m]}, if not 0.
     """
 
@@ -64,7 +64,7 @@ class Conventions:
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def done(self, values: MultibodyTree) -> MultibodyTree:
-        """Convert a robot from the conventions of the URDF to those of the MJCF."""
+        """Convert a robot from the conventions of the URDF to the conventions of the MJCF."""
         if self.base is not None:
             values = with_base(values, self.base)
         for name, offset in self.zeros.items():
@@ -78,11 +78,11 @@ def find_conventions(
     """Return the differences between the conventions of two trees.
 
     Args:
-        first: Tree of the URDF, in the frame of its base.
-        second: Tree of the MJCF, in the frame of its base.
+        first: Tree of the URDF, in the base frame.
+        second: Tree of the MJCF, in the base frame.
         tolerances: Tolerances of the comparison.
-        fixed: Whether the base is fixed. Its world pose is then no property of the robot, and a
-            rotation by quarter turns is accepted even without mass of the base.
+        fixed: Whether the base is fixed. The world pose of a fixed base is then no property of the
+            robot, and a rotation by quarter turns is accepted even without mass of the base.
     """
     base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
@@ -103,7 +103,7 @@ def find_conventions(
 
 
 def _is_base_displaced(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
-    """Return True if the base frame is displaced, and not the zero of a single joint on it."""
+    """Return True if the base frame is displaced, and not the zero of a single base joint."""
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
     if len(names) > 1 or all(body.mass for body in bodies):
@@ -123,7 +123,7 @@ def _find_zero_offset(
 ) -> float:
     """Return the offset between the zeros of a joint in two trees [rad, m].
 
-    0 if the frames of the joint differ otherwise, or its limits contradict the offset.
+    0 if the frames of the joint differ otherwise, or the limits contradict the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     if (

@@ -1,9 +1,9 @@
-"""Matching of a URDF and an MJCF of one robot: same base, same joints, same names.
+"""Matching of a URDF and an MJCF of the same robot: same base, same joints, same names.
 
 Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Objects of a scene are
 removed from the MJCF, joints are paired, joints in only one file are fixed at zero, and the URDF is
 converted to the conventions of the MJCF. Parts in only one file (gripper, tail, head) are removed
-if the masses indicate that the other file lacks these, and reported.
+if the masses indicate that the other file lacks the parts, and reported.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class RemovablePart:
 
 
 def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
-    """Return the diagnostic of a part that one file contains and the other lacks."""
+    """Return the diagnostic of a part that only one file contains."""
     return diagnose(
         "part-of-one-file",
         subject=("link" if has == "URDF" else "body", part.root),
@@ -100,10 +100,10 @@ Removals = list[tuple[str, list[list[RemovablePart]]]]
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
-    """Return the carriers of joints that the other file lacks, and alternatives to remove these.
+    """Return the carriers of joints that the other file lacks, and alternatives for the removal.
 
     The first alternative of a carrier contains the moving parts; further alternatives include more
-    of the fixed parts between these and the carrier.
+    of the fixed parts between the moving parts and the carrier.
 
     Args:
         tree: Tree of the file.
@@ -142,7 +142,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link; None if the other file contains one of its joints."""
+    """Return the subtree of a link; None if the other file contains a joint of the subtree."""
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
     if any(joint not in extra for joint in joints):
@@ -160,7 +160,7 @@ def remove_parts(
     ways: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
-    """Remove parts that the other file lacks, in place; return their diagnostics.
+    """Remove parts that the other file lacks, in place; return the diagnostics.
 
     For each carrier, the alternative (or no removal) is selected for which the carrier's mass is
     nearest to that in the other file.
@@ -204,14 +204,14 @@ class Match:
     Attributes:
         robot: Robot of both files, with the joint names of the MJCF.
         urdf_joint: {joint: name in the URDF}.
-        urdf_link: {base or joint: link of the URDF that it moves}.
-        mjcf_body: {base or joint: body of the MJCF that it moves}.
+        urdf_link: {base or joint: moved link of the URDF}.
+        mjcf_body: {base or joint: moved body of the MJCF}.
         guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
             by names without affixes.
         only_urdf: Joints that the MJCF lacks; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF lacks; fixed at zero for the comparison.
         notes: Diagnostics of assumptions and omissions.
-        reference: Model of the MJCF with its whole scene. Joints that the URDF lacks are fixed at
+        reference: Model of the MJCF with the whole scene. Joints that the URDF lacks are fixed at
             zero.
         mimics: Mimic joints of the URDF.
         conventions: Conventions of the MJCF to which the URDF was converted: base frame, zeros of
@@ -275,7 +275,8 @@ def match_models(
     """Match joints and frames of a URDF and an MJCF by ``names``, by name, and by structure.
 
     Massless root links and a floating joint at the base are removed from the URDF. Joints in only
-    one file are fixed at zero. If the base of the MJCF is fixed, so is that of the URDF.
+    one file are fixed at zero. If the base of the MJCF is fixed, the base of the URDF is fixed as
+    well.
 
     Args:
         urdf: The URDF.
@@ -454,7 +455,7 @@ def _unify_joints(
     """Fix the joints that one file lacks, and rename the URDF's joints as in the MJCF, in place.
 
     Returns:
-        The URDF's mimic joints, in the new names; their coupling is removed.
+        The URDF's mimic joints, in the new names; without coupling.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
@@ -565,7 +566,7 @@ def copy_unknown_values(
 def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Return the names of hinges and slides, and of ball joints, which are deleted, in place.
 
-    A URDF has no ball joints; the bodies on these are compared in the zero pose.
+    A URDF has no ball joints; the bodies on ball joints are compared in the zero pose.
 
     Returns:
         Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
@@ -646,7 +647,7 @@ def drop_other_objects(
 
 
 def _remove_mass(body: mujoco.MjsBody) -> None:
-    """Set the mass of a mocap body to zero; a fixed base would include it."""
+    """Set the mass of a mocap body to zero; a fixed base would include this mass."""
     for part in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         part.mass, part.inertia = 0.0, np.zeros(3)
         for geom in part.geoms:
@@ -677,13 +678,13 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
-    """Return True if one of some joints connects a body directly to the world: no separate base."""
+    """Return True if any of the joints connects a body directly to the world: no separate base."""
     world_joints = (joint for body in spec.worldbody.bodies for joint in body.joints)
     return any(joint.name in joints and joint.type != JointKind.FREE for joint in world_joints)
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Return {base link or joint of the URDF: name of the MJCF body that it moves}."""
+    """Return {base link or joint of the URDF: name of the moved MJCF body}."""
     model = robot.mj_model
     bodies = {robot.base: robot.mj_base}
     for name in robot.joint_names:
@@ -694,7 +695,7 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 def mjcf_tree(
     spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
 ) -> multibody.MultibodyTree:
-    """Return the multibody tree of an MJCF, in the frame of its base.
+    """Return the multibody tree of an MJCF, in the base frame.
 
     Args:
         spec: The MJCF; all joints except a free one are named hinges or slides.

@@ -110,7 +110,7 @@ def match_joints(
 
 
 def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
-    """Return the command line options that select one of several candidates."""
+    """Return the command line options that select a candidate."""
     options = [f"--map {urdf_joint}={candidate}" for candidate in candidates]
     return diagnose("ways-to-map", subject=("joint", urdf_joint), options=options)
 
@@ -164,7 +164,8 @@ def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str,
 def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
     """Return the sequence of words with which at least 60 % of the names start.
 
-    At least two names must start with the sequence. A name counts only if a word remains after it.
+    At least two names must start with the sequence. A name counts only if a word remains after the
+    sequence.
     """
     prefix: list[str] = []
     while True:
@@ -202,8 +203,8 @@ def common_frames(
     """Return {site or body: (link, site or body)} of the frames in both files.
 
     Frames are links on fixed joints of the URDF, and sites or bodies without joints of the MJCF.
-    The bodies of a fixed base are excluded, because their frames are a convention. With
-    ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
+    The bodies of a fixed base are excluded, because the frames of these bodies are a convention.
+    With ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
 
     Args:
         root: Root element of the URDF.

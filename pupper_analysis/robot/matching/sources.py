@@ -1,4 +1,4 @@
-"""Locations of the values of a multibody tree in its file, independent of the format."""
+"""Locations of the values of a multibody tree in the model file, independent of the format."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class UrdfSources:
     Attributes:
         file: The file.
         tree: Links and joints as compared.
-        links: {base or joint: link that it moves}.
+        links: {base or joint: moved link}.
         joints: {joint: name in the file}, if different.
         frames: {frame: link}, if different.
         base: Names of the base in the comparison.
@@ -68,7 +68,7 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location of a value; the file without line if it has none.
+        """Return the location of a value; the file without line if not recorded.
 
         Args:
             kind: Kind of the value, as in a `Difference`.
@@ -93,7 +93,8 @@ class UrdfSources:
     def members(self, mover: str) -> list[tuple[str, float]]:
         """Return (link, mass [kg]) of the links that move with a joint or with the base.
 
-        The first link is the one that the joint moves; others are listed if they have mass.
+        The first link is the link that the joint moves; fixed links are listed if their mass is not
+        zero.
         """
         first_link = self.links[mover]
         masses = [
@@ -113,7 +114,7 @@ class MjcfSources:
     Attributes:
         file: The file.
         model: Compiled model.
-        bodies: {base or joint: body that it moves}.
+        bodies: {base or joint: moved body}.
         frames: {frame: site, body or geom}, if different.
         base: Names of the base in the comparison.
     """
@@ -125,7 +126,7 @@ class MjcfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location of a value in the MJCF; the file without line if it has none.
+        """Return the location of a value in the MJCF; the file without line if not recorded.
 
         Args:
             kind: Kind of the value, as in a `Difference`.
@@ -162,7 +163,8 @@ class MjcfSources:
     def members(self, mover: str) -> list[tuple[str, float]]:
         """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
 
-        The first body is the one that the joint moves; others are listed if they have mass.
+        The first body is the body that the joint moves; fixed bodies are listed if their mass is
+        not zero.
         """
         model = self.model
         first_body = model.body(self.bodies[mover]).id
@@ -172,13 +174,13 @@ class MjcfSources:
         return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
     def weight(self, kind: str, name: str) -> Place:
-        """Return the location of mass, CoM and inertia of a body: its <inertial>."""
+        """Return the location of mass, CoM and inertia of a body: the <inertial>."""
         del kind
         return self.file.place("body", name, "inertial")
 
 
 Sources = UrdfSources | MjcfSources
-"""Locations of the values of a multibody tree in its file."""
+"""Locations of the values of a multibody tree in the model file."""
 
 
 def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:

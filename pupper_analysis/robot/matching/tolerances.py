@@ -19,7 +19,7 @@ class Tolerances:
     Attributes:
         mass: Mass, relative.
         com: Position of the CoM (m).
-        inertia: Inertia tensor, relative to its largest element.
+        inertia: Inertia tensor, relative to the largest element.
         position: Position of a joint or frame (m).
         rotation: Angle between the placements of a joint (rad).
         axis: Angle between the axes of a joint (rad).
@@ -30,7 +30,7 @@ class Tolerances:
         friction: Friction loss, relative.
         gravity: Gravity of the MJCF minus 9.81 m/s^2 downwards, Pinocchio's value for a URDF
             (m/s^2). The default accepts 9.8 and 9.80665.
-        dynamics: Quantities of the cross-check, relative to their scale.
+        dynamics: Quantities of the cross-check, relative to the scale of each quantity.
     """
 
     mass: float = 1e-4

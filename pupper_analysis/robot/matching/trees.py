@@ -68,7 +68,7 @@ def base_pose(robot: Robot) -> pin.SE3:
 
 
 def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: pose of its body at zero angles} in the frame of the base."""
+    """Return {base or joint: pose of the body at zero angles} in the frame of the base."""
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
         joint = tree.joints[name]
@@ -87,13 +87,13 @@ def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Ar
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Compiled MJCF, and names of its elements.
+    """Compiled MJCF, and element names.
 
     Attributes:
-        model: Compiled model of the file; it may contain objects other than the robot.
+        model: Compiled model of the file, which may contain objects other than the robot.
         names: Equivalent model in which all bodies and joints have names.
-        joint_names: Joints of the robot, in these names.
-        base: Base of the robot, in these names.
+        joint_names: Joints of the robot, as named in ``names``.
+        base: Base of the robot, as named in ``names``.
     """
 
     model: mujoco.MjModel
@@ -196,7 +196,7 @@ def strip_roots(
 
 
 def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
-    """Remove the inertias of the base and of links fixed to it, in place; report their mass.
+    """Remove the inertias of the base and of links fixed to it, in place; report the removed mass.
 
     For an MJCF whose base is the world, which has no mass. The mass of a fixed base has no effect.
     """
@@ -219,7 +219,8 @@ def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diag
     The other joints are floating or planar joints inside the tree.
 
     Returns:
-        Names of the hinges and slides, names of the others, and diagnostics of the others.
+        Names of the hinges and slides, names of the other joints, and diagnostics of the other
+        joints.
     """
     moving, others, notes = [], [], []
     for name, joint in UrdfTree(root).joints.items():
@@ -234,7 +235,7 @@ def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diag
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Return {base or joint: link that it moves}."""
+    """Return {base or joint: moved link}."""
     tree = UrdfTree(root)
     links = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
     return {robot.base: tree.base.name, **links}
