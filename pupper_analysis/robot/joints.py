@@ -89,8 +89,8 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a joint carries a foot, a joint is part of a loop or coupling that
-            the posture does not close with all joints of the loop, or a position is not valid.
+        ConfigurationError: If a joint carries a foot, a joint is part of a loop or coupling and
+            the posture omits another such joint or leaves a loop open, or a position is not valid.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
@@ -108,9 +108,10 @@ typed with up to six decimals."""
 
 
 def _closed_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of loops and couplings if a posture names all joints, and closes the loops.
+    """Return the joints of all loops and couplings, without joints that move a foot.
 
-    Joints that move a foot are left out: the stance determines the positions.
+    Empty if the posture omits a joint of a loop or coupling, or leaves a loop open by more than
+    `_CLOSED`. The stance determines the positions of joints that move a foot.
     """
     closure = robot.closure
     assert closure is not None

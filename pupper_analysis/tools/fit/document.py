@@ -25,7 +25,7 @@ def describe_fit(
     Args:
         fit: Fit.
         title: Title.
-        messages: Summary of the measurements and of the agreement with them.
+        messages: Summary of the measurements and of the agreement with the measurements.
         extra_blocks: Plots of the residuals.
     """
     robot_estimates = [
@@ -165,7 +165,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
 
 
 def _format_estimate(estimate: Estimate) -> dict[str, str]:
-    """Return an estimate and its half interval with three decimals."""
+    """Return an estimate and the half interval with three decimals."""
     return {"mean": f"{estimate.mean:.3f}", "half": f"{estimate.high - estimate.mean:.3f}"}
 
 
@@ -236,7 +236,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
-    """Yield the text of the known mass, if the plan has one."""
+    """Yield the text of the known mass, if the plan has a known mass."""
     if (place := plan.place) is not None:
         loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)

@@ -79,7 +79,7 @@ class LinearisedResiduals:
     def from_residuals(
         residual: Array, jacobian: Array, log_noise: float = 0.0
     ) -> LinearisedResiduals:
-        """Compute the sums A^T A, A^T r and r^T r from residuals r and their Jacobian A.
+        """Compute the sums A^T A, A^T r and r^T r from residuals r and the Jacobian A.
 
         Args:
             residual: Whitened residuals r, shape (m,), dimensionless.
@@ -111,7 +111,7 @@ class LinearisedResiduals:
     def compute_log_evidence(self, table: ParameterTable, z: Array) -> float:
         """Compute the log marginal likelihood of the measurements, up to a constant.
 
-        The parameters are integrated out under their prior, with residuals that are linear in the
+        The parameters are integrated out under the prior, with residuals that are linear in the
         parameters.
 
         Args:
@@ -135,7 +135,7 @@ class Posterior:
         mean: Most probable values, shape (n,), in the parameters' units.
         covariance: Covariance, shape (n, n), in the parameters' units.
         information: Information of the measurements alone, shape (n, n), in units of the prior
-            widths: a direction with eigenvalue 1 is as well determined by its prior width.
+            widths: a direction with eigenvalue 1 is as well determined by the prior width.
         precision: Inverse of the prior covariance, shape (n, n), in units of the prior widths.
         chi2: Sum of squares of the whitened residuals.
         moved: Deviation from the stated values, in units of the prior widths, shape (n,).
@@ -209,9 +209,9 @@ def estimate_parameters(
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
     Step: minimum of the linearised cost within the lower bounds, with damping added to the
-    diagonal. An undamped step may be corrected twice with the derivatives of its start. Accepted:
-    an actual decrease of at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`.
-    Rejected: the damping is raised tenfold, from 0 to `_MIN_DAMPING`.
+    diagonal. An undamped step may be corrected twice with the derivatives of the starting point.
+    Accepted: an actual decrease of at least 10 % of the predicted decrease, minus
+    `_MIN_PREDICTED_DECREASE`. Rejected: the damping is raised tenfold, from 0 to `_MIN_DAMPING`.
 
     Stop criteria: the predicted decrease of the undamped step is below ``min_decrease``
     (converged); no step is accepted, an accepted step decreases the cost by at most
@@ -227,7 +227,7 @@ def estimate_parameters(
     Args:
         table: Parameters.
         linearise: Function of two vectors, shape (n,): the parameters at which residuals are
-            linearised, and those at which the noise is evaluated.
+            linearised, and the parameters at which the noise is evaluated.
         start: Initial guess, shape (n,); the stated values by default.
         lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
         min_decrease: Predicted decrease below which the iteration has converged.
@@ -304,7 +304,7 @@ class _QuadraticCost:
     def compute_step(self, damping: float) -> Array:
         """Return the damped step, shape (n,), in units of the prior widths.
 
-        Entries that would violate their lower bounds end there; the other entries are then solved
+        Entries that would violate a lower bound end at the bound; the other entries are then solved
         again.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
@@ -324,11 +324,12 @@ class _QuadraticCost:
         return float(step @ (2 * self.descent - self.posterior_information @ step))
 
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
-        """Return the distribution about these parameters.
+        """Return the distribution about the parameters.
 
         Args:
             unrealised_step: Step, shape (n,), in units of the prior widths, whose predicted
-                decrease no accepted step realised. Its outer product is added to the covariance.
+                decrease no accepted step realised. The outer product of the step is added to the
+                covariance.
         """
         width = self.table.width
         covariance = np.linalg.inv(self.posterior_information)

@@ -37,7 +37,7 @@ def fit(
 
     Args:
         robot: The robot.
-        measurements: Stands of ``read_stands``, or one or several logs of ``read_log``.
+        measurements: Stands of ``read_stands``, or a log or several logs of ``read_log``.
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
         kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
         kd: Stated servo damping [N m s/rad], a scalar or shape (nu,); the model's by default. For
@@ -49,7 +49,7 @@ def fit(
             default; or logs that are predicted. For logs only.
 
     Raises:
-        ConfigurationError: If an argument does not apply to these measurements, or is out of its
+        ConfigurationError: If an argument does not apply to the measurements, or is out of
             range.
         FitError: If the iteration does not converge.
         MeasurementError: If the measurements do not belong to this robot, or cannot be used.

@@ -1,7 +1,7 @@
-"""Parameters of a fit: kinds, priors, and their order in a vector.
+"""Parameters of a fit: kinds, priors, and the order in a vector.
 
-A parameter is a scalar of the robot (for example a link's mass) or of its surroundings (for example
-the slope of the ground). Its prior is a normal distribution about the stated value, the value of
+A parameter is a scalar of the robot (for example a link's mass) or of the surroundings (for example
+the slope of the ground). The prior is a normal distribution about the stated value, the value of
 the robot's files. `ParameterTable` maps parameters to entries of a vector.
 """
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ParameterKind:
-    """Kind of parameter, with its default prior.
+    """Kind of parameter, with a default prior.
 
     The default standard deviation is the larger of ``share`` times the stated value and ``width``.
 
@@ -103,7 +103,7 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("place", "m", width=3e-3),
     )
 }
-"""Parameter kinds by name, with their default priors. A `Prior` replaces the default."""
+"""Parameter kinds by name, with default priors. A `Prior` replaces the default."""
 
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
@@ -162,8 +162,8 @@ class Prior:
         """Return the prior standard deviation of a parameter.
 
         Args:
-            stated: Value in the model file, in the unit of the kind. It is the reference of a
-                relative width (``share``).
+            stated: Value in the model file, in the unit of the kind. This value is the reference of
+                a relative width (``share``).
         """
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
@@ -222,7 +222,7 @@ def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
 def apply_priors(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with their prior widths.
+    """Return the parameters with prior widths.
 
     The width is that of the last matching prior, or the default of the kind. Candidates of width 0
     (``kp=0``, a mass of 0) are known exactly and are left out.
@@ -293,11 +293,11 @@ class ParameterTable:
         return iter(self.parameters)
 
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
-        """Return the index of a parameter in the vector; None if it is not estimated."""
+        """Return the index of a parameter in the vector; None if not estimated."""
         return self._indices.get((kind, subject, component))
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
-        """Return a copy in which the prior widths of one kind of parameter are scaled.
+        """Return a copy in which the prior widths of a kind of parameter are scaled.
 
         Args:
             kind: Key of ``KINDS``.
@@ -316,7 +316,7 @@ class ParameterTable:
     def get_value(
         self, vector: Array, kind: str, subject: str, component: str, default: float
     ) -> float:
-        """Return a parameter's value from a vector, or ``default`` if it is not estimated."""
+        """Return a parameter's value from a vector, or ``default`` if not estimated."""
         index = self._indices.get((kind, subject, component))
         return default if index is None else float(vector[index])
 

@@ -35,8 +35,8 @@ _MAX_DATA_RATIO = 0.1
 is narrower than sqrt(0.1), about a third, of the prior's. Chosen, not tuned."""
 
 _MIN_PRIOR_RATIO = 0.9
-"""Ratio of posterior to prior variance from which an estimate is held by its prior: the interval is
-at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned."""
+"""Ratio of posterior to prior variance from which an estimate is determined by the prior: the
+interval is at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned."""
 
 
 def classify_determination(variance_ratio: float) -> Determined:
@@ -88,7 +88,7 @@ class Fit(Result):
     Attributes:
         name: Robot name.
         source: Files of the measurements.
-        estimates: Estimates of all parameters, those of the surroundings last.
+        estimates: Estimates of all parameters, parameters of the surroundings last.
         failures: Measurements or estimates that contradict the model.
         diagnostics: Notes.
         kp_over_mass: Mean factor on the stated kp over the factor on the total mass, the ratio that
@@ -119,7 +119,7 @@ class Fit(Result):
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
-    """Yield the estimate of each parameter, those of the surroundings last."""
+    """Yield the estimate of each parameter, parameters of the surroundings last."""
     order = sorted(
         range(len(posterior.parameters)),
         key=lambda index: posterior.parameters[index].kind in SURROUNDINGS_KINDS,
@@ -137,7 +137,7 @@ def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
 def describe_parameter(
     parameter: Parameter, mean: float, std: float, determined: Determined
 ) -> Estimate:
-    """Create the estimate of a parameter, with its 95 % interval.
+    """Create the estimate of a parameter, with a 95 % interval.
 
     Args:
         parameter: Parameter.
@@ -151,7 +151,7 @@ def describe_parameter(
 
 
 PARAMETER_FIELDS = ("name", "kind", "subject", "component", "unit", "stated")
-"""Fields that an `Estimate` takes from its `Parameter`."""
+"""Fields that an `Estimate` takes from the `Parameter`."""
 
 
 def derive_estimate(
@@ -159,11 +159,11 @@ def derive_estimate(
 ) -> Estimate:
     """Return the estimate of a quantity that depends on the parameters.
 
-    Its variance is g^T C g, with the covariance C of the parameters.
+    The variance is g^T C g, with the covariance C of the parameters.
 
     Args:
         posterior: Distribution of the parameters.
-        parameter: Name, unit and stated value of the quantity; its width is ignored.
+        parameter: Name, unit and stated value of the quantity; the width is ignored.
         mean: Most probable value.
         gradient: Derivative g by the parameters, shape (n,).
     """
@@ -208,7 +208,7 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
 
 @dataclass(frozen=True, eq=False)
 class MotionFit(Fit):
-    """Parameters of a robot, estimated from logs of its motions.
+    """Parameters of a robot, estimated from logs of motions.
 
     Attributes:
         seconds: Total duration of the logs.

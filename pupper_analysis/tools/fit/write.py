@@ -43,7 +43,7 @@ not tuned."""
 
 _EXTRA_DIGITS = 2
 """Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:
-rounding changes a value by at most 0.5 % of its standard deviation."""
+rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
 """Kinds for which `study` has a factor."""
@@ -55,7 +55,7 @@ class FitFiles:
 
     Attributes:
         models: Corrected URDF and MJCF.
-        vector: Parameter values as written, shape (n,), rounded by their standard deviations.
+        vector: Parameter values as written, shape (n,), rounded by the standard deviations.
         diagnostics: Estimates that no file contains.
     """
 
@@ -65,7 +65,7 @@ class FitFiles:
 
 
 def _round_parameters(vector: Array, posterior: Posterior) -> Array:
-    """Return the parameters rounded by their standard deviations; unchanged ones as stated."""
+    """Return the parameters rounded by the standard deviations; unchanged parameters as stated."""
     return np.array(
         [
             parameter.stated
@@ -115,7 +115,7 @@ def _collect_numbers(
 def _set_com_component(
     numbers: dict[Key, float | Array], robot: Robot, parameter: Parameter, value: float
 ) -> None:
-    """Set one component of a CoM among the values; the other components are those of the file."""
+    """Set a component of a CoM among the values; the other components are as in the file."""
     model = robot.pin_model
     joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
     com = np.array(numbers.get((parameter.kind, parameter.subject), model.inertias[joint].lever))
@@ -134,8 +134,8 @@ def _format_factor_name(parameter: Parameter, value: float) -> str:
 
 
 NUM_SAMPLES = 512
-"""Default number of samples. The standard error of their mean is 1/sqrt(512), 4 % of a standard
-deviation."""
+"""Default number of samples. The standard error of the sample mean is 1/sqrt(512), 4 % of a
+standard deviation."""
 
 
 def draw_samples(
@@ -144,14 +144,14 @@ def draw_samples(
     """Draw robots from the posterior, all parameters of a robot jointly.
 
     Measurements determine sums and ratios: with a weight the total mass of v3 is known to 0.2 %,
-    its distribution among the links hardly. Independent samples would be robots that the
+    but the distribution among the links hardly. Independent samples would be robots that the
     measurements exclude.
 
     Robots with a mass or kp below 10 % of the written value are drawn again. (Logarithms of the
     masses would be always positive, but a sum of log-normal masses is biased: the total mass of v3
     was 2.957 ± 0.094 kg instead of 2.787 ± 0.006 kg.) Gravity is linear in masses m and first
-    moments m c, so these are drawn: the deviation of a CoM is scaled by m0 / m, with the written
-    mass m0. Other factors are clipped at 0.
+    moments m c, so masses and moments are drawn: the deviation of a CoM is scaled by m0 / m, with
+    the written mass m0. Other factors are clipped at 0.
 
     Args:
         posterior: Distribution of the parameters.
@@ -252,18 +252,18 @@ def write_fit(
 ) -> FitFiles:
     """Write a fit to a folder: all files or none.
 
-    The corrected URDF and MJCF are written with the meshes and included files that they need, in
+    The corrected URDF and MJCF are written with the meshes and included files that both need, in
     the same relative folders. Only the bytes of changed values differ from the originals.
-    ``fit.json`` contains all parameters with their covariance. ``offsets.csv`` contains the encoder
+    ``fit.json`` contains all parameters with the covariance. ``offsets.csv`` contains the encoder
     offsets: measured position minus true position. ``samples.csv`` contains samples of the
     posterior, with the factor names of `study`.
 
     Args:
-        robot: Robot, with the values of its files.
-        posterior: Distribution of its parameters.
+        robot: Robot, with the values of the files.
+        posterior: Distribution of the parameters.
         folder: Output folder, created if necessary.
         fit: Result that is included in ``fit.json``.
-        files: URDF and MJCF, if the robot was not loaded from its files.
+        files: URDF and MJCF, if the robot was not loaded from files.
         force: Whether to replace files that no fit has written, or that were edited since. Files
             from which the robot was loaded are never replaced.
 
@@ -271,8 +271,8 @@ def write_fit(
         Values that were written.
 
     Raises:
-        ModelError: If a value cannot be written to its file.
-        OutputError: If a file cannot be written, must not be replaced, or is one from which the
+        ModelError: If a value cannot be written to the file.
+        OutputError: If a file cannot be written, must not be replaced, or is a file from which the
             robot was loaded.
     """
     folder, parameters = Path(folder), posterior.parameters

@@ -56,7 +56,7 @@ class Access:
         """Return the reason to refuse a request, or None.
 
         Args:
-            path: Requested path with its query.
+            path: Requested path with the query.
             headers: Headers of the request.
         """
         host = headers.get("Host", "")
@@ -87,7 +87,7 @@ class Access:
 
 
 def _parse_host_name(host: str) -> str:
-    """Return the host name of a Host header, without its port."""
+    """Return the host name of a Host header, without the port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

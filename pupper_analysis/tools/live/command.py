@@ -160,7 +160,7 @@ def read_stance(path: Path) -> State:
     Raises:
         ConfigurationError: If the file is not a stance, an option is unknown or has no slider, or a
             value is invalid.
-        click.BadParameter: If a value is not of the type of its option.
+        click.BadParameter: If a value is not of the type of the option.
     """
     from pupper_analysis.tools.live.state import (
         ROBOT_SLIDER_FIELDS,
@@ -169,7 +169,7 @@ def read_stance(path: Path) -> State:
     )
 
     def typed(**_: object) -> None:
-        """Accept the options of a stance; click parses them."""
+        """Accept the options of a stance; click parses the values."""
 
     options = add_options((stance_option,), PAYLOAD_OPTIONS, GAIN_OPTIONS, make_options())
     parameters = (
@@ -249,8 +249,8 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
 def collect_garbage_often() -> None:
     """Restore Python's default thresholds of garbage collection, for new objects only.
 
-    Commands postpone collections because they end soon (``cli.GARBAGE``). A page runs for hours,
-    and its PlaCo robots are in reference cycles: 60 KB per action were not released.
+    Commands postpone collections because commands end soon (``cli.GARBAGE``). A page runs for
+    hours, and the PlaCo robots are in reference cycles: 60 KB per action were not released.
     """
     gc.collect()
     gc.freeze()  # loaded objects are permanent: exclude them from collections

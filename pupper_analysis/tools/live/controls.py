@@ -1,4 +1,4 @@
-"""Sliders and buttons of a page, and the state that results from them."""
+"""Sliders and buttons of a page, and the state that results from the values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LIFT_SLIDER = "lift"
 
 
 class Controls:
-    """Controls of one page.
+    """Controls of a page.
 
     Args:
         gui: viser's interface of the page.
@@ -115,7 +115,7 @@ class Controls:
                 self._add_slider(control)
 
     def _add_slider(self, control: Control) -> None:
-        """Add one slider."""
+        """Add a slider."""
         span, code = self._ranges[control.name], self._say.code
         handle = self._gui.add_slider(
             control.label(code),
@@ -188,7 +188,7 @@ class Controls:
         return state.having(swing=swing)
 
     def _apply_contacts(self, state: State) -> State:
-        """Return the state with the contacts in the text field, one ``LINK=CONTACT`` per line."""
+        """Return the state with the contacts in the text field, a ``LINK=CONTACT`` per line."""
         lines = filter(str.strip, self.contacts.value.splitlines())
         return state.having(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
@@ -255,7 +255,7 @@ class Controls:
         return self._ranges[control.name].value if value is None else control.extract_number(value)
 
     def _move_slider(self, name: str, value: float) -> None:
-        """Set a slider; extend its range if necessary."""
+        """Set a slider; extend the range if necessary."""
         handle = self.sliders[name]
         if value < handle.min:
             handle.min = value
@@ -289,7 +289,7 @@ class Controls:
 
 
 def _list_folders(fields: Mapping[str, Field]) -> list[str]:
-    """Return the folders of all fields except those of joints, in order."""
+    """Return the folders of all fields except joint folders, in order."""
     return list(
         dict.fromkeys(
             field.slider.folder
@@ -333,7 +333,7 @@ class JointSliders:
         robot: Robot.
         joints: Names of the joints.
         start: Initial joint positions, shape (nu,) [rad or m].
-        moved: Function that is called with a joint and its position [rad or m] after a change by
+        moved: Function that is called with a joint and the position [rad or m] after a change by
             the user.
 
     Attributes:
@@ -396,7 +396,7 @@ _AXIS_TERMS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
 
 @dataclass(frozen=True)
 class Control:
-    """One slider: a number of a field, or one element of a point.
+    """Slider: a number of a field, or an element of a point.
 
     Attributes:
         name: Name, for example ``roll`` or ``offset_x``.
@@ -409,7 +409,7 @@ class Control:
     axis: int | None = None
 
     def label(self, language: str) -> str:
-        """Return the label with its unit."""
+        """Return the label with the unit."""
         unit, _ = PAGE_UNITS[self.field.kind]
         axis = "" if self.axis is None else f" {self.field.axes[self.axis]}"
         return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
@@ -437,7 +437,7 @@ CONTROL_BY_NAME = {
         or [Control(field.address, field)]
     )
 }
-"""Sliders by their names in the address of a page, except the sliders of joints."""
+"""Sliders by name in the address of a page, except the sliders of joints."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Documents of the panels of a page, independent of the language.
 
-`render` converts them to HTML.
+`render` converts documents to HTML.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def stance_document(
     """Create the report of a stance for the live page: stand, sag, torques and contact forces.
 
     Args:
-        answer: State of the page, with its stand if there is one.
-        sag: Predicted equilibrium, or the reason why there is none; None until it is computed.
+        answer: State of the page, with the stand if there is a stand.
+        sag: Predicted equilibrium, or the reason why there is none; None until computed.
         judged: Verdict; None if the stance is out of reach or not in balance.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
@@ -113,7 +113,7 @@ def refusal_document(
 def simulation_document(stance: Stance) -> doc.Document:
     """Create the report of a stance simulated without feed-forward, for the live page.
 
-    The report compares the simulated base height with the predicted one.
+    The report compares the simulated base height with the predicted height.
     """
     run = stance.sagging
     expected = None if stance.settled is None else stance.settled.base_height
@@ -130,7 +130,7 @@ def push_document(trial: PushTrial) -> doc.Document:
     """Create the report of a simulated push against the standing robot, for the live page.
 
     Args:
-        trial: Result of one push: impulse, direction, and whether the robot recovers.
+        trial: Result of a push: impulse, direction, and whether the robot recovers.
     """
     document = trial_document(trial)
     return replace(document, blocks=(*document.blocks, _SIMULATION_NOTE))

@@ -43,7 +43,7 @@ class Answer:
 
     Attributes:
         state: Requested state.
-        robot: Robot with its payload; None if the payload is not valid.
+        robot: Robot with the payload; None if the payload is not valid.
         task: Stand task; None if the state is not valid.
         stand: Stand, on MuJoCo's soft ground if reachable there; None if out of reach.
         statics: Static torques and forces; None if the stand cannot be held.
@@ -64,7 +64,7 @@ class Answer:
 
 
 class StanceSolver:
-    """Solves the states of one robot. Several threads may call its methods.
+    """Solves the states of a robot. Several threads may call its methods.
 
     Args:
         robot: Robot.
@@ -75,7 +75,7 @@ class StanceSolver:
         self._cached_robot: tuple[object, Robot] | None = None
 
     def load_robot(self, state: State) -> Robot:
-        """Return the robot of a state, with its payload. The last robot is cached.
+        """Return the robot of a state, with the payload. The last robot is cached.
 
         Raises:
             PupperAnalysisError: If the payload is not valid.
@@ -128,7 +128,7 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 
 
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
-    """Predict the verdict of a stance without simulation; None if it is not in balance.
+    """Predict the verdict of a stance without simulation; None if the stance is not in balance.
 
     Args:
         answer: Solved state.

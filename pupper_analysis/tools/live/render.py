@@ -1,4 +1,4 @@
-"""Rendering of documents as HTML panels in one language, and the viser server of a page."""
+"""Rendering of documents as HTML panels in a single language, and the viser server of a page."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def import_viser() -> Any:
 
 
 def find_free_port(host: str, port: int | None) -> int:
-    """Return the requested port if it is free, or any free port if none is requested.
+    """Return the requested port if free, or any free port without a request.
 
     viser would use the next port if the port is taken, and would wait indefinitely for an unknown
     host.
@@ -193,7 +193,7 @@ _PHONE_STYLE = (
 
 @dataclass(frozen=True)
 class Language:
-    """Translates texts into one language.
+    """Translates texts into a single language.
 
     Attributes:
         code: ``"en"`` or ``"zh"``.
@@ -259,7 +259,7 @@ def render_panel(document: Document, say: Language) -> str:
 
 
 def render_verdict(document: Document, say: Language) -> str:
-    """Render the verdict with its reasons as one box; empty without verdict."""
+    """Render the verdict with the reasons as a box; empty without verdict."""
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
@@ -300,7 +300,7 @@ def _render_box(mark: str, text: str) -> str:
 
 @singledispatch
 def _render_block(_: object, __: Language) -> str:
-    """Render a block; plots and views are left out, since the scene shows them."""
+    """Render a block; plots and views are left out, since the scene shows both."""
     return ""
 
 

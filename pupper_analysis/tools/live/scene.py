@@ -78,7 +78,7 @@ page opens: about 0.5 MB of vertex indices. Primitive shapes are not counted. Ch
 
 
 BodyMeshes = dict[tuple[int, Colour], Mesh]
-"""Shapes in the frame of their body: {(body id of the MuJoCo model, colour): mesh}."""
+"""Shapes in the frame of the body: {(body id of the MuJoCo model, colour): mesh}."""
 
 
 def make_body_meshes(model: mujoco.MjModel) -> BodyMeshes:
@@ -101,7 +101,7 @@ def _join_meshes(meshes: list[Mesh]) -> Mesh:
 
 
 def triangulate_shape(shape: Shape) -> Mesh:
-    """Return the triangles of a primitive shape, centred, with its axis along z."""
+    """Return the triangles of a primitive shape, centred, with the axis along z."""
     from trimesh import creation  # comes with viser
 
     size, solid = shape.size, None
@@ -202,7 +202,7 @@ class RobotFigure:
 
 
 class Scene:
-    """3-D scene of one page.
+    """3-D scene of a page.
 
     Args:
         scene: viser's scene of the page.
@@ -267,7 +267,7 @@ class Scene:
         figure.show(True)
 
     def hide(self, name: str) -> None:
-        """Hide a figure, if it exists."""
+        """Hide a figure, if the figure exists."""
         if name in self._figures:
             self._figures[name].show(False)
 
@@ -312,7 +312,7 @@ class Scene:
         return node
 
     def _draw_only(self, names: tuple[str, ...]) -> None:
-        """Hide all nodes except the given ones and the ground."""
+        """Hide all nodes except the given nodes and the ground."""
         for name, node in self._nodes.items():
             node.visible = name in (*names, "ground")
         for node in self._joints.values():
@@ -377,7 +377,7 @@ class Scene:
         area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
 
     def _draw_com(self, described: StandingScene) -> None:
-        """Draw the centre of mass and its projection."""
+        """Draw the centre of mass and the projection."""
         colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
             ("com", described.com, 0.075),

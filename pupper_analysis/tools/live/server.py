@@ -1,4 +1,4 @@
-"""Server of a page; each browser that opens the page has its own session."""
+"""Server of a page; each browser that opens the page has a separate session."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ServeOptions(TypedDict, total=False):
 
 
 class ServedPage:
-    """Page that is served until it is closed; each browser has its own session.
+    """Page that is served until closed; each browser has a separate session.
 
     Args:
         robot: Name of the robot, in the title of the page.

@@ -1,4 +1,4 @@
-"""Session of one browser: panels, scene, and two threads.
+"""Session of a browser: panels, scene, and two threads.
 
 One thread solves each new state at once and skips outdated states. The other thread computes sag,
 explanations and simulations after a pause without changes. Its results are shown only if the state
@@ -140,7 +140,7 @@ _FRAME_PERIOD = 1 / 30  # s between the pictures of a motion
 
 
 class Session:
-    """Session of one browser.
+    """Session of a browser.
 
     Args:
         client: viser's client.
@@ -179,7 +179,7 @@ class Session:
             thread.start()
 
     def close(self) -> None:
-        """Request the end of the threads; each ends after its current work."""
+        """Request the end of the threads; each ends after the current work."""
         self._closed.set()
         self._state_changed.set()
         self._work_pending.set()
@@ -193,7 +193,7 @@ class Session:
         self._panels.controls.set_state(State(), notify=True)
 
     def go_to_nearest(self) -> None:
-        """Set the controls to the nearest stance, if there is one."""
+        """Set the controls to the nearest stance, if there is a stance."""
         with self._lock:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
@@ -220,9 +220,9 @@ class Session:
         self._work_pending.set()
 
     def export(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
-        """Return the solved stance that the page shows, and its predicted sag, for a download.
+        """Return the solved stance that the page shows, and the predicted sag, for a download.
 
-        The sag is a message if there is no equilibrium, and None until it is computed.
+        The sag is a message if there is no equilibrium, and None until computed.
         """
         with self._lock:
             return self._answer, self._sag
@@ -242,7 +242,7 @@ class Session:
         self._show_answer(self._model.solve_state(self._panels.controls.state))
 
     def _reset_results(self, answer: Answer | None, verdict: Verdict | None) -> None:
-        """Store an answer and clear the results of the previous one."""
+        """Store an answer and clear the results of the previous answer."""
         self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
         self._verdict, self._answer_time = verdict, monotonic()
         self._pending_job = None
@@ -296,7 +296,7 @@ class Session:
                 self._run_safely(partial(self._run_job, job, answer))
 
     def _run_job(self, job: Callable[[Answer], None], answer: Answer) -> None:
-        """Run a simulation; its error is shown as the result."""
+        """Run a simulation; an error is shown as the result."""
         try:
             job(answer)
         except PupperAnalysisError as error:
@@ -359,7 +359,7 @@ class Session:
         motion: Any,
         verdict: Verdict | None = None,
     ) -> None:
-        """Show the result of a simulation and play its motion."""
+        """Show the result of a simulation and play the motion."""
 
         def show() -> None:
             self._verdict = verdict or self._verdict

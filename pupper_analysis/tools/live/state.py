@@ -1,4 +1,4 @@
-"""State of a page in the units of its sliders, and its conversion to tasks and files."""
+"""State of a page in the units of the sliders, and the conversion to tasks and files."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class State:
     """Requested state of a page, in page units.
 
     Lengths are in mm, angles in degrees, joint positions in rad or m. Each field of `SLIDER_FIELDS`
-    is an attribute; without a request it has its default, which is None for values of the robot
-    itself.
+    is an attribute; without a request the field has the default, which is None for values of the
+    robot itself.
 
     Attributes:
         place: Mode of the base position: ``centre``, ``inside`` or ``offset``.
@@ -99,7 +99,7 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield the fields of `FIELDS` that are requested, with their values in page units."""
+        """Yield the fields of `FIELDS` that are requested, with values in page units."""
         for name, field in FIELDS.items():
             if name == "offset":
                 if self.place == "offset":
@@ -154,7 +154,7 @@ def find_contact_factor(contact: Contact | Weld) -> float:
 
 
 def find_default_value(field: Field) -> Any:
-    """Return the default of a field; None if it is the robot's own value."""
+    """Return the default of a field; None if the default is the robot's own value."""
     if field.per:
         return FrozenDict()
     if field.nominal != "zero":
@@ -188,7 +188,7 @@ def _is_zero_significant(field: Field) -> bool:
 
 
 def _iterate_numbers(value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a value, each with its foot or joint, or an empty name."""
+    """Yield the numbers of a value, each with the foot or joint, or an empty name."""
     for element, item in value.items() if isinstance(value, dict) else [("", value)]:
         for number in item if isinstance(item, tuple) else (item,):
             if not isinstance(number, _TEXT_TYPES):  # not the frame of a point

@@ -42,11 +42,11 @@ PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0,
 
 
 class WalkSession:
-    """Session of one browser: a robot that is simulated in real time until it falls.
+    """Session of a browser: a robot that is simulated in real time until it falls.
 
     Args:
         client: viser's client.
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         command: Initial command, shape (3,).
         say: Language of the page.
     """

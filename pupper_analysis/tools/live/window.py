@@ -80,7 +80,7 @@ def simulate_drop(robot: Robot) -> Drop:
 
 
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
-    """Check a final state against the home pose with its lowest foot on the ground."""
+    """Check a final state against the home pose with the lowest foot on the ground."""
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
         qpos[2] -= _foot_clearance(robot, qpos)
@@ -98,7 +98,7 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
 def make_home_data(robot: Robot) -> mujoco.MjData:
     """Return MuJoCo's data with joints and servo commands at the home pose.
 
-    A free base is raised until its lowest foot is `DROP_HEIGHT` above the ground, if this foot is
+    A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if this foot is
     less than half of this height above the ground.
     """
     data = mujoco.MjData(robot.mj_model)
@@ -143,7 +143,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
 
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
-    """Drop a robot and print whether it stands at the end.
+    """Drop a robot and print whether the robot stands at the end.
 
     The result is the same whatever is done in the window.
 
@@ -220,7 +220,7 @@ def check_display() -> None:
 
 
 def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Simulate in MuJoCo's viewer in real time until its window is closed.
+    """Simulate in MuJoCo's viewer in real time until the window is closed.
 
     Args:
         model: Model.

@@ -1,4 +1,4 @@
-"""Find what a learnt policy asks of the motors as it walks."""
+"""Find what a learnt policy demands of the motors during walking."""
 
 HEADING = "Real robot"
 """Section of ``--help`` that lists this tool."""

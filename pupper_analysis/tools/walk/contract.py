@@ -1,4 +1,4 @@
-"""Contract of a policy and its robot: the observation, and the meaning of the actions."""
+"""Contract of a policy and a robot: the observation, and the meaning of the actions."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Term:
     """Term of an observation.
 
     Attributes:
-        name: One of `TERM_SIZES`.
-        scale: Factor: one number, or one number per element.
+        name: A key of `TERM_SIZES`.
+        scale: Factor: a number, or a number per element.
     """
 
     name: str
@@ -69,10 +69,10 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Contract:
-    """Observation of a policy, and meaning of its actions, for n joints.
+    """Observation of a policy, and meaning of the actions, for n joints.
 
     Attributes:
-        terms: Terms of one frame of the observation, in order.
+        terms: Terms of a frame of the observation, in order.
         joints: Joint names in the order of the policy; empty if the file states none. The order is
             then that of the robot's actuators.
         default: Joint positions for an action of zero, shape (n,) [rad].
@@ -82,7 +82,7 @@ class Contract:
         kp: Servo stiffness, shape (n,) [N m/rad]; None for the servos of the robot.
         kd: Servo damping, shape (n,) [N m s/rad]; None for the servos of the robot.
         rate: Number of actions per second [Hz].
-        latency: Delay from an observation to its command at the servos [s].
+        latency: Delay from an observation to the command at the servos [s].
         clip: Bound on the magnitude of each element of an observation.
         history: Number of frames in an observation.
         newest_first: True if the newest frame is the first.
@@ -125,7 +125,7 @@ class Contract:
 
     @property
     def frame_size(self) -> int:
-        """Number of elements of the observation at one time step (frame)."""
+        """Number of elements of the observation at a time step (frame)."""
         return sum(self.term_size(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> Contract:
@@ -177,7 +177,7 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
 
     The frame is that of ``neural_controller.cpp``, with 36 elements, or 33 without a commanded
     orientation: angular velocity, gravity, command, commanded vertical, joint positions, last
-    action. The newest frame is the first; elements are clipped at 100; one action every 20 ms.
+    action. The newest frame is the first; elements are clipped at 100; an action every 20 ms.
     Empty if the JSON has no ``observation_history``.
     """
     if "observation_history" not in values:
@@ -209,7 +209,7 @@ class _MergedValues:
     joints: int
 
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
-        """Return a vector of `size` elements from one or `size` numbers.
+        """Return a vector of `size` elements from a single number or `size` numbers.
 
         None if the key is missing and has no default.
         """

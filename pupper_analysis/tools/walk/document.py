@@ -27,7 +27,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
     Args:
         walk: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+        robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
     word = "walk-follows" if walk.passed else "walk-falls" if fallen else "walk-does-not-follow"
@@ -207,7 +207,7 @@ def _make_run_table(walk: Walk) -> doc.Table:
 
 
 _NUM_DRAWN_MOTORS = 4
-"""Number of motors whose torques are drawn: those with the largest rms."""
+"""Number of motors whose torques are drawn, in descending order of rms."""
 
 
 def torque_plot(walk: Walk) -> doc.LinePlot:

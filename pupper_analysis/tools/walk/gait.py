@@ -34,12 +34,12 @@ from pupper_analysis.tools.walk.runs import (
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
-"""Duration of a run [s], and of its warm-up [s], which is not evaluated. A robot needs about a
+"""Duration of a run [s], and of the warm-up [s], which is not evaluated. A robot needs about a
 second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
 """Tolerance of a tracked speed: fraction of the command, plus `SPEED_ATOL` [m/s] for a command of
-zero. Chosen: Pupper's public policy reaches 0.93 of its command."""
+zero. Chosen: Pupper's public policy reaches 0.93 of the command."""
 
 TURN_ATOL = 0.1
 """Absolute tolerance of a tracked turning rate [rad/s], in addition to `SPEED_RTOL`. Chosen, not
@@ -50,19 +50,19 @@ MIN_FOLLOWED_FRACTION = 0.5
 commands: at 0.13 m/s the tolerance is most of the command. Chosen, not tuned."""
 
 LIMIT_FRACTION = 0.99
-"""Fraction of its torque limit from which a motor is counted as saturated. Chosen, not tuned."""
+"""Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
 _MAX_COMMAND = 100.0
 """Largest magnitude of a command [m/s, rad/s]. A larger number has a wrong unit. Chosen, not
 tuned."""
 
 _MOTION_PERIOD = 1 / 25
-"""Time between the recorded configurations of a run [s], for its animation. Chosen, not tuned."""
+"""Time between the recorded configurations of a run [s], for the animation. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait(Result):
-    """One run of a policy on a robot. Means and peaks exclude the warm-up.
+    """Run of a policy on a robot. Means and peaks exclude the warm-up.
 
     Attributes:
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
@@ -72,7 +72,7 @@ class Gait(Result):
         duration: Time until the fall, or until the end.
         velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,).
         turning: Mean turning rate to the left.
-        tracks: True if the robot does not fall and tracks its command.
+        tracks: True if the robot does not fall and tracks the command.
         torque_rms: Root mean square of each motor's torque, shape (nu,).
         torque_peak: Largest magnitude of each motor's torque, shape (nu,).
         at_limit: Fraction of the time in which each motor is saturated, shape (nu,).
@@ -130,10 +130,10 @@ class Walk(Result):
         joints: Joint names, in actuator order.
         limits: Torque limit of each motor, shape (nu,); infinite without a limit.
         mass: Mass of the robot.
-        gaits: One gait per seed; the first starts in the default pose at rest.
+        gaits: A gait per seed; the first starts in the default pose at rest.
         integrator: MuJoCo's integrator.
         timestep: Time step of the simulation.
-        rate: Simulated rate of the policy; its period is a whole number of time steps.
+        rate: Simulated rate of the policy; the period is a whole number of time steps.
         warm_up: Duration of the warm-up.
         remarks: Errors and assumptions of the robot's files behind the result.
     """
@@ -178,7 +178,7 @@ def check_command(command: ArrayLike) -> Array:
 
 
 def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
-    """Check the number of runs, their duration [s] and the warm-up [s].
+    """Check the number of runs, the duration [s] and the warm-up [s].
 
     Raises:
         ConfigurationError: If a number is out of range.
@@ -204,11 +204,11 @@ def simulate_walk(
     warm_up: float = WARM_UP_SECONDS,
     workers: int | None = None,
 ) -> Walk:
-    """Simulate a policy on a robot in MuJoCo and evaluate its gait.
+    """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
-    The model is that of the robot's files. Its servos get the gains of the policy, if the policy
-    states gains, and keep their torque limits. The robot starts in the default pose of the policy,
-    with its lowest foot on the ground, and gets its command at the start.
+    The model is taken from the robot's files. The servos get the gains of the policy, if the policy
+    states gains, and keep the torque limits. The robot starts in the default pose of the policy,
+    with the lowest foot on the ground, and gets the command at the start.
 
     Args:
         robot: Robot.
@@ -282,7 +282,7 @@ def joint_torques(stage: Stage, run: Run) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Mean velocity and turning rate of a run, and whether it tracks the command.
+    """Mean velocity and turning rate of a run, and tracking of the command.
 
     Attributes:
         velocity: Mean velocity forward and to the left, shape (2,) [m/s].
@@ -296,13 +296,13 @@ class Tracking:
 
 
 def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
-    """Compute mean velocity and turning rate of a run after the warm-up, and whether it tracks.
+    """Compute mean velocity and turning rate of a run after the warm-up, and the tracking.
 
     The run tracks if the robot does not fall, and both errors are within the tolerances.
 
     Args:
         stage: Robot, policy and model of the simulation.
-        run: Simulated run with its command.
+        run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
 
     Returns:
@@ -343,7 +343,7 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
 
     Args:
         stage: Robot, policy and model of the simulation.
-        run: Simulated run with its command.
+        run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
     """
     robot, step = stage.robot, stage.timestep
@@ -424,11 +424,11 @@ def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
 
 
 class ContactSample(NamedTuple):
-    """Feet in contact at one time, and the static motor torques there, shape (nu,) [N m].
+    """Feet in contact at a time, and the static motor torques there, shape (nu,) [N m].
 
     The static torques hold the same joint positions without motion. Vertical forces at the contact
-    points carry the weight, with their centre as close below the centre of mass as possible. If the
-    centre of mass is outside the contact points, a standing robot would tip.
+    points carry the weight, with the centre of pressure as close below the centre of mass as
+    possible. If the centre of mass is outside the contact points, a standing robot would tip.
     """
 
     feet: tuple[str, ...]
@@ -438,16 +438,16 @@ class ContactSample(NamedTuple):
 def find_ground_contacts(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
 ) -> tuple[list[ContactSample], tuple[str, ...]]:
-    """Return contacts of feet with the ground for each state, and other bodies that touch it.
+    """Return ground contacts of feet for each state, and other bodies that touch the ground.
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         model: Simulated model.
         states: States of the simulation, shape (n, size).
         statics: True to compute static torques; otherwise the torques are zero.
 
     Returns:
-        One sample per state, and the names of bodies other than feet that touch the ground in any
+        A sample per state, and the names of bodies other than feet that touch the ground in any
         state.
     """
     robot, data = stage.robot, mujoco.MjData(model)
@@ -483,7 +483,7 @@ def find_ground_contacts(
 
 _SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
 """Weights in the least-squares problem of static forces: of the sum of the forces, and of equal
-forces (regularisation), relative to their centre [1/m]. Chosen, not tuned."""
+forces (regularisation), relative to the contact centre [1/m]. Chosen, not tuned."""
 
 
 def _compute_static_torques(

@@ -1,4 +1,4 @@
-"""Intervals of robot parameters within which a policy tracks its command."""
+"""Intervals of robot parameters within which a policy tracks the command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
-"""Duration of a run [s], and of its warm-up [s]. Falls occur within the first 3 s."""
+"""Duration of a run [s], and of the warm-up [s]. Falls occur within the first 3 s."""
 
 NUM_HALVINGS = 5
 """Number of bisections between a tracked and an untracked value of a varied quantity. Derived: the
@@ -40,7 +40,7 @@ Change = Callable[[Stage, mujoco.MjModel, float], None]
 
 @dataclass(frozen=True)
 class Quantity:
-    """Parameter of the robot, or of its simulation, that is varied.
+    """Parameter of the robot, or of the simulation, that is varied.
 
     Attributes:
         unit: Unit; ``x`` for a factor.
@@ -148,10 +148,10 @@ _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
 
 @dataclass(frozen=True, eq=False)
 class TrackedInterval(Result):
-    """Interval of one quantity within which a policy tracks its command, for each seed.
+    """Interval of a quantity within which a policy tracks the command, for each seed.
 
     Attributes:
-        quantity: One of `QUANTITIES`.
+        quantity: An element of `QUANTITIES`.
         unit: Unit; ``x`` for a factor.
         nominal: Value of the unchanged robot.
         least: Smallest tracked value found, shape (seeds,).
@@ -199,7 +199,7 @@ class TrackedIntervals(Result):
             (rad/s), shape (3,).
         asked: Number of requested seeds.
         seeds: Seeds with which the unchanged robot tracks; the other seeds are not used.
-        intervals: One interval per quantity, with all other quantities unchanged.
+        intervals: An interval per quantity, with all other quantities unchanged.
         rollouts: Number of simulated runs.
         seconds: Duration of each run.
         remarks: Errors and assumptions of the robot's files behind the result.
@@ -226,12 +226,13 @@ class TrackedIntervals(Result):
 
 
 def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
-    """Create the case of a walking simulation in which one quantity is changed.
+    """Create the case of a walking simulation with a changed quantity.
 
     Args:
         stage: Robot, policy and model of the simulation.
         name: Key of `QUANTITIES`.
-        value: Value of the quantity in its unit; of a push, the velocity change [m/s].
+        value: Value of the quantity in the unit of the quantity; of a push, the velocity change
+            [m/s].
         command: Command, shape (3,) [m/s, m/s, rad/s].
         seed: Seed of the case.
     """
@@ -273,12 +274,12 @@ def tracked_intervals(
     measured: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
 ) -> TrackedIntervals:
-    """Find the interval of each quantity within which a policy tracks its command.
+    """Find the interval of each quantity within which a policy tracks the command.
 
     Each quantity is changed alone, in both directions. The range between a tracked and an untracked
     value is bisected `NUM_HALVINGS` times. All values use the same seeds. The set of tracked values
-    need not be an interval; one of its ends is found. The result does not depend on the number of
-    workers.
+    need not be an interval; one end of the set is found. The result does not depend on the number
+    of workers.
 
     Args:
         robot: Robot.
@@ -425,7 +426,7 @@ def read_measured_intervals(
 
 
 def _find_estimates(data: Any) -> list[Any]:
-    """Return the rows of a fit's JSON, in either of its two forms."""
+    """Return the rows of a fit's JSON, in either form."""
     for key in ("estimates", "parameters"):
         rows = data.get(key) if isinstance(data, dict) else None
         if isinstance(rows, list):

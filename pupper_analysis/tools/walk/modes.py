@@ -47,7 +47,7 @@ _QUANTITIES_OF_COMMAND = {
     "push": (("push-forward", "push-left"), "How hard it can be pushed while this policy walks it"),
     "payload": (("payload",), "What it carries while this policy walks it"),
 }
-"""Varied quantities of each command, and the help text of its option ``--policy``."""
+"""Varied quantities of each command, and the help text of the option ``--policy``."""
 
 
 def load_walking_robot(
@@ -115,7 +115,7 @@ def _run_policy_mode(
     report_path: Path | None,
     **_: object,
 ) -> None:
-    """Find the tracked intervals of one robot, or of several for ``push``, and show the result."""
+    """Find the tracked intervals of a robot, or of several for ``push``, and show the result."""
     from pupper_analysis.tools.walk.intervals import tracked_intervals
     from pupper_analysis.tools.walk.policy import Policy
 

@@ -49,7 +49,7 @@ ACTIVATIONS: Mapping[str, Operation] = {
     "sigmoid": sigmoid,
     "swish": lambda value: value * sigmoid(value),
 }
-"""Activation functions by their names in Keras."""
+"""Activation functions by Keras names."""
 
 
 def dense(value: Array, weights: Array, bias: Array) -> Array:
@@ -76,7 +76,7 @@ def gru(
         state_weights: Weights of the state, shape (u, 3 u), in the same order.
         biases: Biases of the products with input and state, shape (2, 3 u).
         reset_after: True if the reset gate multiplies the product with the state (Keras, cuDNN),
-            False if it multiplies the state.
+            False if the reset gate multiplies the state.
     """
     size = hidden.shape[-1]
     input_part, state_part = (
@@ -129,7 +129,7 @@ def lstm(
 
 @dataclass(frozen=True)
 class Node:
-    """One operation of a network.
+    """Operation of a network.
 
     Attributes:
         name: Name of the layer, for messages.
@@ -153,7 +153,7 @@ class Network:
         constants: {name: weights}.
         observation: Name of the observation.
         action: Name of the action.
-        memory: Name of each recurrent state, name of its next value, and its size.
+        memory: Name of each recurrent state, name of the next value, and size.
         inputs: Number of elements of an observation.
         outputs: Number of elements of an action.
     """
@@ -203,10 +203,10 @@ def assemble_network(
     memory: Sequence[tuple[str, str, int]],
     inputs: int,
 ) -> Network:
-    """Build a network of any format, and evaluate it once with an observation of zeros.
+    """Build a network of any format, and evaluate the network once with an observation of zeros.
 
-    All formats are validated here: finite weights, their number, the sizes of the observation, of
-    recurrent states, of each operation's values and of the action.
+    All formats are validated here: finite weights, number of weights, the sizes of the observation,
+    of recurrent states, of each operation's values and of the action.
 
     Args:
         path: The file, for messages.
@@ -217,7 +217,7 @@ def assemble_network(
         inputs: Number of elements of an observation.
 
     Raises:
-        ModelError: If a weight is not finite, or a size does not fit; it names the layer.
+        ModelError: If a weight is not finite, or a size does not fit; the message names the layer.
     """
     count = sum(weights.size for weights in constants.values())
     if count > MAX_WEIGHTS:

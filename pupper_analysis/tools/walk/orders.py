@@ -29,7 +29,7 @@ from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, s
 Array = NDArray[np.float64]
 
 DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
-"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With one command alone, wrong
+"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With a single command, wrong
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
@@ -47,12 +47,12 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Result):
-    """One interpretation (reading) of a policy, with the result of simulated walking.
+    """Interpretation (reading) of a policy, with the result of simulated walking.
 
     Attributes:
         change: Difference from the stated contract: ``stated``, ``limbs``, ``by-kind``, ``sign``,
             ``scale`` or ``history``.
-        detail: Changed scale or history; exchanged limbs, named by their first joints; empty
+        detail: Changed scale or history; exchanged limbs, named by the first joints; empty
             otherwise.
         joints: Joints of the robot in the order of the policy.
         flipped: Joints with the opposite of the stated sign.
@@ -116,8 +116,8 @@ class Orders(Result):
     def alike(self) -> tuple[int, ...]:
         """Indices of the candidates that track as many commands as the first at similar cost.
 
-        Their cost is at most `MIN_COST_RATIO` times the cost of the first. Empty if no candidate
-        tracks a command.
+        The cost of these candidates is at most `MIN_COST_RATIO` times the cost of the first. Empty
+        if no candidate tracks a command.
         """
         best = self.candidates[0]
         return tuple(
@@ -147,12 +147,12 @@ def rank_orders(
 
     The stated joint order, signs, scale or history of a policy may be wrong. Candidates are ranked
     by the number of tracked commands, then by `Candidate.cost`. Tried are the stated
-    interpretation, and interpretations that differ from it in one respect:
+    interpretation, and interpretations that differ in one respect:
 
     - Orders of limbs with equally many joints: all orders of up to four limbs, and exchanges of two
       limbs if there are more. Each order is also tried with the joints grouped by kind instead of
-      by limb, or by limb if they are grouped by kind.
-    - The opposite sign of each joint, and of all joints of one kind.
+      by limb, or by limb if currently grouped by kind.
+    - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
     - With a history of several steps: the reversed history, and the other layout of the history.
 
@@ -216,7 +216,7 @@ def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
 
 
 Change = tuple[str, str, tuple[str, ...]]
-"""Kind of a change, its detail, and the flipped joints."""
+"""Kind of a change, detail, and the flipped joints."""
 
 
 def _list_readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
@@ -250,7 +250,7 @@ def _list_readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, C
 def _permute_joints(
     stated_joints: tuple[str, ...], limbs: Sequence[Sequence[int]]
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield permuted orders: kind of change, exchanged limbs by their first joints, joints."""
+    """Yield permuted orders: kind of change, exchanged limbs by the first joints, joints."""
     yielded = {stated_joints}
     for size, count in Counter(len(limb) for limb in limbs).items():
         equal_limbs = [limb for limb in limbs if len(limb) == size]
@@ -300,7 +300,7 @@ def _evaluate_reading(
     change: Change,
     workers: int | None,
 ) -> Candidate:
-    """Simulate one reading with all commands."""
+    """Simulate a reading with all commands."""
     stage = prepare_stage(robot, policy)
     cases = [stage.case(command) for command in commands]
     tracked = fallen = 0

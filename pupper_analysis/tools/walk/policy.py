@@ -1,4 +1,4 @@
-"""Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with their contracts."""
+"""Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with contracts."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Policy:
     Attributes:
         name: File name.
         network: Network that maps observations to actions.
-        contract: Observation of the policy, and meaning of its actions.
+        contract: Observation of the policy, and meaning of the actions.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Policy:
         Args:
             path: ONNX file, RTNeural's JSON, or TorchScript (requires torch).
             contract: TOML file with contract keys, which has precedence over the policy file; by
-                default the file of the same name with the suffix ``.toml``, if it exists.
+                default the file of the same name with the suffix ``.toml``, if that file exists.
 
         Raises:
             MissingPackageError: If the policy is TorchScript and torch is not installed.
@@ -107,8 +107,8 @@ Array = NDArray[np.float64]
 def refuse_malformed(path: Path) -> Iterator[None]:
     """Turn an error of Python that a malformed policy file causes into a refusal of the file.
 
-    The readers check the values that they use. This is their last resort, the same for all formats:
-    a file is never reported as a defect of the package.
+    The readers check the values that the format uses. This function is the last check, the same for
+    all formats: a file is never reported as a defect of the package.
 
     Raises:
         ModelError: If the block raises such an error.
@@ -233,7 +233,7 @@ def _build_onnx_network(path: Path, file: OnnxFile) -> Network:
 def _build_node(
     path: Path, node: ProtobufMessage, number: int, constants: dict[str, Array]
 ) -> Node:
-    """Build one operation; a Constant adds its value to ``constants``."""
+    """Build an operation; a Constant adds its value to ``constants``."""
     kind = get_text(node, 4)
     name = get_text(node, 3) or f"layer {number} ({kind})"
     inputs = tuple(get_text(node, 1, index) for index in range(len(node.get(1, ()))))
@@ -367,7 +367,7 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 
 _IDENTITY_OPERATORS = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
-"""Operators that keep the numbers of an observation and their order."""
+"""Operators that keep the numbers of an observation and the order."""
 
 _OPERATION_MAKERS: dict[str, Make] = {
     "Add": _ignore_attributes(np.add),
@@ -480,7 +480,7 @@ def _read_word(
     Args:
         path: The file, for messages.
         name: The layer's name, for messages.
-        layer: The layer as it was read.
+        layer: The layer as read.
         key: The key.
         valid_words: Valid words.
         default: Word of a layer that states none: no such key, null, or an empty text.
@@ -501,7 +501,7 @@ def _read_word(
 
 
 def _read_weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
-    """Return the weight arrays of a layer: matrices, then biases with one or two dimensions."""
+    """Return the weight arrays of a layer: matrices, then biases with 1 or 2 dimensions."""
     stated = layer.get("weights")
     problem = ModelError(path, diagnose("layer-weights", layer=name, count=count))
     if not isinstance(stated, list) or len(stated) != count:

@@ -52,7 +52,7 @@ evaluated. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Definition of one run.
+    """Definition of a run.
 
     Attributes:
         model: Simulated model.
@@ -143,8 +143,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, or the rate of the policy
             exceeds that of the time steps.
-        ModelError: If a joint has no motor, the policy states only one of kp and kd, neither policy
-            nor robot has gains, or the number of joints differs.
+        ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
+            neither policy nor robot has gains, or the number of joints differs.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     robot.check_floating()
@@ -224,7 +224,7 @@ def simulate_cases(
     """Simulate cases and yield the runs in the same order.
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         cases: Runs; their models have the sizes of the stage's model.
         duration: Simulated time of each run [s].
         warm_up: Time at the start without evaluation of tilt and height [s].
@@ -252,7 +252,7 @@ class Lockstep:
     """Runs that are simulated together, action by action.
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         cases: Runs; pushes are applied by the caller.
 
     Attributes:
@@ -279,7 +279,7 @@ class Lockstep:
         )
 
     def advance(self, forces: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Simulate one action of the active runs.
+        """Simulate an action of the active runs.
 
         Args:
             forces: Forces on the bodies during the action, shape (n, 6 nbody); see
@@ -378,7 +378,7 @@ def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> A
     """Return the forces of pushes that last one action, shape (runs, 6 nbody) [N].
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         impulses: Impulse of each run in the world frame, (x, y) [N s].
     """
     forces = np.zeros((len(impulses), stage.model.nbody, 6))
@@ -428,12 +428,12 @@ def rotations_from_quaternions(quaternions: Array) -> Array:
 
 
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
-    """Return the tilt of the base [rad] and the height loss of its reference point [m].
+    """Return the tilt of the base [rad] and the height loss of the reference point [m].
 
     The reference point is fixed to the base, at the CoM of the default pose (`StandReference`).
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         states: States, shape (..., size).
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
@@ -448,7 +448,7 @@ class Observer:
     """Computes the observations of runs in lockstep.
 
     Args:
-        stage: Policy on its robot.
+        stage: Policy on the robot.
         commands: Commands of all runs, shape (runs, 3).
 
     Attributes:

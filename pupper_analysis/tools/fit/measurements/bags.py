@@ -1,4 +1,4 @@
-"""Logs from MCAP files and ROS bags: joint positions and commands, resampled to one clock."""
+"""Logs from MCAP files and ROS bags: joint positions and commands, resampled to a common clock."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ones mean that the clock was set. Chosen, not tuned."""
 _STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 _ROLE_TYPES = {"state": _STATE_TYPE, "command": _ARRAY_TYPE}
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Upper bound of the size of one file of a bag. Larger bags usually contain camera topics, which
+"""Upper bound of the size of a file of a bag. Larger bags usually contain camera topics, which
 can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
@@ -72,7 +72,7 @@ def read_bag(
 
 
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
-    """Return {role: topic}: the requested topic, or the only one of its type."""
+    """Return {role: topic}: the requested topic, or the only topic of the type."""
     topics: dict[str, str] = {}
     listing = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
     if wrong := [role for role in requested if role not in _ROLE_TYPES]:

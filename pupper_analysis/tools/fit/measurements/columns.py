@@ -32,7 +32,7 @@ MAX_CSV_BYTES = 100_000_000
 tuned."""
 
 _CELL_SEPARATORS = (",", ";", "\t")
-"""Possible separators; the most frequent one in the first line is used."""
+"""Possible separators; the most frequent separator in the first line is used."""
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 
@@ -87,7 +87,7 @@ class Columns:
 def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
     """Read a CSV file of measurements.
 
-    The first line has the names of the columns, with units in brackets if they are not SI units:
+    The first line has the names of the columns, with units in brackets if not SI units:
     ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons, numbers
     may have decimal commas. Empty cells and ``nan`` are missing values.
 
@@ -170,7 +170,7 @@ def _match_columns(
         unit (1 without a unit).
 
     Raises:
-        MeasurementError: If a column is unknown or repeated, or its unit is unknown.
+        MeasurementError: If a column is unknown or repeated, or the unit is unknown.
     """
     names = set()
     for text in header:

@@ -40,7 +40,7 @@ class Log:
         source: File.
         time: Sample times, strictly increasing, shape (n,) [s].
         joints: Joints of the columns.
-        command: Commanded positions, each from its sample to the next, shape (n, joints) [rad, m];
+        command: Commanded positions, each from a sample to the next, shape (n, joints) [rad, m];
             NaN if missing.
         position: Measured positions, shape (n, joints) [rad, m]; NaN if missing.
     """
@@ -187,7 +187,7 @@ def read_log(
         joints: Of a bag: joints of messages without names, in order.
 
     Returns:
-        The log. ``inspect_log`` checks it for a robot.
+        The log. ``inspect_log`` checks the log for a robot.
 
     Raises:
         ConfigurationError: If topics or joints are passed for a file that is not a bag.

@@ -35,28 +35,28 @@ _SAME_UNIT_RATIOS = (0.2, 5.0)
 not tuned."""
 
 _MAX_SWAPPED_CORRELATION = -0.1
-"""Correlation between a joint's steps and its servo error below which its columns are swapped. A
+"""Correlation between a joint's steps and the servo error below which the columns are swapped. A
 servo supplies the energy that friction dissipates, so that the correlation is positive: 0.1 to
 0.9 in simulated and public logs, and as negative with swapped columns."""
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that is allowed in the energy balance of a motion with different start
-and end positions: three standard deviations of its prior."""
+and end positions: three standard deviations of the prior."""
 
 _MAX_OPPOSED_CORRELATION = -0.7
 """Correlation of commands and positions below which the sign is wrong. A delay of a quarter period
 gives 0, and servos are not slower. Chosen, not tuned."""
 
 _MIN_OWN_CORRELATION = 0.5
-"""Correlation of a position with its own command below which its column may be that of another
-joint. Chosen, not tuned."""
+"""Correlation of a position with the command of the same joint below which the column may be that
+of another joint. Chosen, not tuned."""
 
 _MIN_OTHER_CORRELATION = 0.9
 """Correlation of a position with another joint's command above which the column belongs to that
 joint. Joints with similar commands have high correlations with both. Chosen, not tuned."""
 
 _MAX_INTERVAL_DEVIATION = 0.3
-"""Standard deviation of the sampling intervals, as a share of their median, above which a log has
+"""Standard deviation of the sampling intervals, as a share of the median, above which a log has
 uneven intervals. Measured: 0.01 to 0.1 with a scheduler that is late."""
 
 _MAX_INTERVAL = 0.1
@@ -129,7 +129,7 @@ def _check_clock(log: Log) -> Iterator[Diagnostic]:
 
 
 def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Yield joints whose position follows another's command, or its own with opposite sign."""
+    """Yield joints whose position follows another's command, or the negated own command."""
     command, position = log.command[:, moving], log.position[:, moving]
     rows = (np.isfinite(command) & np.isfinite(position)).all(axis=1)
     if rows.sum() < 10:
@@ -158,13 +158,13 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 
 
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
-    """Yield joints whose command follows their position.
+    """Yield joints whose command follows the position.
 
     A servo supplies the energy that friction dissipates: over a motion the integral of (command -
-    position) d position is positive. With swapped columns it is negative, and so is the integral of
-    (command - position) d command, which is larger by [(command - position)^2] / 2 between start
-    and end. Only one of them is negative if a motion ends with a loaded servo, or the load
-    decreased.
+    position) d position is positive. With swapped columns this integral is negative, and so is the
+    integral of (command - position) d command, which is larger by [(command - position)^2] / 2
+    between start and end. Only one integral is negative if a motion ends with a loaded servo, or
+    the load decreased.
     """
     backwards = []
     for index in moving:
@@ -238,7 +238,7 @@ def find_column_step(column: Array) -> float:
     smallest difference and its integer fractions down to 1 / `_MAX_PARTS`.
 
     Args:
-        column: Positions of one joint, shape (n,) [rad].
+        column: Positions of a joint, shape (n,) [rad].
 
     Returns:
         Step [rad]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
@@ -266,7 +266,7 @@ Derived: ten stands in 0.1 rad are about 300 steps of 14 bits apart."""
 
 _MULTIPLE_TOLERANCE = 0.05
 """Distance of a difference of readings from a whole number of encoder steps, in steps, up to which
-it counts as a multiple. It covers rounding in the file. Chosen, not tuned."""
+it counts as a multiple. The distance covers rounding in the file. Chosen, not tuned."""
 
 _MAX_STEPS = 50
 """Number of the smallest differences that are tested, since rounding errors are relatively smallest

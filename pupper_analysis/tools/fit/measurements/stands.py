@@ -39,7 +39,7 @@ of a 12-bit encoder is 1.5e-3 rad."""
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStands:
-    """Measured stands at rest, one per row; NaN if not measured.
+    """Measured stands at rest, a stand per row; NaN if not measured.
 
     Attributes:
         source: File, or a description of the source.
@@ -49,7 +49,7 @@ class MeasuredStands:
         position: Measured joint positions, shape (m, n) [rad].
         swing: Feet in the air, shape (m,).
         heading: Rotation of the robot about the vertical, shape (m,) [rad]; zeros by default.
-        added: {link: known mass [kg] and its position in the link frame [m], shape (m, 4)}; zeros
+        added: {link: known mass [kg] and position in the link frame [m], shape (m, 4)}; zeros
             without a mass.
     """
 
@@ -223,13 +223,13 @@ def _average_finite(values: Array) -> Array:
 
 
 def read_stands(path: str | Path) -> MeasuredStands:
-    """Read stands at rest from a CSV file, one per row.
+    """Read stands at rest from a CSV file, a stand per row.
 
     Required columns are ``command.<joint>`` and ``position.<joint>``. Optional columns are
     ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in the air,
     separated by blanks), ``heading`` (rotation of the robot about the vertical), and
     ``added.<link>`` with ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>`` (known mass
-    and its position in the link frame). Units are SI units, or stated in brackets:
+    and position in the link frame). Units are SI units, or stated in brackets:
     ``position.FL_knee [deg]``, ``added.base [g]``. Empty cells are missing values.
 
     Args:
@@ -302,7 +302,7 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 def estimate_encoder_step(stands: MeasuredStands) -> float:
     """Estimate the resolution of the joint encoders [rad].
 
-    The step of one joint is the largest step of which all differences between its positions are
+    The step of a joint is the largest step of which all differences between its positions are
     multiples (`find_column_step`). The result is the median over the joints with a step, or 0 if at
     most half of the joints have a step.
 

@@ -61,7 +61,7 @@ def fit_motion(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> MotionFit:
-    """Estimate a robot's parameters from logs of its motions.
+    """Estimate a robot's parameters from logs of motions.
 
     The base is fixed, or the robot hangs. The motion under the commands is simulated (MuJoCo), and
     the parameters minimise the difference from the measured positions by Gauss-Newton steps, with
@@ -69,8 +69,8 @@ def fit_motion(
     the intervals follow.
 
     Args:
-        robot: Robot. A free base is fixed at its pose in the MJCF.
-        logs: Logs of its motions.
+        robot: Robot. A free base is fixed at the pose in the MJCF.
+        logs: Logs of the robot's motions.
         priors: Prior standard deviations; as for ``fit_stands``.
         hold_out: Fraction at the end of each log that is predicted instead of fitted; or logs that
             are predicted.
@@ -78,7 +78,7 @@ def fit_motion(
         kd: Stated servo damping [N m s/rad], a scalar or shape (nu,); the model's by default.
 
     Raises:
-        ConfigurationError: If an argument is out of its range.
+        ConfigurationError: If an argument is out of range.
         FitError: If the iteration does not converge.
         MeasurementError: If a log cannot be used or does not belong to this robot; if servo gains
             are neither stated in a file nor passed; or if a log to be predicted repeats a fitted
@@ -145,9 +145,9 @@ def _check_runs(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence
 def _make_parameters(
     robot: Robot, drive: Servos, log_joints: set[str], priors: Sequence[Prior]
 ) -> ParameterTable:
-    """Create the parameters: joints in the logs, links that they move, and delays.
+    """Create the parameters: joints in the logs, links that these joints move, and delays.
 
-    The damping of a joint includes that of its servo, since they have the same effect.
+    The damping of a joint includes the damping of the servo, since both have the same effect.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
@@ -267,12 +267,12 @@ def _report_notes(
 
 
 _MIN_REPLAY_CORRELATION = 0.95
-"""Correlation of held-out and fitted commands above which they are the same motion. Measured:
+"""Correlation of held-out and fitted commands above which the motions are the same. Measured:
 repeated logs have at least 0.99, other motions of the same joints hardly 0.5."""
 
 
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
-    """Return the shift at which commands agree best with a part of others, and the correlation.
+    """Return the shift at which commands agree best with part of others, and the correlation.
 
     The shift is in samples. All joints are correlated jointly, and the shift is refined with a
     parabola through the maximum.
@@ -345,9 +345,10 @@ def measure_repeatability(runs: Sequence[Run]) -> float:
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
     """Return the standard deviation of the encoder noise, estimated from third differences.
 
-    For white noise of variance s^2 their variance is 20 s^2; motions of some Hz contribute little.
-    The median is used, since joints jump for a moment after a new command. The result is at least
-    the standard deviation of the encoder's quantisation; NaN without differences.
+    For white noise of variance s^2 the variance of the differences is 20 s^2; motions of some Hz
+    contribute little. The median is used, since joints jump for a moment after a new command. The
+    result is at least the standard deviation of the encoder's quantisation; NaN without
+    differences.
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -374,8 +375,8 @@ _ROUGH_MIN_DECREASE = 10.0
 assumed to be white. Chosen, not tuned."""
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
-"""Squared distance, in standard deviations, up to which derivatives are reused, since they need
-many simulations: 4 is two standard deviations. Chosen, not tuned."""
+"""Squared distance, in standard deviations, up to which derivatives are reused, since derivatives
+need many simulations: 4 is two standard deviations. Chosen, not tuned."""
 
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases
@@ -383,10 +384,10 @@ quadratically with the step. Derivatives are accurate to 1 % without this factor
 
 
 class MotionResiduals:
-    """Measured and simulated runs, and the whitened residuals between them.
+    """Measured and simulated runs, and the whitened residuals between both.
 
-    Predictions use fine simulation steps; derivatives use coarse ones, since they need about thirty
-    times as many simulations.
+    Predictions use fine simulation steps; derivatives use coarse ones, since derivatives need about
+    thirty times as many simulations.
 
     Args:
         simulator: Simulator with coarse steps.
@@ -466,12 +467,12 @@ class MotionResiduals:
                     yield places, by_places[:, column], joint, run
 
     def fit(self) -> Posterior:
-        """Return the estimated parameters, with the noise that they leave.
+        """Return the estimated parameters, with the remaining noise.
 
-        Weighted least squares, each joint weighted by the long-run standard deviation of its noise.
-        The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior widths,
-        with H = A + P, information A, prior precision P, and B the covariance of the gradient under
-        the autocorrelated noise.
+        Weighted least squares, each joint weighted by the long-run standard deviation of the
+        joint's noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the
+        prior widths, with H = A + P, information A, prior precision P, and B the covariance of the
+        gradient under the autocorrelated noise.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -519,11 +520,11 @@ not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class SeriesNoise:
-    """Autoregressive noise of one joint: e_k = sum_i c_i e_(k-i) + w_k, w white with deviation s.
+    """Autoregressive noise of a joint: e_k = sum_i c_i e_(k-i) + w_k, w white with deviation s.
 
-    Residuals of a motion are correlated in time: a resting encoder repeats its value, and errors of
-    the model last. A sum over many samples is as uncertain as that of independent samples of
-    standard deviation s / (1 - sum c), the long-run deviation.
+    Residuals of a motion are correlated in time: a resting encoder repeats the same value, and
+    errors of the model last. A sum over many samples is as uncertain as that of independent samples
+    of standard deviation s / (1 - sum c), the long-run deviation.
 
     Attributes:
         coefficients: Coefficients c, shape (lags,).
@@ -609,7 +610,7 @@ def differentiate_motion(
     A common factor on kp, friction and masses changes nothing, but each alone changes much. With
     differences along single parameters, the errors of large derivatives would add up to a false
     effect of the common factor, and intervals would be a quarter too narrow. Therefore the steps
-    are along the principal directions of the information, scaled by their uncertainties.
+    are along the principal directions of the information, scaled by the uncertainties.
 
     Independent groups of joints are changed in the same simulation.
 
@@ -658,7 +659,7 @@ def differentiate_motion(
 
 
 def _make_steps(columns: list[int], information: Array | None) -> Array:
-    """Return steps of some parameters in units of the prior widths, one per row."""
+    """Return steps of some parameters in units of the prior widths, a step per row."""
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))
     values, directions = np.linalg.eigh(information[np.ix_(columns, columns)])

@@ -38,13 +38,13 @@ DELAY_PARAMETERS = (
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
 """Kind, subject, component and stated value of the delay parameters: the total delay of commands,
-the part of it that is a first-order lag of commands, and a first-order lag of positions. A slow
+the first-order lag of commands, and a first-order lag of positions. A slow
 motor has both lags, a bus delays only commands."""
 
 BURN_IN_DURATION = 0.25
 """Time [s] at the start of a run that is not compared. The initial velocity is only known from
-encoder readings; its error decays within some time constants kd / kp of the servos (20 to 50
-ms)."""
+encoder readings; the velocity error decays within some time constants kd / kp of the servos (20 to
+50 ms)."""
 
 _MAX_STEP_RATE = 0.5
 """Upper bound of the time step times the fastest rate (kd + damping) / inertia. The error of the
@@ -54,8 +54,8 @@ _MAX_STEPS_PER_SAMPLE = 20
 """Upper bound of the simulation steps per sample. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-11
-"""Tolerance of MuJoCo's solver. Its error in dry friction would appear in finite differences.
-Chosen, not tuned."""
+"""Tolerance of MuJoCo's solver. The solver error in dry friction would appear in finite
+differences. Chosen, not tuned."""
 
 _MAX_BATCH_SIZE = 8
 """Largest number of simulations whose states are kept in memory at once: each has 25 MB for a
@@ -118,7 +118,7 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
 
 
 def _fill_commands(command: Array) -> Array:
-    """Replace a missing command by the previous one, or at the start by the first one."""
+    """Replace a missing command by the previous one, or at the start by the first command."""
     filled = command.copy()
     for column in filled.T:
         finite_rows = np.flatnonzero(np.isfinite(column))
@@ -193,7 +193,8 @@ class Simulator:
     def _compute_joint_inertia(self) -> Array:
         """Return 1 / (M^-1)_jj of each joint in the home posture, shape (nu,) [kg m^2].
 
-        M is the mass matrix: it is the inertia that a torque of the joint alone accelerates.
+        M is the mass matrix: this element is the inertia that a torque of the joint alone
+        accelerates.
         """
         model, data = self.bodies.model, mujoco.MjData(self.bodies.model)
         self.robot.mj_convention.set_state(data, self.robot.home)
@@ -273,7 +274,7 @@ class Simulator:
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
-        """Replace derivatives by the position lag by those of its equivalent damping and armature.
+        """Replace derivatives by the position lag by those of equivalent damping and armature.
 
         To second order a lag T of positions is a damping of -kp T and an armature of kp T^2.
         Finite-difference errors must not distinguish equivalent parameters.
@@ -342,9 +343,9 @@ def _apply_lag(command: Array, lag: float) -> Array:
 
 
 class MovingBodies:
-    """Bodies that a robot's joints move, each merged with the bodies that are fixed to it.
+    """Bodies that a robot's joints move, each merged with the bodies fixed to it.
 
-    Each body is named by its joint's URDF link; its CoM is expressed in the link frame, which is
+    Each body is named by its joint's URDF link; the CoM is expressed in the link frame, which is
     the frame of the Pinocchio joint. The rotational inertia about the CoM is proportional to the
     mass, and independent of the CoM.
 
@@ -425,7 +426,7 @@ class MovingBodies:
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Return groups of joints without mutual effect, with the parameters of each group.
 
-        Since the base is held, the joints of one kinematic tree are a group. Models with equality
+        Since the base is held, the joints of a kinematic tree are a group. Models with equality
         constraints or tendons have a single group.
         """
         model = self.model
@@ -465,7 +466,7 @@ def _find_root_body(model: mujoco.MjModel, body: int) -> int:
 def _compute_link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
-    """Yield the pose of each joint's MuJoCo body in the frame of its Pinocchio joint."""
+    """Yield the pose of each joint's MuJoCo body in the frame of the Pinocchio joint."""
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, robot.home)
     mujoco.mj_kinematics(model, data)
@@ -491,7 +492,7 @@ def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) ->
 
 MIN_MASS_FRACTION = 0.01
 """Lower bound of a mass as a fraction of the stated mass. The CoM of a lighter body is
-undetermined, and its simulation unstable. Chosen, not tuned."""
+undetermined, and the simulation unstable. Chosen, not tuned."""
 
 
 class MomentCoordinates:
@@ -501,8 +502,9 @@ class MomentCoordinates:
     measurements determine only the product, this error was 20 standard deviations.
 
     A CoM c is replaced by c0 + (m / m0) (c - c0), with stated values c0 and m0: a length, equal to
-    c at the stated mass, and linear in moment and mass. Its prior is that of c. The delay is
-    replaced by the delay minus the lag of commands: both are positive, and their sum is determined.
+    c at the stated mass, and linear in moment and mass. The prior of this length is the prior of c.
+    The delay is replaced by the delay minus the lag of commands: both are positive, and the sum is
+    determined.
 
     Args:
         table: Parameters.

@@ -57,7 +57,7 @@ class Bridge(Protocol):
     """Connection to a robot, with joints in actuator order.
 
     Attributes:
-        ramps: Whether commands move the robot, so that they are ramped and checked.
+        ramps: Whether commands move the robot, so that commands are ramped and checked.
     """
 
     ramps: bool
@@ -78,11 +78,11 @@ class Bridge(Protocol):
         """Wait for a duration [s] on the clock of the bridge."""
 
     def close(self) -> None:
-        """Close the connection; the robot holds its last command."""
+        """Close the connection; the robot holds the last command."""
 
 
 def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
-    """Open a bridge and its operator by ``NAME`` or ``NAME:ARGUMENTS``.
+    """Open a bridge and the operator by ``NAME`` or ``NAME:ARGUMENTS``.
 
     Raises:
         ConfigurationError: If there is no bridge of this name.

@@ -1,6 +1,6 @@
 """Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
-Whenever the recording ends, the robot holds its last command: at the end of the plan, by a key, if
+Whenever the recording ends, the robot holds the last command: at the end of the plan, by a key, if
 no positions arrive, or if a servo does not follow. Each row is written before the next stand
 begins, and stands that are already in the file are not recorded again.
 """
@@ -51,8 +51,8 @@ _MAX_POSITION_AGE = 0.3
 controller. Chosen, not tuned."""
 
 _MAX_TRACKING_ERROR = 0.5
-"""Upper bound of the difference [rad] between position and command. A larger one means a servo
-without torque. Chosen, not tuned."""
+"""Upper bound of the difference [rad] between position and command. A larger difference means a
+servo without torque. Chosen, not tuned."""
 
 _MIN_COMMANDED_TRAVEL = 0.25
 """Commanded travel [rad] from which it is checked whether a joint follows. Chosen, not tuned."""
@@ -108,7 +108,7 @@ class Recording(Result):
 
 
 class _RecordingEndedError(Exception):
-    """End of the recording; the robot holds its last command.
+    """End of the recording; the robot holds the last command.
 
     Args:
         finding: Reason.
@@ -130,9 +130,9 @@ def record_stands(
     """Record the stands of a plan, and append a row for each to a file.
 
     Args:
-        robot: Robot, with the values of its files.
+        robot: Robot, with the values of the files.
         plan: File of ``write_plan``.
-        output: Output file. Stands whose names it contains are not recorded again.
+        output: Output file. Stands with a name in this file are not recorded again.
         bridge: Connection to the robot.
         operator: Person who lifts the robot, and observes the feet that carry.
 
@@ -140,7 +140,7 @@ def record_stands(
         ConfigurationError: If the output is the plan itself.
         MeasurementError: If the output belongs to another plan; or, before anything moves, if a
             command exceeds the joint limits or a stand is not balanced with the file's masses.
-        OutputError: If the output cannot be written, or another recording writes to it.
+        OutputError: If the output cannot be written, or another recording writes to the file.
     """
     path = Path(output)
     if path.exists() and path.samefile(plan):
@@ -154,7 +154,7 @@ def _lock_output(path: Path) -> Iterator[None]:
     """Prevent other recordings from writing to the same file.
 
     Raises:
-        OutputError: If another recording writes to the file, or its folder is not writable.
+        OutputError: If another recording writes to the file, or the folder is not writable.
     """
     target, _ = resolve_target(path)
     try:
@@ -406,7 +406,7 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
     """Return the names of the recorded stands of a file; empty if there is no file.
 
     Raises:
-        MeasurementError: If the stands are not those of the plan.
+        MeasurementError: If the stands are not the planned stands.
     """
     if not path.exists():
         return set()
@@ -424,7 +424,7 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 _COMMAND_ATOL = 2e-6
 """Largest difference [rad] between the commands of a file and of the plan, with which the stands
-count as those of the plan: six written decimals."""
+count as planned: six written decimals."""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:

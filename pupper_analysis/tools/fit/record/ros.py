@@ -1,8 +1,8 @@
 """Bridge over ROS 2 topics: ``sensor_msgs/JointState`` and a forward position controller.
 
 ``JointState`` messages contain ``name`` and ``position`` [rad] of some or all joints, in any order.
-The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the order of its joints,
-which is actuator order unless ``ros2:order=a,b,c`` states another.
+The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the joint order of the
+controller, which is actuator order unless ``ros2:order=a,b,c`` states another.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SPIN_INTERVAL = 0.02
 
 _DISCOVERY_TIMEOUT = 5.0
 """Time [s] after which the bridge fails if a joint has no position or nobody receives the commands:
-ROS nodes discover each other within 0.1 to 1 s on one machine. Chosen, not tuned."""
+ROS nodes discover each other within 0.1 to 1 s on the same machine. Chosen, not tuned."""
 
 
 class RosBridge(WallClock):
@@ -37,7 +37,7 @@ class RosBridge(WallClock):
 
     Args:
         robot: Robot.
-        ros: Module ``rclpy`` with its modules ``qos`` and ``signals``.
+        ros: Module ``rclpy`` with the modules ``qos`` and ``signals``.
         messages: Message classes ``JointState`` and ``Float64MultiArray``.
         state: Topic of the joint states.
         command: Topic of the commands.

@@ -27,14 +27,14 @@ MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0
 offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
-"""Encoder step of the simulated robot [rad], to which its readings are rounded: 14 bits per turn.
+"""Encoder step of the simulated robot [rad], to which readings are rounded: 14 bits per turn.
 Chosen, not tuned."""
 
 _DROP_HEIGHT = 0.01
 """Height [m] of the lowest foot when the robot is set down. Chosen, not tuned."""
 
 _MAX_FOOT_FRICTION = (1e-3, 2e-4)
-"""Upper bounds of torsional and rolling friction [m], those of rubber feet. Chosen, not tuned."""
+"""Upper bounds of torsional and rolling friction [m], values of rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
 """Load of a foot, as a fraction of the weight, below which a person sees it in the air. Chosen, not
@@ -42,10 +42,10 @@ tuned."""
 
 
 class SimulatedRobot:
-    """Robot in MuJoCo with perturbed parameters, and its operator.
+    """Robot in MuJoCo with perturbed parameters, and a simulated operator.
 
     Args:
-        robot: Robot, with the values of its files.
+        robot: Robot, with the values of the files.
         seed: Seed of the perturbations.
         kp: Stated servo stiffness [N m/rad]; the files' by default.
 
@@ -120,13 +120,13 @@ class SimulatedRobot:
         loads: Mapping[str, Array],
         instructions: Sequence[str],  # noqa: ARG002 - follows the plan
     ) -> bool:
-        """Attach the known masses, and set the robot down in its commanded posture."""
+        """Attach the known masses, and set the robot down in the commanded posture."""
         self._attach_loads(loads)
         self._place_on_feet(stand.swing)
         return True
 
     def _place_on_feet(self, swing: Sequence[str]) -> None:
-        """Set the robot down just above the ground, in its commanded posture."""
+        """Set the robot down just above the ground, in the commanded posture."""
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [
             point for foot, points in robot.feet.items() if foot not in swing for point in points

@@ -101,5 +101,5 @@ class TypedBridge(WallClock):
 
 
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
-    """Open the bridge and its operator."""
+    """Open the bridge and the operator."""
     return TypedBridge(robot), Terminal()

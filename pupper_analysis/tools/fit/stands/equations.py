@@ -33,7 +33,7 @@ The measurements do not depend on the other base coordinates (horizontal positio
 _LAST_MOTION_FRACTION = 0.75
 """Standard deviation of the friction that joints and feet keep from the last motion of the base,
 for each of six motions, as a fraction of the friction. Measured on v3 set down in MuJoCo: all
-feet of a stand keep moments of one sign, and the fastest joints their full friction. With this
+feet of a stand keep moments of the same sign, and the fastest joints their full friction. With this
 value, and half of the variance independent, the residuals of exact robots have unit variance."""
 
 _RANK_RTOL = 1e-6
@@ -46,11 +46,12 @@ Chosen, not tuned."""
 _BALANCE_RTOL = 1e-5
 """Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
 times height. A robot at rest obeys statics, so that the value is small, but not 0, since
-no measurement noise acts on these equations. Chosen, not tuned."""
+no measurement noise acts on the balance equations. Chosen, not tuned."""
 
 _TORQUE_RTOL = 1e-4
-"""Standard deviation of a servo's torque from kp times its error, as a fraction of weight times
-height. A leg joint carries about a tenth of that product, so this is a thousandth of its torque."""
+"""Standard deviation of a servo's torque from kp times the servo error, as a fraction of weight
+times height. A leg joint carries about a tenth of that product, so this is a thousandth of the
+joint torque."""
 
 _UNKNOWN_TORQUE_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
@@ -67,8 +68,8 @@ Joints of Go1 and MEVIUS whose load is below dry friction are held by any fracti
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction of a joint that has not yielded, as a fraction of dead band
-times kp. It decreases if the servo error exceeds the sign band. Derived from joints of Go1 and
-MEVIUS, which carry any fraction of the friction."""
+times kp. The deviation decreases if the servo error exceeds the sign band. Derived from joints of
+Go1 and MEVIUS, which carry any fraction of the friction."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,14 @@ class StandNoise:
 
 @dataclass(frozen=True, eq=False)
 class StandReading:
-    """Measurements of one stand; NaN if not measured. See ``MeasuredStands``.
+    """Measurements of a stand; NaN if not measured. See ``MeasuredStands``.
 
     Attributes:
         command: Commanded joint positions, shape (nu,) [rad].
         position: Measured joint positions, shape (nu,) [rad].
         points: Names of the contact points of the feet that carry.
         heading: Rotation of the robot about the vertical [rad].
-        added: {link: known mass on it [kg] and its position in the link frame [m], shape (4,)}.
+        added: {link: known mass on the link [kg] and position in the link frame [m], shape (4,)}.
     """
 
     command: Array
@@ -134,25 +135,25 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 _MIN_FORCE_SIGNAL = 1.0
 """Smallest effect, in standard deviations, of an unknown force as large as the weight with which
-the force is eliminated. Smaller effects are those of force distributions within a sole. Chosen,
-not tuned."""
+the force is eliminated. Smaller effects are the effects of force distributions within a sole.
+Chosen, not tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
-"""Lower bound of the information about a reading from all others, relative to that of its encoder
-noise. Prevents a division by zero. Chosen, not tuned."""
+"""Lower bound of the information about a reading from all others, relative to the information of
+the joint's encoder noise. Prevents a division by zero. Chosen, not tuned."""
 
 
 class StandRows:
-    """Residuals of one stand, with derivatives, at given parameters and own unknowns.
+    """Residuals of a stand, with derivatives, at given parameters and own unknowns.
 
-    The own unknowns are the rotations of the base about its x and y axes, its height, and three
-    force components on each of p contact points, in the axes of the ground.
+    The own unknowns are the rotations of the base about its x and y axes, the base height, and
+    three force components on each of p contact points, in the axes of the ground.
 
     Args:
         table: Parameters.
         numbers: Values of the parameters.
         reading: Measurements.
-        laws: {contact point: law of its penetration}.
+        laws: {contact point: law of the penetration}.
         base: Base quaternion (w, x, y, z) and height [m], shape (5,).
         forces: Forces on the contact points, shape (p, 3) [N].
         noise: Noise of the measurements.
@@ -240,7 +241,7 @@ class StandRows:
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Set the standard deviations of the noise. The residuals do not depend on them."""
+        """Set the standard deviations of the noise, which do not affect the residuals."""
         normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
         last_std = _LAST_MOTION_FRACTION * np.repeat([noise.friction, noise.moment], 6)
@@ -265,11 +266,11 @@ class StandRows:
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
         """Eliminate the own unknowns of this stand: base tilt, base height and contact forces.
 
-        The residuals are whitened, and projected onto combinations that these unknowns do not
+        The residuals are whitened, and projected onto combinations that the own unknowns do not
         affect.
 
         Returns:
-            Projected residuals with their derivative by the parameters, as sums; and the
+            Projected residuals with the derivative by the parameters, as sums; and the
             Gauss-Newton step of the own unknowns, shape (3 + 3 p,), for p contact points.
         """
         projected, log_noise, step = self._project_out_unknowns(
@@ -285,7 +286,7 @@ class StandRows:
         The first column contains the residuals.
 
         Returns:
-            Projected columns, log determinant of their noise covariance, and Gauss-Newton step of
+            Projected columns, log determinant of the noise covariance, and Gauss-Newton step of
             the own unknowns. With the covariance C, the projection P and the derivative B by the
             unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B); the last factor does not
             depend on the noise and is left out.
@@ -303,7 +304,7 @@ class StandRows:
         return left_vectors[:, rank:].T @ whitened[:, :n], log_noise, step
 
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
-        """Return each joint's reading error and its standard deviation, shape (nu,) [rad] each.
+        """Return each joint's reading error and the standard deviation, shape (nu,) [rad] each.
 
         The error of a single reading is estimated from all other readings, with the parameters
         integrated out. With projected residuals r and derivatives d by the reading and A by the
@@ -322,13 +323,13 @@ class StandRows:
         return -(by_reading.T @ projected[:, 0]) / information, 1 / np.sqrt(information)
 
     def _add_derivative(self, rows: Array, derivative: Array | float, *key: str) -> None:
-        """Add the derivative of some rows, shape (k, n), by a parameter, if it is estimated."""
+        """Add the derivative of some rows, shape (k, n), by a parameter, if estimated."""
         index = self._table.find_index(*key)
         if index is not None:
             rows[..., index] += derivative
 
     def _fill_balance(self) -> None:
-        """Fill in the balance S tau - g + passive + sum J_p^T f_p = 0 and its derivatives."""
+        """Fill in the balance S tau - g + passive + sum J_p^T f_p = 0 and the derivatives."""
         values, nv = self._values, self._robot.nv
         moments = np.array([values.moment[foot] for foot in self._feet])
         moment_forces = self._forces[:, 2:] * moments
@@ -394,8 +395,8 @@ class StandRows:
         """Return rotations of joints (nu, 6) and feet (p, 3, 6) per motion of the base.
 
         The feet stay in place. Each of the six motions is scaled by its fastest joint, and by its
-        fastest foot. A robot that comes to rest stops them together, so that friction of the last
-        motion remains in all of them.
+        fastest foot. A robot that comes to rest stops all motions together, so that friction of the
+        last motion remains in all of them.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -450,7 +451,7 @@ class StandRows:
             rows *= factors
 
     def _fill_contact(self) -> None:
-        """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and its derivatives."""
+        """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives."""
         points = self._reading.points
         heights = self._twists[:, 2]
         nv = self._robot.nv
@@ -500,16 +501,16 @@ class KnownMass:
 
 @dataclass(frozen=True, eq=False)
 class StandValues:
-    """Values of the robot and its surroundings for a parameter vector.
+    """Values of the robot and the surroundings for a parameter vector.
 
     Attributes:
         vector: Parameters, shape (n,).
-        robot: Robot, with the masses in its Pinocchio model.
+        robot: Robot, with the masses in the Pinocchio model.
         bodies: Link, joint index, mass [kg] and CoM in the joint frame, shape (3,) [m], of each
             body.
         kp: Servo stiffness, shape (nu,) [N m/rad].
         offset: Encoder offsets, shape (nu,) [rad].
-        softness: {foot: factor on its penetration}.
+        softness: {foot: factor on the penetration}.
         moment: {foot: moment over normal force, shape (3,) [m]}.
         last_links: {contact point: vector from the leg's last joint to the point, shape (3,) [m],
             in the frame of the contact}.
@@ -518,7 +519,7 @@ class StandValues:
             [m/s^2].
         deadband: Servo error without torque [rad].
         settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
-        unweighed_load: Load on the feet beyond the masses, as a fraction of these.
+        unweighed_load: Load on the feet beyond the masses, as a fraction of the masses.
         gravity_norm: Norm of gravity [m/s^2].
         mass: Mass of the whole robot [kg].
         noise_mass: Mass with which the noise is scaled [kg].
@@ -550,11 +551,11 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return a copy for one stand, with the masses attached to the robot and its heading.
+        """Return a copy for a stand, with the attached masses and the heading.
 
         Args:
             reading: Measurements of the stand.
-            table: Parameters, for corrections of the attached masses and their positions.
+            table: Parameters, for corrections of the attached masses and mass positions.
         """
         if not reading.added and not reading.heading:
             return self
@@ -636,7 +637,7 @@ class GravityRegressor:
     def evaluate(
         self, config: Configuration, values: StandValues
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
-        """Return the generalised forces of gravity, shape (nv,), and their derivatives.
+        """Return the generalised forces of gravity, shape (nv,), and the derivatives.
 
         The derivatives are by each body's mass, shape (nv,), by its CoM, shape (nv, 3), known
         masses last, and by the slope along x and y, shape (nv,).
@@ -679,7 +680,7 @@ class StandEquations:
     equations depend on no contact force and no motion of the base.
 
     Args:
-        robot: Robot, with the values of its files.
+        robot: Robot, with the values of the files.
         stands: Measurements, joints in actuator order.
         table: Parameters; may be replaced.
         kp: Stated servo stiffness, shape (nu,) [N m/rad]; 0 without a servo.
@@ -719,8 +720,8 @@ class StandEquations:
         """Linearise the whitened residuals of all stands, for ``estimate_parameters``.
 
         Base tilt, base height and contact forces of each stand (its own unknowns) are solved for
-        and eliminated. Their values are kept only if ``x`` is ``noise_point``: otherwise ``x`` is a
-        trial.
+        and eliminated. The values of the unknowns are kept only if ``x`` is ``noise_point``:
+        otherwise ``x`` is a trial.
 
         Args:
             x: Parameters, shape (n,).
@@ -759,7 +760,7 @@ class StandEquations:
     def linearise_stand(
         self, stand: int, values: StandValues, evaluations: int = _UNKNOWN_STEPS
     ) -> LinearisedResiduals:
-        """Linearise the whitened residuals of one stand, without its own unknowns.
+        """Linearise the whitened residuals of a stand, without the own unknowns.
 
         Base tilt, base height and contact forces are the own unknowns of a stand. They are solved
         for by Newton steps, stored, and eliminated.
@@ -775,7 +776,7 @@ class StandEquations:
         return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
-        """Evaluate the residuals of every stand and their derivatives at parameters x, shape (n,).
+        """Evaluate the residuals of every stand and the derivatives at parameters x, shape (n,).
 
         The own unknowns of a stand (tilt and height of the base, contact forces) keep their current
         values.
@@ -784,7 +785,7 @@ class StandEquations:
         return [self._evaluate_stand(stand, values) for stand in range(len(self._readings))]
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
-        """Evaluate the residuals of one stand, at the current values of its own unknowns."""
+        """Evaluate the residuals of a stand, at the current values of the own unknowns."""
         (base, forces), reading = self._unknowns[stand], self._readings[stand]
         return StandRows(
             self.table,
@@ -876,7 +877,7 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Return {foot: total normal force [N] on its contact points} of the loaded feet.
+        """Return {foot: total normal force [N] on the contact points} of the loaded feet.
 
         The forces are those of the last evaluation of the stand.
 
@@ -897,12 +898,12 @@ class StandEquations:
 
         Args:
             stand: Index of the measured stand.
-            x: Parameter vector of ``table``, shape (n,), each number in the unit of its parameter.
+            x: Parameter vector of ``table``, shape (n,), each number in the unit of the parameter.
             offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad], as part
                 of the standard deviation of the height.
 
         Returns:
-            {foot: height above the ground and its standard deviation [m]}. The standard deviation
+            {foot: height above the ground and standard deviation [m]}. The standard deviation
             contains the encoder offsets and the unevenness of the ground (``StandNoise.flatness``),
             not the errors of the base pose.
         """
@@ -932,7 +933,7 @@ class StandEquations:
         return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]
 
     def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
-        """Return the error of each joint reading in each stand, and its standard deviation.
+        """Return the error of each joint reading in each stand, and the standard deviation.
 
         The error is the reading minus the position that agrees best with all other readings. Both
         arrays have the shape (stands, nu) [rad].

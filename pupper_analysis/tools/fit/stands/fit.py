@@ -54,13 +54,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JointResidual(Result):
-    """Residual of one joint in one stand.
+    """Residual of a joint in a stand.
 
     Attributes:
         stand: Stand name.
         joint: Joint name.
         off: Measured position minus the position that agrees best with all other readings.
-        deviations: The same difference, in standard deviations of its uncertainty (noise and
+        deviations: The same difference, in standard deviations of the uncertainty (noise and
             parameters).
     """
 
@@ -81,7 +81,7 @@ class StandFit(Fit):
             positions of the file.
         kp_factor: Geometric mean of the ratios of estimated to stated kp; None if kp is known, or
             no servo was commanded.
-        weight: Mass of the whole robot on a scale; None if it was not weighed.
+        weight: Mass of the whole robot on a scale; None if not weighed.
         residuals: RMS residual of each stand, in standard deviations.
         joint_residuals: Residual of each joint in each stand, the largest number of standard
             deviations first.
@@ -126,7 +126,7 @@ def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yield the estimates of x, y, z of the robot's CoM, in the base frame.
 
-    Joints are at their nominal positions. Body i has mass m_i, CoM c_i in its own frame, and pose
+    Joints are at their nominal positions. Body i has mass m_i, CoM c_i in the body frame, and pose
     R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
 
         com = sum m_i x_i / M
@@ -169,13 +169,13 @@ def check_scale(
     """Yield a failure if all kp, the total mass and the load are jointly far from the file.
 
     Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
-    shifts all parameters a little, and no parameter by itself is far from its stated value.
+    shifts all parameters a little, and no parameter by itself is far from the stated value.
     Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly.
 
     Args:
         robot: Robot.
         posterior: Distribution of the parameters.
-        weight: Mass of the whole robot on a scale [kg]; None if it was not weighed.
+        weight: Mass of the whole robot on a scale [kg]; None if not weighed.
         level: Whether the ground is level. Otherwise the load is not tested, since a slope changes
             it.
     """
@@ -214,7 +214,7 @@ def check_scale(
 def _compute_surprise(
     posterior: Posterior, combinations: Array, expected_ratio: float = 1.0
 ) -> tuple[float, int, Array]:
-    """Compute chi2 of the changes of some parameter combinations, its rank, and the implied change.
+    """Compute chi2 of the changes of some parameter combinations, the rank, and the implied change.
 
     If the prior is right, the change d of the estimates has the covariance S = prior covariance
     minus posterior covariance, and d^T S^-1 d follows a chi2 distribution. Several weak deviations
@@ -305,7 +305,7 @@ def check_residuals(
     """Yield a failure for each kind of evidence that the model does not explain the measurements.
 
     The tests, in order: chi2 of all residuals; unevenness of the ground and dry friction, each
-    estimated over expected; change of each parameter from its stated value; surroundings
+    estimated over expected; change of each parameter from the stated value; surroundings
     (`check_surroundings`).
 
     Args:
@@ -350,9 +350,9 @@ def check_residuals(
 
 
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
-    """Yield failures of the surroundings: load, slope, softness and leg length, one kind at a time.
+    """Yield failures of the surroundings: load, slope, softness and leg length, kind by kind.
 
-    All parameters of a kind are tested jointly, by a chi2 test of their changes.
+    All parameters of a kind are tested jointly, by a chi2 test of the changes.
 
     Args:
         posterior: Distribution of the parameters.
@@ -401,8 +401,8 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
 
 
 _LENGTH_STD = 0.005
-"""Expected standard deviation of the length factor of a leg's last link, for parts of one file. The
-prior is wider, to allow other variants. Chosen, not tuned."""
+"""Expected standard deviation of the length factor of a leg's last link, for parts of the same
+file. The prior is wider, to allow other variants. Chosen, not tuned."""
 
 SCALE_RTOL = 0.002
 """Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
@@ -425,7 +425,7 @@ height. Files that state plausible values have 0.24 % (Pupper v3) to 0.66 % (Go1
 
 _MIN_FRICTION_RATIO = 2e-3
 """Smallest mean dry friction, divided by weight times height, that is taken from a file. The 0.2 N
-m of Go1 were copied to files of Spot and HyQReal2, and to Pegasus before it was identified;
+m of Go1 were copied to files of Spot and HyQReal2, and to Pegasus before Pegasus was identified;
 there the ratio is 0.03 to 0.09 %."""
 
 _MAX_PULL_RATIO = 0.02
@@ -448,12 +448,12 @@ def fit_stands(
     A compliant servo measures torque: tau = kp (command - position). The parameters are masses and
     CoM positions of all moving bodies, encoder offsets, kp, and lengths of the legs' last links;
     and of the surroundings for example slope and softness of the ground (``list_parameters``). The
-    equations are those of ``StandEquations``; the priors are normal distributions about the files'
-    values (``parameters.KINDS``). The unevenness of the ground, the moments on feet and the random
-    part of dry friction are estimated by maximum evidence.
+    equations are defined by ``StandEquations``; the priors are normal distributions about the
+    files' values (``parameters.KINDS``). The unevenness of the ground, the moments on feet and the
+    random part of dry friction are estimated by maximum evidence.
 
-    Stands that contradict their own data, for example a carrying foot that would have to pull, are
-    left out with a note: one at a time, at most a quarter.
+    Stands with contradictory data, for example a carrying foot that would have
+    to pull, are left out with a note: one by one, at most a quarter.
 
     Args:
         robot: Robot with a free base and feet.
@@ -515,13 +515,14 @@ _UNRELATED_TO_WIRING = (
     "known-mass-contradicts-the-scale",
     "ground-slopes",
 )
-"""Failures that exchanged plugs do not cause. If there are no others, the wiring is not tested."""
+"""Failures that exchanged plugs do not cause. If there are no other failures, the wiring is not
+tested."""
 
 
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> StandFit:
-    """Fit stands, leaving out those that contradict their own data one at a time.
+    """Fit stands, leaving out those that contradict their own data one by one.
 
     Raises:
         MeasurementError: If more than a quarter would be left out; the first contradiction.
@@ -567,7 +568,7 @@ class _StandProblem:
         friction: Dry friction, shape (nu,) [N m], with defaults for joints without a stated value.
         table: Parameters.
         noise: Expected noise.
-        weight: Mass of the whole robot on a scale [kg]; None if it was not weighed.
+        weight: Mass of the whole robot on a scale [kg]; None if not weighed.
     """
 
     robot: Robot
@@ -618,8 +619,8 @@ class _StandProblem:
     def friction_ratio(self) -> float:
         """Expected factor on ``friction``: 1 unless the stated friction is implausibly small.
 
-        If its mean is below ``_MIN_FRICTION_RATIO`` of weight times height, the factor makes the
-        mean equal to the default.
+        If the mean friction is below ``_MIN_FRICTION_RATIO`` of weight times height, the factor
+        makes the mean equal to the default.
         """
         ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
@@ -635,7 +636,7 @@ class _StandProblem:
         """Create the equations, and notes on commands that are not used.
 
         Args:
-            posterior: Distribution of the encoder offsets; their prior by default.
+            posterior: Distribution of the encoder offsets; the prior by default.
         """
         robot, table, kp = self.robot, self.table, self.stiffness
         used_stands, notes = _drop_uninformative_commands(
@@ -713,7 +714,7 @@ class _StandProblem:
         """Yield the reading that all others contradict, if noise explains less than its error.
 
         A single wrong reading increases the estimated noise, which then hides the reading. Two
-        explanations are compared by their evidence: the estimated noise; and noise that is at most
+        explanations are compared by the evidence: the estimated noise; and noise that is at most
         as large as expected, together with a single reading that is wrong by any amount (normal
         with ``_OUTLIER_STD``).
         """
@@ -889,7 +890,7 @@ def _get_encoder_offsets(
 ) -> tuple[Array, Array]:
     """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad] each.
 
-    Without a posterior, the values are those of the prior.
+    Without a posterior, the values are taken from the prior.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
@@ -902,10 +903,10 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without commands that do not determine a torque, and notes on these commands.
+    """Return stands without commands that do not determine a torque, and notes on omissions.
 
-    A joint near its limit may rest on a stop, as far as encoder offsets are known. The command of a
-    motor at its torque limit may lead by any amount.
+    A joint near a limit may rest on a stop, as far as encoder offsets are known. The command of a
+    motor at the torque limit may lead by any amount.
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (
@@ -958,8 +959,8 @@ def _make_scale_residual(
 
 _MAX_DEPTH_STDS = 1.0
 """Largest computed depth below the ground of a foot that is reported as in the air, in standard
-deviations of the computed height. Beyond, the stand contradicts its data. Feet of v3 that sag to
-within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
+deviations of the computed height. Beyond, the stand contradicts the measured data. Feet of v3 that
+sag to within a millimetre of the ground may be computed slightly below. Chosen, not tuned."""
 
 
 def _check_feet(
@@ -970,7 +971,7 @@ def _check_feet(
 ) -> None:
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    Encoder offsets are those of ``posterior``, or without a posterior those of the prior.
+    Encoder offsets are those of ``posterior``, or taken from the prior without a posterior.
 
     Raises:
         MeasurementError: If a foot contradicts: the worst contradiction, feet in the air first,
@@ -1013,7 +1014,7 @@ def _check_feet(
 
 
 class LogCoordinates:
-    """Coordinates in which masses and kp are logarithms, so that their priors are normal.
+    """Coordinates in which masses and kp are logarithms, so that the priors are normal.
 
     Stands determine the ratio of kp to mass. With normal priors a robot with all of them smaller
     would be more probable than with all larger: twelve kp that differ by a tenth differ by less if
@@ -1049,7 +1050,7 @@ class LogCoordinates:
         """Convert physical parameters x, shape (n,), to the coordinates y of the fit, shape (n,).
 
         Masses and kp with the stated value x0: y = x0 (1 + log(x / x0)). Other parameters: y = x.
-        Each y has the unit of its parameter. The inverse is `to_parameters`.
+        Each y has the unit of the parameter. The inverse is `to_parameters`.
         """
         coordinates, stated = vector.copy(), self._stated[self._factors]
         coordinates[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
@@ -1104,7 +1105,7 @@ _MIN_FLATNESS = 1e-4
 penetration of feet is modelled to about this accuracy only."""
 
 _MIN_MOMENT = 1e-4
-"""Lower bound [m] of the moment on a contact point over its normal force. Moments that are equal in
+"""Lower bound [m] of the moment on a contact point over the normal force. Moments that are equal in
 similar stands appear as encoder offsets, and not in the evidence. Measured: feet of v3 in MuJoCo
 keep 2e-5 to 1e-3 after 12 s."""
 
@@ -1127,8 +1128,8 @@ def scale_common_widths(
 ) -> ParameterTable:
     """Return parameters whose widths of moments and settling follow the noise levels.
 
-    These parameters are the parts that are equal in all stands. The width of moments is
-    proportional to the noise of moments. The width of settling is at least that of the stated
+    The parameters are the parts that are equal in all stands. The width of moments is
+    proportional to the noise of moments. The width of settling is at least the width of the stated
     friction, since the evidence does not show one-sided friction.
     """
     moments = table.with_scaled_widths("moment", noise.moment / expected.moment)
@@ -1144,11 +1145,11 @@ def estimate_noise(
     """Estimate the noise levels by maximum evidence: moments, flatness and friction.
 
     Maximises the evidence of the measurements, with the parameters integrated out, times a
-    log-normal prior of the levels about their expected values (Nelder-Mead simplex).
+    log-normal prior of the levels about the expected values (Nelder-Mead simplex).
 
     Args:
         equations: Equations of the stands, with the expected noise.
-        posterior: Distribution with the expected noise; the residuals are linearised at its mean.
+        posterior: Distribution with the expected noise; the residuals are linearised at the mean.
         scale_residual: Function of the parameters that returns further residuals.
         friction_ratio: Expected factor on the stated dry friction.
     """

@@ -64,8 +64,8 @@ class PlannedStand(Result):
         swing: Feet in the air.
         command: Command of each joint's servo.
         utilisation: Largest ratio of motor torque to torque limit; None if no motor has a limit.
-        heading: Rotation of the robot about the vertical. It changes the effect of the ground's
-            slope, and not that of a CoM.
+        heading: Rotation of the robot about the vertical. The heading changes the effect of the
+            ground's slope, and not that of a CoM.
         added: Known mass that is attached.
     """
 
@@ -79,12 +79,12 @@ class PlannedStand(Result):
 
 @dataclass(frozen=True, eq=False)
 class StandPlan(Result):
-    """Planned stands, and the intervals that they are expected to give.
+    """Planned stands, and the intervals expected after the measurement.
 
     Attributes:
         name: Robot name.
         stands: Stands.
-        expected: Parameters with their stated values and the expected intervals.
+        expected: Parameters with the stated values and the expected intervals.
         candidates: Number of candidates from which the stands were chosen.
         place: Link and position of the known mass; None if there is none.
     """
@@ -113,7 +113,7 @@ def plan_stands(
     greedily, then by exchanges. Candidates are reachable, balanced, free of self-collision and
     within 60 % of the torque limits; the servos hold them with feed-forward for the file's masses.
     If possible at most a third of the stands is on three feet. Half of the candidates is rotated by
-    180 deg. If there is a known mass, half of the candidates carries it.
+    180 deg. If there is a known mass, half of the candidates carries this mass.
 
     Args:
         robot: Robot with a free base and feet.
@@ -127,7 +127,7 @@ def plan_stands(
         seed: Seed of the random stands.
 
     Raises:
-        ConfigurationError: If the count, the seed, the mass or its place is invalid, or the base is
+        ConfigurationError: If the count, the seed, the mass or the place is invalid, or the base is
             fixed.
         MeasurementError: If the servos hold too few candidates.
     """
@@ -202,7 +202,7 @@ def plan_stands(
 
 
 def _compute_base_top(robot: Robot) -> float:
-    """Return the height [m] of the base's geoms above the origin of its frame, at least 0."""
+    """Return the height [m] of the base's geoms above the origin of the base frame, at least 0."""
     model, config = robot.mj_model, Configuration(robot, robot.home)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
@@ -273,7 +273,7 @@ def choose_stands(
         prior_information: Information without measurements, shape (n, n).
         count: Number of measurements to choose.
         is_rare: Whether a measurement counts towards ``max_rare``.
-        max_rare: Largest number of rare measurements, as long as others are available.
+        max_rare: Largest number of rare measurements, as long as other measurements are available.
     """
     chosen: list[int] = []
     rare_indices = set(np.flatnonzero(is_rare).tolist())
@@ -342,7 +342,7 @@ def _make_measured_stands(
 
 @check_arguments
 def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> None:
-    """Write a plan as CSV for ``read_stands``; the positions are empty until they are measured.
+    """Write a plan as CSV for ``read_stands``; the positions are empty until measured.
 
     Args:
         plan: Plan.
@@ -361,15 +361,15 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
 # Random stands that the servos hold in spite of uncertain parameters.
 
 _TRIES_PER_STAND = 8
-"""Upper bound of the tries per requested stand. One try in two to four gives a stand."""
+"""Upper bound of the tries per requested stand. A stand results from every second to fourth try."""
 
 _MAX_FAILED_TRIES = 24
 """Number of tries after which the search ends if none gave a stand. By then the range has shrunk
 nearly to the nominal stand. Chosen, not tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
-"""Factors on the range of random stands after a refused and after an accepted stand. They balance
-at about one accepted stand in two, for robots with large and small workspaces."""
+"""Factors on the range of random stands after a refused and after an accepted stand. The factors
+balance at about 50 % accepted stands, for robots with large and small workspaces."""
 
 _MAX_UTILISATION = 0.6
 """Upper bound of motor torque over torque limit, since stands last minutes. Chosen, not tuned."""
@@ -407,7 +407,7 @@ class RandomStands:
     """Generator of random stands that the servos hold.
 
     Stands are reachable, balanced, free of self-collision, and within 60 % of the torque limits.
-    Joints keep three standard deviations of an encoder offset from their limits, since a joint may
+    Joints keep three standard deviations of an encoder offset from the limits, since a joint may
     rest on a stop unnoticed. The CoM margin is the larger of one standard deviation of the
     horizontal CoM position and 5 % of the height, or 5 % if the former is not reachable.
 
@@ -442,7 +442,7 @@ class RandomStands:
             count: Number of stands. Fewer are returned if too many random tasks have no stand.
 
         Returns:
-            Pairs of a stand and the steady state to which it sags on its servos.
+            Pairs of a stand and the steady state to which the stand sags on the servos.
         """
         stands: list[tuple[Stand, SteadyState]] = []
         for num_tries in range(_TRIES_PER_STAND * count):
@@ -494,7 +494,7 @@ class RandomStands:
         )
 
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
-        """Return the stand and its steady state; None, counting the reason, if it is not held."""
+        """Return the stand and the steady state; if not held, count the reason and return None."""
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
             try:
@@ -520,7 +520,7 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the sag [m] of the nominal stand without feed-forward; 0 if it is not held."""
+    """Return the sag [m] of the nominal stand without feed-forward; 0 if the stand is not held."""
     try:
         stand = solve_stand(robot, explain=False)
         return float(max(0.0, stand.qpos[2] - steady_state(robot, stand, kp=kp).qpos[2]))
@@ -552,9 +552,9 @@ def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Compute the standard deviation [m] of the robot's CoM before any measurement.
 
-    It follows from the priors of link masses and CoM positions, with the joints at their nominal
-    positions; links without a prior have the default. The result is the larger value of the x and
-    the y component in the base frame.
+    The deviation follows from the priors of link masses and CoM positions, with the joints at their
+    nominal positions; links without a prior have the default. The result is the larger value of the
+    x and the y component in the base frame.
 
     Args:
         robot: Robot.

@@ -95,7 +95,7 @@ def find_wiring(
 
     Wirings are ranked by the log evidence of the measurements, linearised about the stated values.
     The first three of those that are more probable than the present wiring are fitted, and the
-    first one with which the model explains everything is returned.
+    first wiring with which the model explains everything is returned.
 
     Args:
         robot: Robot.
