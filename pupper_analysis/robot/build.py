@@ -38,14 +38,13 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement, Motor, placeholder_efforts
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
-from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.floor import disable_ground, find_floor
+from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.robot import (
     Robot,
     Touching,
@@ -278,18 +277,7 @@ def _compile_mujoco_model(
 
     Without keyframe ``home``, the first keyframe is used; without keyframes, qpos0.
     """
-    notes = []
-    spec = description.mjcf.copy()
-    keys = sorted(spec.keys, key=lambda key: key.name != "home")
-    keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
-    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
-    if fixed_base:
-        for element in (*free, *spec.keys):
-            spec.delete(element)
-        notes += disable_ground(spec) if free else []  # a fixed robot may intersect the ground
-    elif free and not find_floor(spec):
-        SpecTree(spec).add_floor()
-        notes.append(diagnose("ground-added"))
+    spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0), notes
 

@@ -26,6 +26,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import free_joints
@@ -163,6 +164,37 @@ class PinocchioConvention:
             return joints
         return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
 
+    def velocity_map(self, qpos: Array) -> Array:
+        """Return the matrix T (model.nv, nv) of v_pin = T qvel at a configuration.
+
+        T is orthogonal: qvel = T^T v_pin, tau_pin = T tau, J = J_pin T and M = T^T M_pin T.
+
+        Args:
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), of any norm.
+        """
+        base, count = self.base_nv, len(self.v_index)
+        result = np.zeros((self.nv, base + count))
+        if self.floating:
+            rotation = rotation_from_quaternion(qpos[3:7] / math.hypot(*qpos[3:7].tolist()))
+            result[:3, :3], result[3:6, 3:6] = rotation.T, np.eye(3)
+        result[self.v_index, base + np.arange(count)] = 1.0
+        return result
+
+    def acceleration_offset(self, qpos: Array, qvel: Array) -> Array:
+        """Return the vector dT/dt qvel (model.nv,) of a_pin = T qacc + dT/dt qvel.
+
+        It is zero for a fixed base: T changes with the orientation of the base.
+
+        Args:
+            qpos: Configuration in public order, shape (nq,), quaternion (w, x, y, z), of any norm.
+            qvel: Velocity in public order, shape (nv,).
+        """
+        result = np.zeros(self.nv)
+        if self.floating:
+            rotation = rotation_from_quaternion(qpos[3:7] / math.hypot(*qpos[3:7].tolist()))
+            result[:3] = -np.cross(qvel[3:6], rotation.T @ qvel[:3])
+        return result
+
 
 @dataclass(frozen=True, eq=False)
 class MujocoConvention:
@@ -218,3 +250,7 @@ class MujocoConvention:
         """
         data.qpos[self.qpos_index] = qpos
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel
+
+    def read_state(self, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, in public order."""
+        return data.qpos[self.qpos_index], data.qvel[self.qvel_index]

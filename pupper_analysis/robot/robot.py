@@ -36,6 +36,7 @@ from pupper_analysis.models.transmission import group_actuators_by_joint
 from pupper_analysis.robot.closure import Closure, find_closure
 from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.engine_models import EngineModels
 from pupper_analysis.robot.shapes import CarriedShape, shapes_of
 from pupper_analysis.robot.structure import Structure
 
@@ -134,7 +135,7 @@ it."""
 
 _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds",
-    "grips", "_cache",
+    "grips", "collision_model", "_cache",
 )  # fmt: skip
 """Cached attributes that are not pickled, because recomputation is faster."""
 
@@ -217,7 +218,7 @@ def with_friction(
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(EngineModels):
     """Robot with a URDF and an MJCF, and the maps between the two models.
 
     Attributes:

@@ -46,6 +46,10 @@ _ERROR_BY_CONSTRAINT = {
 """{constraint: attribute of the stand with the violation}; ``foot_error`` for other constraints."""
 
 
+_UNPICKLED = ("_statics", "_robot")
+"""Attributes of a stand that are not pickled: a robot is large, and statics are fast to compute."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Tabular):
     """Solved stand. The errors are computed with Pinocchio from ``qpos``.
@@ -95,7 +99,7 @@ class Stand(Tabular):
     robot: str
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_statics"}
+        return {name: value for name, value in vars(self).items() if name not in _UNPICKLED}
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
@@ -192,6 +196,7 @@ class Stand(Tabular):
             self, task=task.replace_unchecked(ground=self.task.ground)
         )  # with its planes
         other._statics.extend(self._statics)
+        attach_robot(other, vars(self).get("_robot"))
         return other
 
     @property
@@ -253,6 +258,61 @@ class Stand(Tabular):
     def joint_positions(self, robot: Robot) -> Array:
         """Return the joint positions, shape (nu,) [rad, m]."""
         return self.qpos[robot.nq - robot.nu :]
+
+    def with_robot(self, robot: Robot) -> Stand:
+        """Return a copy that references its robot, for `ctrl` and `q_pin`.
+
+        `solve_stand` returns such a stand. A stand from another process has no robot.
+
+        Raises:
+            ConfigurationError: If the stand belongs to another robot.
+        """
+        self.check(robot)
+        copy = replace(self)
+        copy._statics.extend(self._statics)
+        return attach_robot(copy, robot)
+
+    def _require_robot(self) -> Robot:
+        """Return the robot with the contacts of the task."""
+        robot: Robot | None = vars(self).get("_robot")
+        if robot is None:
+            owner = self.robot.rpartition(" ")[0]
+            raise ConfigurationError("stand", diagnose("stand-without-robot", robot=owner))
+        return self.check(robot)
+
+    @property
+    def q_pin(self) -> Array:
+        """Configuration in Pinocchio's convention, shape (pin_model.nq,).
+
+        Raises:
+            ConfigurationError: If the stand has no robot; see `with_robot`.
+        """
+        return self._require_robot().to_pinocchio(self.qpos)
+
+    @property
+    def ctrl(self) -> Array:
+        """Servo commands of ``robot.mj_model`` that hold the stand, shape (mj_model.nu,).
+
+        Feed-forward of the joint torques: gear (q* + tau / kp) for a position servo; 0 for an
+        actuator that drives no joint of the robot. MuJoCo clips commands to ``ctrlrange``.
+
+        Raises:
+            ConfigurationError: If the stand has no robot; see `with_robot`.
+            ModelError: If a joint has no position servo.
+            StaticsInfeasibleError: If no contact forces balance the stand.
+        """
+        from pupper_analysis.robot.servos import model_with_servos
+        from pupper_analysis.stance.stand import stand_statics
+
+        robot = self._require_robot()
+        torques = stand_statics(robot, self).joint_torques
+        return model_with_servos(robot).command(robot, self.joint_positions(robot), torques)
+
+
+def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
+    """Set the robot of a stand that nobody else has yet, in place; return the stand."""
+    vars(stand)["_robot"] = robot
+    return stand
 
 
 def _describe_clearance(near: Clearance) -> Diagnostic:

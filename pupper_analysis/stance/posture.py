@@ -25,7 +25,7 @@ from pupper_analysis.robot.joints import (
     named_positions,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -155,4 +155,5 @@ def held_stand(robot: Robot, posture: Posture) -> Stand:
         ConfigurationError: If the base is free, or an argument has another type.
     """
     check_held(robot)
-    return Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
+    stand = Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
+    return attach_robot(stand, robot)

@@ -21,6 +21,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.tool import Place, with_payload
 from pupper_analysis.robot.touching import touching
+from pupper_analysis.stance.judge import attach_robot
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import (
@@ -78,6 +79,7 @@ def solve_stand_on_soft_ground(
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the depths do not converge.
     """
+    owner = robot
     if isinstance(task, Stand):
         robot = task.check(robot)
         stand, task = task, task.task
@@ -106,7 +108,7 @@ def solve_stand_on_soft_ground(
             # The stiffness of loops increases with their opening, so steps would alternate.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
-            return stand.for_task(asked)
+            return attach_robot(stand.for_task(asked), owner)
         least, stalled = min(least, change), stalled + 1 if change >= least else 0
         if stalled == _MAX_STALLED_ITERATIONS:
             break
@@ -142,7 +144,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
     if not stand.check(robot).floating:  # a posture
-        return replace(stand, qpos=_deflect_couplings(robot, stand.qpos))
+        return attach_robot(replace(stand, qpos=_deflect_couplings(robot, stand.qpos)), robot)
     try:
         return solve_stand_on_soft_ground(robot, stand, explain=False)
     except StanceUnreachableError:

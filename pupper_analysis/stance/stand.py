@@ -18,7 +18,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
-from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import continue_stand, find_nearest, search_stand
@@ -67,9 +67,10 @@ def solve_stand(
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors and
             the demands to relax.
     """
-    robot = touching(robot, task.contacts) if task is not None else robot
+    owner, robot = robot, touching(robot, task.contacts) if task is not None else robot
     with lend(robot, SearchContext) as context:
-        return solve_goal(context, make_goal(robot, task, {}), explain=explain)
+        stand = solve_goal(context, make_goal(robot, task, {}), explain=explain)
+    return attach_robot(stand, owner)
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
@@ -176,7 +177,7 @@ def solve_stands(
     """
     goals: list[Goal] = []
     solved: list[Stand] = []
-    robot = touching(robot, tasks[0].contacts) if tasks else robot
+    owner, robot = robot, touching(robot, tasks[0].contacts) if tasks else robot
     for number, task in enumerate(tasks):
         try:  # equal foot targets are reused from the previous goal
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
@@ -189,7 +190,7 @@ def solve_stands(
                 solved.append(next_stand or solve_goal(context, goal, explain=explain))
             except StanceUnreachableError as error:
                 raise error.at(f"tasks[{number}]") from None
-    return tuple(solved)
+    return tuple(attach_robot(stand, owner) for stand in solved)
 
 
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:

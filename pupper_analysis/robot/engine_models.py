@@ -1,0 +1,297 @@
+"""Models of a robot for other programs, and conversions between the conventions of both engines.
+
+`EngineModels` is a base class of ``Robot``. Public coordinates are MuJoCo's, with the joints in
+actuator order (``robot.coordinates``); Pinocchio's are those of ``robot.pin_model``.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, overload
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_vector, real_array
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.description import Description
+from pupper_analysis.robot.coordinates import (
+    MujocoConvention,
+    PinocchioConvention,
+    normalise_quaternion,
+)
+from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
+from pupper_analysis.robot.shapes import CarriedShape, may_touch
+
+Array = NDArray[np.float64]
+
+
+class EngineModels:
+    """Models for other programs, and conversions of states, forces and Jacobians."""
+
+    if TYPE_CHECKING:
+        description: Description
+        pin_model: pin.Model
+        mj_model: mujoco.MjModel
+        floating: bool
+        pin_convention: PinocchioConvention
+        mj_convention: MujocoConvention
+
+        @property
+        def nq(self) -> int:
+            """Size of the public qpos."""
+
+        @property
+        def nv(self) -> int:
+            """Size of the public qvel."""
+
+        @property
+        def shapes(self) -> tuple[CarriedShape, ...]:
+            """Collision shapes of the moving bodies in MuJoCo."""
+
+    def pin_data(self) -> pin.Data:
+        """Return new Pinocchio data of ``pin_model``."""
+        return self.pin_model.createData()
+
+    def mj_spec(self) -> mujoco.MjSpec:
+        """Return a new MuJoCo spec of the robot with floor and servos; the caller may change it.
+
+        ``mj_spec().compile()`` has the numbers of ``mj_model``. Meshes keep the paths of the file,
+        or their contents if the robot was loaded from a spec in memory.
+        """
+        spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
+        for joint in spec.joints:  # as in `mj_model`: gravity compensation is a passive force
+            joint.actgravcomp = 0
+        return spec
+
+    @cached_property
+    def collision_model(self) -> pin.GeometryModel:
+        """Pinocchio's geometry model with the collision shapes of ``mj_model``; cached.
+
+        The shapes are primitives and convex hulls of meshes on the joints of ``pin_model``, without
+        the ground. The collision pairs are those that MuJoCo checks. A copy is ``.copy()``.
+
+        Raises:
+            ModelError: If Pinocchio's collision library does not support a geom.
+        """
+        model, result = self.pin_model, pin.GeometryModel()
+        for shape in self.shapes:
+            frame = model.getFrameId(shape.link, pin.FrameType.BODY)
+            owner = model.frames[frame]
+            name = f"{self.mj_model.geom(shape.geom).name or 'geom'}_{shape.geom}"
+            pose = owner.placement * shape.form.pose.placed
+            result.addGeometryObject(
+                pin.GeometryObject(name, owner.parentJoint, frame, pose, shape.form.collision)
+            )
+        for second, shape in enumerate(self.shapes):
+            for first in range(second):
+                if _are_checked(self.mj_model, self.shapes[first], shape):
+                    result.addCollisionPair(pin.CollisionPair(first, second))
+        return result
+
+    @overload
+    def to_pinocchio(self, qpos: ArrayLike, qvel: None = None) -> Array: ...
+
+    @overload
+    def to_pinocchio(self, qpos: ArrayLike, qvel: ArrayLike) -> tuple[Array, Array]: ...
+
+    def to_pinocchio(
+        self, qpos: ArrayLike, qvel: ArrayLike | None = None
+    ) -> Array | tuple[Array, Array]:
+        """Convert a public state to Pinocchio's q, or to q and v.
+
+        Args:
+            qpos: Configuration (nq,); its quaternion (w, x, y, z) is normalised.
+            qvel: Velocity (nv,); the base linear velocity is in the world frame.
+
+        Returns:
+            q (pin_model.nq,): quaternion (x, y, z, w), continuous joints as (cos, sin). With
+            ``qvel`` also v (pin_model.nv,), with the base linear velocity in the base frame.
+
+        Raises:
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
+        """
+        position = self._check_qpos(qpos)
+        q = self.pin_convention.unit_q(position)
+        if qvel is None:
+            return q
+        velocity = check_vector("qvel", qvel, self.nv)
+        return q, self.pin_convention.velocity_map(position) @ velocity
+
+    @overload
+    def to_mujoco(self, q: ArrayLike, v: None = None) -> Array: ...
+
+    @overload
+    def to_mujoco(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]: ...
+
+    def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
+        """Convert Pinocchio's q, or q and v, to the public state: the inverse of `to_pinocchio`.
+
+        Args:
+            q: Pinocchio's configuration (pin_model.nq,).
+            v: Pinocchio's velocity (pin_model.nv,).
+
+        Returns:
+            qpos (nq,), with continuous joints between -pi and pi; with ``v`` also qvel (nv,). The
+            joints are in actuator order; `MujocoConvention.set_state` writes the state to MjData.
+
+        Raises:
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
+        """
+        qpos = self.pin_convention.qpos(check_vector("q", q, self.pin_convention.nq))
+        if self.floating:
+            normalise_quaternion(qpos)
+        if v is None:
+            return qpos
+        velocity = check_vector("v", v, self.pin_convention.nv)
+        return qpos, self.pin_convention.velocity_map(qpos).T @ velocity
+
+    def velocity_map(self, qpos: ArrayLike) -> Array:
+        """Return the orthogonal matrix T (pin_model.nv, nv) of v = T qvel at a configuration.
+
+        With T, forces are tau_pin = T tau, Jacobians J = J_pin T, and mass matrices
+        M = T^T M_pin T.
+
+        Raises:
+            ConfigurationError: If ``qpos`` (nq,) is not valid, as for `to_pinocchio`.
+        """
+        return self.pin_convention.velocity_map(self._check_qpos(qpos))
+
+    def forces_to_pinocchio(self, qpos: ArrayLike, forces: ArrayLike) -> Array:
+        """Convert generalised forces (nv,), dual to qvel, to Pinocchio's tau (pin_model.nv,).
+
+        Base forces are in the world frame in MuJoCo, and in the base frame in Pinocchio; base
+        torques are in the base frame in both. Forces that depend on the velocity, such as
+        ``qfrc_bias``, differ by more: see `accelerations_to_pinocchio`.
+
+        Args:
+            qpos: Configuration (nq,).
+            forces: Generalised forces (nv,) [N, N m].
+
+        Raises:
+            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+        """
+        return self.velocity_map(qpos) @ check_vector("forces", forces, self.nv)
+
+    def forces_to_mujoco(self, qpos: ArrayLike, tau: ArrayLike) -> Array:
+        """Convert Pinocchio's tau (pin_model.nv,) to generalised forces (nv,), dual to qvel.
+
+        Args:
+            qpos: Configuration (nq,), in public coordinates.
+            tau: Pinocchio's generalised forces (pin_model.nv,) [N, N m].
+
+        Raises:
+            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+        """
+        return self.velocity_map(qpos).T @ check_vector("tau", tau, self.pin_convention.nv)
+
+    def accelerations_to_pinocchio(
+        self, qpos: ArrayLike, qvel: ArrayLike, qacc: ArrayLike
+    ) -> Array:
+        """Convert an acceleration qacc (nv,) to Pinocchio's a = T qacc + dT/dt qvel.
+
+        With it, inverse dynamics agree: rnea(q, v, a) = T (M qacc + bias).
+
+        Args:
+            qpos: Configuration (nq,).
+            qvel: Velocity (nv,).
+            qacc: Acceleration (nv,) [m/s^2, rad/s^2].
+
+        Raises:
+            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+        """
+        velocity = check_vector("qvel", qvel, self.nv)
+        acceleration = check_vector("qacc", qacc, self.nv)
+        offset = self.pin_convention.acceleration_offset(self._check_qpos(qpos), velocity)
+        return self.velocity_map(qpos) @ acceleration + offset
+
+    def accelerations_to_mujoco(self, qpos: ArrayLike, qvel: ArrayLike, a: ArrayLike) -> Array:
+        """Convert Pinocchio's acceleration a (pin_model.nv,) to qacc (nv,).
+
+        Args:
+            qpos: Configuration (nq,), in public coordinates.
+            qvel: Velocity (nv,), in public coordinates.
+            a: Pinocchio's acceleration (pin_model.nv,) [m/s^2, rad/s^2].
+
+        Raises:
+            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+        """
+        velocity = check_vector("qvel", qvel, self.nv)
+        acceleration = check_vector("a", a, self.pin_convention.nv)
+        offset = self.pin_convention.acceleration_offset(self._check_qpos(qpos), velocity)
+        return self.velocity_map(qpos).T @ (acceleration - offset)
+
+    def jacobian_to_pinocchio(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
+        """Convert the columns of a Jacobian (n, nv) to Pinocchio's: J_pin = J T^T.
+
+        Args:
+            qpos: Configuration (nq,).
+            jacobian: Jacobian (n, nv), whose columns are dual to qvel.
+
+        Returns:
+            Shape (n, pin_model.nv).
+
+        Raises:
+            ConfigurationError: If an array is not valid.
+        """
+        return _check_columns("jacobian", jacobian, self.nv) @ self.velocity_map(qpos).T
+
+    def jacobian_to_mujoco(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
+        """Convert the columns of Pinocchio's Jacobian (n, pin_model.nv): J = J_pin T.
+
+        Args:
+            qpos: Configuration (nq,), in public coordinates.
+            jacobian: Pinocchio's Jacobian (n, pin_model.nv).
+
+        Returns:
+            Shape (n, nv), with columns dual to qvel.
+
+        Raises:
+            ConfigurationError: If an array is not valid.
+        """
+        columns = _check_columns("jacobian", jacobian, self.pin_convention.nv)
+        return columns @ self.velocity_map(qpos)
+
+    def _check_qpos(self, qpos: ArrayLike) -> Array:
+        """Return a copy of a public qpos (nq,) with normalised quaternion."""
+        result = check_vector("qpos", qpos, self.nq)
+        if self.floating:
+            normalise_quaternion(result)
+        return result
+
+
+def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
+    """Return a finite matrix (n, count); a vector (count,) becomes a matrix of one row."""
+    matrix = np.atleast_2d(real_array(name, values))
+    if matrix.ndim != 2 or matrix.shape[1] != count:
+        problem = diagnose("array-of-another-shape", size=count, shape=str(matrix.shape))
+        raise ConfigurationError(name, problem)
+    if not np.isfinite(matrix).all():
+        index = int(np.flatnonzero(~np.isfinite(matrix))[0])
+        problem = diagnose("element-not-finite", index=index, value=matrix.flat[index])
+        raise ConfigurationError(name, problem)
+    return matrix
+
+
+def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
+    """Return True if MuJoCo checks two geoms of the robot for contact.
+
+    Geoms of one body, and of a body and its parent, are not checked, unless the MJCF lists the pair
+    or disables the filter. A parent that is fixed to the world counts.
+    """
+    for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
+        if set(pair) == {one.geom, other.geom}:
+            return True
+    first, second = int(model.body_weldid[one.body]), int(model.body_weldid[other.body])
+    if first == second or not may_touch(model, one.geom, other.geom):
+        return False
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT.value:
+        return True
+    parents = [int(model.body_weldid[model.body_parentid[body]]) for body in (first, second)]
+    is_child = (parents[0] == second and second) or (parents[1] == first and first)
+    return not is_child

@@ -1,0 +1,41 @@
+"""MuJoCo spec that a robot's model is compiled from."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.robot.floor import disable_ground, find_floor
+
+Array = NDArray[np.float64]
+
+
+def make_mujoco_spec(
+    description: Description, *, fixed_base: bool
+) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
+    """Return a copy of the MJCF of a description with its base free or fixed, ready to compile.
+
+    With a fixed base, free joints and keyframes are removed and the ground does not collide. A free
+    base without a floor gets one.
+
+    Returns:
+        Spec; qpos of the keyframe ``home``, else of the first keyframe, else empty; notes.
+    """
+    notes = []
+    spec = description.mjcf.copy()
+    keys = sorted(spec.keys, key=lambda key: key.name != "home")
+    keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
+    if fixed_base:
+        for element in (*free, *spec.keys):
+            spec.delete(element)
+        notes += disable_ground(spec) if free else []  # a fixed robot may intersect the ground
+    elif free and not find_floor(spec):
+        SpecTree(spec).add_floor()
+        notes.append(diagnose("ground-added"))
+    return spec, keyframe, notes
