@@ -62,7 +62,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 # --- From the Pupper v3 model ------------------------------------------------------------- [m]
 TORSO_BOX_CENTRE = np.array([0.02146, 0.0, 0.03345])
-TORSO_BOX_HALF_SIZE = np.array([0.129715, 0.06379, 0.04507])
+TORSO_BOX_HALF_SIZE = np.array([0.129715, 0.04507, 0.06379])
 HIP_CENTRES_LEFT = np.array([[0.075, 0.0835, 0.0], [-0.075, 0.0725, 0.0]])
 KNEE_BACK, KNEE_DOWN = 0.0685, 0.0494  # knee from hip centre, base frame, angles at zero
 KNEE_HOUSING_RADIUS = 0.025
@@ -99,10 +99,10 @@ SHELL_RADIUS = 0.012
 # Ball centres of the shell: (x, y, z), each also at -y; rear, haunch, shoulder, chest.
 SHELL_BALLS = np.array(
     [
-        [-0.0955, 0.030, 0.012], [-0.0955, 0.034, 0.028], [-0.0920, 0.022, 0.039],
-        [-0.0600, 0.038, 0.001], [-0.0600, 0.049, 0.030], [-0.0550, 0.028, 0.046],
-        [0.0750, 0.041, 0.001], [0.0750, 0.051, 0.030], [0.0700, 0.029, 0.046],
-        [0.0980, 0.026, 0.009], [0.1000, 0.034, 0.026], [0.0960, 0.022, 0.040],
+        [-0.0955, 0.020, 0.000], [-0.0955, 0.024, 0.026], [-0.0920, 0.016, 0.048],
+        [-0.0600, 0.026, -0.018], [-0.0600, 0.032, 0.030], [-0.0550, 0.020, 0.058],
+        [0.0750, 0.028, -0.018], [0.0750, 0.033, 0.030], [0.0700, 0.021, 0.058],
+        [0.0980, 0.018, -0.002], [0.1000, 0.024, 0.024], [0.0960, 0.016, 0.050],
     ]
 )  # fmt: skip
 SEAM_XS = (-0.038, 0.038)  # panel lines between haunches, belly and shoulders
@@ -110,17 +110,16 @@ SEAM_WIDTH = 0.0014
 SEAM_DEPTH = 0.0012
 VENT_XS = (-0.0165, -0.0055, 0.0055, 0.0165)
 VENT_RADIUS = 0.0022
-VENT_Z = 0.0245  # of the middle of a vent
-VENT_REACH, VENT_LEAN = 0.011, 0.0035  # from there to its upper end, along z and x
+VENT_Z = 0.0390  # of the middle of a vent
+VENT_REACH, VENT_LEAN = 0.012, 0.0035  # from there to its upper end, along z and x
 VENT_DEPTH = 0.004
-ARCH_RADIUS = 0.0295  # room around a hip can
 BOSS_RADIUS = 0.0235  # the collar a hip can turns on
 
 HEAD_RADIUS = 0.010
 HEAD_BALLS = np.array(
     [
-        [0.0940, 0.029, 0.028], [0.0940, 0.029, 0.056],
-        [0.1310, 0.032, 0.020], [0.1260, 0.032, 0.059],
+        [0.0940, 0.029, 0.034], [0.0940, 0.029, 0.066],
+        [0.1310, 0.032, 0.026], [0.1260, 0.032, 0.069],
     ]
 )  # fmt: skip
 DISPLAY_WIDTH, DISPLAY_HEIGHT, DISPLAY_CORNER = 0.060, 0.029, 0.010
@@ -134,22 +133,22 @@ SNOUT_DROP = 0.0165  # of the snout's centre below the face's
 SNOUT_REACH = 0.0045
 LENS_RADIUS, LENS_DEPTH = 0.0036, 0.0015
 EAR_RADIUS = 0.0025
-EAR_BALLS = np.array([[0.100, 0.036, 0.060], [0.122, 0.036, 0.062], [0.104, 0.031, 0.0755]])
+EAR_BALLS = np.array([[0.100, 0.036, 0.070], [0.122, 0.036, 0.072], [0.104, 0.031, 0.0930]])
 
 PAD_RADIUS = 0.004  # battery cover on the back
-PAD_BALLS = np.array([[-0.078, 0.020, 0.046], [-0.074, 0.018, 0.058],
-                      [0.062, 0.020, 0.046], [0.058, 0.018, 0.058]])  # fmt: skip
+PAD_BALLS = np.array([[-0.078, 0.016, 0.052], [-0.074, 0.014, 0.070],
+                      [0.062, 0.016, 0.052], [0.058, 0.014, 0.070]])  # fmt: skip
 # Rows as in rounded_bar.
 HANDLE_PATH = (
-    (-0.0600, 0.0, 0.0560, 0.0042, 0.007),
-    (-0.0460, 0.0, 0.0742, 0.0042, 0.007),
-    (0.0260, 0.0, 0.0742, 0.0042, 0.007),
-    (0.0440, 0.0, 0.0560, 0.0042, 0.007),
+    (-0.0600, 0.0, 0.0680, 0.0042, 0.007),
+    (-0.0460, 0.0, 0.0915, 0.0042, 0.007),
+    (0.0260, 0.0, 0.0915, 0.0042, 0.007),
+    (0.0440, 0.0, 0.0680, 0.0042, 0.007),
 )
 TAIL_PATH = (
-    (-0.0860, 0.0, 0.0420, 0.0054, 0.0),
-    (-0.0985, 0.0, 0.0560, 0.005, 0.0),
-    (-0.1020, 0.0, 0.0725, 0.004, 0.0),
+    (-0.0860, 0.0, 0.0480, 0.0054, 0.0),
+    (-0.0985, 0.0, 0.0680, 0.005, 0.0),
+    (-0.1020, 0.0, 0.0900, 0.004, 0.0),
 )
 
 # Hip: all lengths in metres.
@@ -283,7 +282,7 @@ def tidied(mesh: Trimesh) -> Trimesh:
 
 
 def build_shell() -> Trimesh:
-    """Torso shell with seams, vents, wheel arches around the hips and collars for them."""
+    """Build the torso's shell, with seams and vents."""
     shell = rounded_hull(both_sides(SHELL_BALLS), SHELL_RADIUS)
     # What lies under a groove of some depth: the same shell with smaller balls.
     under_seams, under_vents = (
@@ -303,18 +302,17 @@ def build_shell() -> Trimesh:
     vents = union(
         [prism(slot.buffer(VENT_RADIUS, quad_segs=ARC_SEGMENTS), -FAR, FAR) for slot in slots]
     )
-    arches, bosses = [], []
+    return difference([shell, difference([seams, under_seams]), difference([vents, under_vents])])
+
+
+def build_collars() -> Trimesh:
+    """Build the collars that carry the hip cans: two bars across the torso."""
+    collars = []
     for x, y, z in HIP_CENTRES_LEFT:
         flank = y - HIP_CAN_INWARD
-        for side in (-1, 1):
-            ends = [[x, side * flank, z], [x, side * FAR, z]]
-            arches.append(cylinder(ARCH_RADIUS, segment=ends, sections=SECTIONS))
         ends = [[x, -flank, z], [x, flank, z]]
-        bosses.append(cylinder(BOSS_RADIUS, segment=ends, sections=SECTIONS))
-    shell = difference(
-        [shell, difference([seams, under_seams]), difference([vents, under_vents]), *arches]
-    )
-    return union([shell, *bosses])
+        collars.append(cylinder(BOSS_RADIUS, segment=ends, sections=SECTIONS))
+    return union(collars)
 
 
 def build_head() -> Trimesh:
@@ -357,12 +355,16 @@ def build_head() -> Trimesh:
 
 
 def build_torso() -> Trimesh:
-    """Torso with head, battery cover, handle and tail, cut to the torso's collision box."""
+    """Build the torso: shell, head, battery cover, handle and tail, with collars for the hips.
+
+    All but the collars is cut to the torso's collision box.
+    """
     pad = rounded_hull(both_sides(PAD_BALLS), PAD_RADIUS)
     handle = rounded_bar(HANDLE_PATH, Y)
     tail = rounded_bar(TAIL_PATH, Y)
     bounds = trimesh.creation.box(2 * TORSO_BOX_HALF_SIZE, translation_matrix(TORSO_BOX_CENTRE))
-    return tidied(intersection([union([build_shell(), build_head(), pad, handle, tail]), bounds]))
+    body = intersection([union([build_shell(), build_head(), pad, handle, tail]), bounds])
+    return tidied(union([body, build_collars()]))
 
 
 def build_hip() -> Trimesh:

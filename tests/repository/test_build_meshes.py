@@ -11,6 +11,7 @@ pytest.importorskip("trimesh", reason="the STL parts are built with trimesh")
 pytest.importorskip("manifold3d", reason="trimesh joins the STL parts with manifold3d")
 pytest.importorskip("shapely", reason="the outlines of the STL parts are drawn with shapely")
 
+import mujoco
 import trimesh
 from click.testing import CliRunner
 from trimesh import Trimesh
@@ -55,3 +56,28 @@ def test_committed_file_is_a_fresh_build(fresh: Path, name: str) -> None:
     # Library versions may cut a surface into other triangles: compare the shape, loosely.
     assert committed.volume == pytest.approx(part.volume, rel=1e-3)
     np.testing.assert_allclose(committed.bounds, part.bounds, atol=1e-3 * part.scale)
+
+
+def test_torso_is_drawn_in_the_collision_box_of_the_model() -> None:
+    """MuJoCo's box of the base bounds the drawn shell; only the collars of the hips reach further.
+
+    The box lies turned in its body: its extents along x, y and z are |R| times the half sizes.
+    """
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf" / "pupper_v3.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    base = model.body("base_link").id
+    (box,) = (
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] == base and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
+    )
+    half = np.abs(data.geom_xmat[box].reshape(3, 3)) @ model.geom_size[box]
+    centre = data.geom_xpos[box] - data.xpos[base]
+    torso = load(ROOT / "mjcf" / "meshes" / "torso.stl")
+    for axis in (0, 2):
+        np.testing.assert_allclose(
+            torso.bounds[:, axis], centre[axis] + np.array([-1, 1]) * half[axis], atol=2e-3
+        )
+    section = torso.section(plane_origin=[0, 0, 0], plane_normal=[1, 0, 0])  # between the collars
+    np.testing.assert_allclose(section.bounds[:, 1], [-half[1], half[1]], atol=2e-3)
