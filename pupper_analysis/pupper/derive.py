@@ -19,6 +19,11 @@ from pupper_analysis.pupper.variants import BASE_MODELS, VariantSpec
 
 Array = NDArray[np.float64]
 
+BALLAST_COLOUR = (0.13, 0.14, 0.16, 1.0)
+"""Colour of the block that marks a heavier torso (red, green, blue, opacity). Chosen, not tuned."""
+_VISUAL_GROUP = 1
+"""Geom group of the shapes of the models that are only drawn."""
+
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     """Derive the URDF of a variant from the URDF of the base model.
@@ -64,10 +69,26 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     root = next(link for link in robot.links if link.name not in parent_joint)
     root.inertial.mass *= variant.torso_mass_scale
     root.inertial.inertia = variant.torso_mass_scale * root.inertial.inertia
+    if variant.torso_mass_scale > 1:
+        root.visuals.append(_make_ballast_visual(variant))
     robot.name = variant.name
     written = io.BytesIO()
     model.write_xml().write(written, xml_declaration=True, encoding="utf-8", pretty_print=True)
     return written.getvalue().decode()
+
+
+def _make_ballast_visual(variant: VariantSpec) -> yourdfpy.Visual:
+    """Return the dark block that marks a heavier torso, as a visual of the base link."""
+    centre, size = BASE_MODELS[variant.base].ballast
+    origin = np.eye(4)
+    origin[:3, 3] = centre
+    colour = yourdfpy.Color(rgba=np.array(BALLAST_COLOUR))
+    return yourdfpy.Visual(
+        name="ballast",
+        origin=origin,
+        geometry=yourdfpy.Geometry(box=yourdfpy.Box(size=np.array(size))),
+        material=yourdfpy.Material(name="ballast", color=colour),
+    )
 
 
 def _read_origin(element: object) -> Array:
@@ -185,8 +206,8 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     ``leg_scale`` along the direction to the next joint (or the foot), projected into the plane
     normal to the knee axis, so the lateral offset of the leg is unchanged. Mass is proportional
     to the scale. A shape along the link becomes longer; other primitive shapes keep their size.
-    Mass and inertia of the base body are multiplied by ``torso_mass_scale``. The ground
-    clearance of keyframes is unchanged.
+    Mass and inertia of the base body are multiplied by ``torso_mass_scale``; above 1, a dark block
+    without mass is drawn on the base. The ground clearance of keyframes is unchanged.
 
     Args:
         spec: Spec of the base model.
@@ -212,6 +233,8 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         mesh = spec.mesh(name)
         mesh.scale = np.array(mesh.scale) * factor
     _scale_torso(torso, variant.torso_mass_scale)
+    if variant.torso_mass_scale > 1:
+        _add_ballast_geom(torso, variant)
     spec.modelname = variant.name
     _raise_keyframes(spec, torso, before, _measure_foot_depths(spec, base.feet.values()))
 
@@ -309,6 +332,22 @@ def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
         geom.density = factor * geom.density
         if not math.isnan(geom.mass):
             geom.mass = factor * geom.mass
+
+
+def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
+    """Add the dark block that marks a heavier torso: a geom without mass that touches nothing."""
+    centre, size = BASE_MODELS[variant.base].ballast
+    torso.add_geom(
+        name="ballast",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=centre,
+        size=np.array(size) / 2,
+        rgba=BALLAST_COLOUR,
+        group=_VISUAL_GROUP,
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+    )
 
 
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:

@@ -27,6 +27,8 @@ class BaseModel:
         feet: {foot: name of the URDF link and of the MJCF site}.
         foot_depth: Function from leg_scale to the depth of the feet below the hips in the
             nominal stand [m].
+        ballast: Centre and size of the dark block that marks a heavier torso, shape (2, 3) [m], in
+            the frame of the base. It is drawn only: it has no mass and touches nothing.
         remarks: Function that returns notes for users.
     """
 
@@ -34,6 +36,7 @@ class BaseModel:
     mjcf: str
     feet: Mapping[str, str]
     foot_depth: Callable[[float], float]
+    ballast: tuple[tuple[float, float, float], tuple[float, float, float]]
     remarks: Callable[[], tuple[Diagnostic, ...]] = tuple
 
 
@@ -44,6 +47,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
             mjcf="pupper_skeleton.xml",
             feet={leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")},
             foot_depth=lambda leg_scale: 0.14 * min(leg_scale, 1.5),
+            ballast=((0.01, 0.0, 0.06), (0.1, 0.07, 0.03)),
         ),
         "v3": BaseModel(
             urdf="pupper_v3.urdf",
@@ -55,6 +59,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
                 "RL": "leg_back_l_3_foot_site",
             },
             foot_depth=lambda leg_scale: 0.11156 * leg_scale,
+            ballast=((-0.01, 0.0, 0.079), (0.07, 0.084, 0.024)),
             remarks=lambda: (diagnose("first-joints-pitch"),),
         ),
     }

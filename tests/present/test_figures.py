@@ -45,7 +45,7 @@ def test_skeleton_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
         np.testing.assert_allclose(leg[-1], feet[foot], atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 1), ("v3", 1)])
+@pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
 def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
     robot = load(name)
     boxes = draw_skeleton(robot, robot.neutral()).boxes

@@ -198,3 +198,38 @@ def test_meshes_have_the_same_position_in_both_files(name: str, tmp_path: Path) 
             world = config.frame_position(body) + points @ config.frame_rotation(body).T
             extent = np.array([world.min(axis=0), world.max(axis=0)])
             np.testing.assert_allclose(theirs[body], extent, atol=2e-6, err_msg=body)
+
+
+@pytest.mark.parametrize("base", ["skeleton", "v3"])
+def test_heavier_torso_is_marked_by_a_block_without_mass_in_both_files(
+    base: str, tmp_path: Path
+) -> None:
+    """The block has one place and size in both files, and no effect; lighter torsos have none."""
+    variant = pa.pupper.VariantSpec(base, 1.0, 1.5, "marked")
+    urdf_file, mjcf_file = pa.pupper.write_variant(variant, tmp_path)[:2]
+    box = next(
+        visual
+        for visual in ElementTree.parse(urdf_file).getroot().iter("visual")
+        if visual.get("name") == "ballast"
+    )
+    model = mujoco.MjModel.from_xml_path(str(mjcf_file))
+    geom = model.geom("ballast")
+    origin, shape = box.find("origin"), box.find("geometry/box")
+    assert origin is not None
+    assert shape is not None
+    place = np.array([float(number) for number in origin.attrib["xyz"].split()])
+    size = np.array([float(number) for number in shape.attrib["size"].split()])
+    np.testing.assert_allclose(geom.pos, place, atol=1e-12)
+    np.testing.assert_allclose(2 * geom.size, size, atol=1e-12)
+    assert geom.contype == geom.conaffinity == 0
+    original = mujoco.MjModel.from_xml_path(
+        str(pa.pupper.write_variant(base_name(base), tmp_path)[1])
+    )
+    assert "ballast" not in [original.geom(i).name for i in range(original.ngeom)]
+    torso = original.body("base_link").mass[0]
+    assert model.body("base_link").mass[0] == pytest.approx(1.5 * torso, rel=1e-12)
+
+
+def base_name(base: str) -> str:
+    """The name of the variant that equals a base model."""
+    return {"skeleton": "original", "v3": "v3"}[base]

@@ -1,4 +1,8 @@
-"""The picture of robots side by side, rendered by MuJoCo, with names, leg lengths and masses."""
+"""The picture of robots side by side, rendered by MuJoCo.
+
+All robots have one scale. Each stands on a piece of ground, with its name, leg length and mass
+below it; a scale bar is in the lower left corner of the picture.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,6 @@ from pupper_analysis.present.figures.pose import (
     BOX_FACES,
     Skeleton,
     draw_skeleton,
-    hull_corners,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -55,6 +58,16 @@ _TILE_MARGIN = 0.09
 """Margin around a robot, relative to the tile width. Chosen, not tuned."""
 LABEL_HEIGHT = 0.125
 """Height of the text below a robot, relative to the tile width. Chosen, not tuned."""
+_GROUND_MARGIN = 0.5
+"""Distance from the feet to the edge of the drawn ground, in radii of the largest foot, beyond the
+foot's own surface. Chosen, not tuned."""
+GROUND_COLOUR = "#DDE2E9"
+"""Colour of the drawn ground."""
+_MAX_BAR_LENGTH = 0.3
+"""Upper bound of the length of the scale bar, relative to the width of a tile. Chosen, not
+tuned."""
+_BAR_MARGIN = 0.07
+"""Height of the strip for the scale bar, relative to the width of a tile. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +78,7 @@ class Tile:
         robot: Robot.
         qpos: Configuration in MuJoCo's coordinates, shape (nq,).
         lines: Skeleton in this configuration.
+        ground: Corners of the drawn piece of ground, shape (4, 3) [m], in the world frame.
         left: Left edge of the tile in the picture [pixels].
         top: Upper edge of the tile in the picture [pixels].
         width: Width of the tile [pixels].
@@ -76,6 +90,7 @@ class Tile:
     robot: Robot
     qpos: Array
     lines: Skeleton
+    ground: Array
     left: int
     top: int
     width: int
@@ -115,11 +130,15 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
         columns: Tiles in a row.
     """
     lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
+    grounds = []
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
     for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
-        seen = project_points(line.points())
         radius = max(robot.contact_radius.values())
-        low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
+        ground = _bound_ground(line, radius)
+        body, edges = project_points(line.points()), project_points(ground)
+        low[index] = np.minimum(body.min(axis=0) - radius, edges.min(axis=0))
+        high[index] = np.maximum(body.max(axis=0) + radius, edges.max(axis=0))
+        grounds.append(ground)
     size = high - low
     tile_width = width // columns
     scale = (1 - 2 * _TILE_MARGIN) * tile_width / float(size[:, 0].max())
@@ -134,11 +153,19 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
             across = (low[index, 0] + high[index, 0]) / 2
             middle = np.array([across, low[index, 1] + extent / 2 - label - gap])
             left = (index - first) * tile_width
-            tiles.append(
-                Tile(*poses[index], lines[index], left, top, tile_width, height, scale, middle)
-            )
+            drawn = lines[index], grounds[index]
+            tiles.append(Tile(*poses[index], *drawn, left, top, tile_width, height, scale, middle))
         top += height
     return tiles
+
+
+def _bound_ground(lines: Skeleton, radius: float) -> Array:
+    """Return the corners of a level rectangle below the feet, shape (4, 3) [m]."""
+    feet = np.array([leg[-1, :2] for leg in lines.legs.values()])
+    margin = (1 + _GROUND_MARGIN) * radius
+    (x_low, y_low), (x_high, y_high) = feet.min(axis=0) - margin, feet.max(axis=0) + margin
+    corners = [(x_low, y_low), (x_high, y_low), (x_high, y_high), (x_low, y_high)]
+    return np.array([(x, y, 0.0) for x, y in corners])
 
 
 Image = NDArray[np.uint8]
@@ -153,7 +180,7 @@ _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def _compile_model(tile: Tile) -> mujoco.MjModel:
-    """Compile a robot's MJCF without visible ground planes, with the lights of the picture."""
+    """Compile a robot's MJCF with the ground and the lights of the picture instead of its own."""
     robot = tile.robot
     spec = robot.description.mjcf.copy()
     for geom in spec.geoms:
@@ -162,6 +189,15 @@ def _compile_model(tile: Tile) -> mujoco.MjModel:
     free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
     for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
         spec.delete(element)
+    low, high = tile.ground[0], tile.ground[2]
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=(low + high) / 2,
+        size=(*(high - low)[:2] / 2, 1.0),
+        rgba=(*to_rgb(GROUND_COLOUR), 1.0),
+        contype=0,
+        conaffinity=0,
+    )
     sun = spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False)
     sun.dir, sun.diffuse = (-0.30, 0.24, -1.0), (0.45,) * 3
     visual = spec.visual
@@ -329,6 +365,7 @@ def render_variants(
     images, method, note = render_tiles(tiles)
     width = max(tile.left + tile.width for tile in tiles)
     height = max(tile.top + tile.height for tile in tiles)
+    height += round(_BAR_MARGIN * tiles[0].width)
     figure = Figure(
         figsize=(width / _PICTURE_DPI, height / _PICTURE_DPI),
         dpi=_PICTURE_DPI,
@@ -345,6 +382,7 @@ def render_variants(
         if not images:
             _draw_lines(canvas, tile)
         _write_label(canvas, tile)
+    _draw_scale_bar(canvas, tiles[0], height)
     save_figure(figure, path)
     return Picture(Path(path), method, note)
 
@@ -363,14 +401,30 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
     canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
 
 
+def _draw_scale_bar(canvas: Axes, tile: Tile, picture_height: int) -> None:
+    """Draw a bar of a round length in the lower left corner of the picture.
+
+    The bar is true for lengths across the image: vertical lengths appear shortened by the cosine of
+    `CAMERA_ELEVATION`.
+    """
+    longest = _MAX_BAR_LENGTH * tile.width / tile.scale
+    power = 10.0 ** math.floor(math.log10(longest))
+    length = max(factor * power for factor in (1, 2, 5) if factor * power <= longest)
+    start = tile.left + _TILE_MARGIN * tile.width / 2
+    end, level = start + length * tile.scale, picture_height - 0.4 * _BAR_MARGIN * tile.width
+    thick = 0.006 * tile.width * 72 / _PICTURE_DPI
+    canvas.plot([start, end], [level, level], color="#1F2937", lw=thick, solid_capstyle="butt")
+    size = 0.026 * tile.width * 72 / _PICTURE_DPI
+    text = f"{1e3 * length:g} mm"
+    canvas.text((start + end) / 2, level - 0.012 * tile.width, text, size=size, ha="center")
+
+
 def _draw_lines(canvas: Axes, tile: Tile) -> None:
     """Draw a robot's skeleton, in the projection of the rendered picture."""
     lines = tile.lines
     thick = 0.035 * tile.width * 72 / _PICTURE_DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
-    feet = hull_corners(legs[:, -1])
-    ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
-    canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
+    canvas.fill(*tile.pixels(tile.ground).T, color=GROUND_COLOUR, zorder=1)
     for leg in lines.legs.values():
         # The camera is on the right: the legs of that side hide the base, it hides the others.
         near = leg[0, 1] < legs[:, 0, 1].mean()

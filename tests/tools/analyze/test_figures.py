@@ -85,6 +85,41 @@ def test_the_projection_is_that_of_the_camera(name: str, tmp_path: Path) -> None
             assert image[y - 3 : y + 3, x - 3 : x + 3].max() < 0.35, foot
 
 
+@pytest.mark.slow
+def test_heavier_torso_is_marked_by_a_dark_block(tmp_path: Path) -> None:
+    """The upper half of the heavy variant's tile has dark pixels, that of the original has none."""
+    picture = render_with_opengl(pairs("original", "heavy"), tmp_path / "a.png", width=2 * WIDTH)
+    original, heavy = np.split(pixels(picture.path), 2, axis=1)
+    top = len(original) * 3 // 10  # above the hips' motors
+    assert (original[:top].max(axis=-1) < 0.2).mean() == 0
+    assert (heavy[:top].max(axis=-1) < 0.2).mean() > 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("opengl", [True, False])
+def test_ground_and_scale_bar_are_drawn_at_the_scale_of_the_robots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opengl: bool
+) -> None:
+    """The bar is as long as 100 mm are in the projection; the ground lies below all feet."""
+    if opengl:
+        picture = render_with_opengl(pairs("v3"), tmp_path / "a.png", width=WIDTH)
+    else:
+        monkeypatch.setenv("MUJOCO_GL", "disable")
+        picture = render.render_variants(pairs("v3"), tmp_path / "a.png", width=WIDTH)
+    image = pixels(picture.path)
+    (tile,) = lay_out_tiles([(load("v3"), stand_of("v3").qpos)], WIDTH, 1)
+    (start, _), (end, _) = tile.pixels(np.array([[0.0, 0, 0], 0.1 * render.IMAGE_RIGHT]))
+    dark = (image[tile.height :].max(axis=-1) < 0.4).sum(axis=1).max()
+    assert dark == pytest.approx(end - start, abs=2)
+    for corner in tile.ground:
+        inside = 0.97 * corner + 0.03 * tile.ground.mean(axis=0)
+        x, y = tile.pixels(inside[None])[0].astype(int)
+        assert not is_background(image[y : y + 1, x : x + 1]).any()
+    feet = np.array([leg[-1] for leg in tile.lines.legs.values()])
+    assert (tile.ground.min(axis=0)[:2] < feet[:, :2].min(axis=0)).all()
+    assert (tile.ground.max(axis=0)[:2] > feet[:, :2].max(axis=0)).all()
+
+
 # ------------------------------------------------------------------------------------- no OpenGL
 
 
