@@ -8,9 +8,9 @@ import threading
 
 
 def main(command: str | None = None, *arguments: str) -> None:
-    """Run the command line, and exit with its status.
+    """Run the command line, and exit with the status of the command.
 
-    Ctrl-C during import prints one line instead of a traceback. A missing package prints one line
+    Ctrl-C during import prints a line instead of a traceback. A missing package prints a line
     and exits with status 2; the usual cause is an environment that is not activated.
 
     Args:
@@ -50,7 +50,7 @@ def end_without_waiting(status: int) -> None:
     """Exit at once after a signal if non-daemon threads are still running.
 
     At this point all output is written. A normal exit would wait for the threads of pools, for
-    example those of the browser sessions of ``live``: 5 to 9 s with twelve sessions.
+    example threads of the browser sessions of ``live``: 5 to 9 s with twelve sessions.
     """
     main_thread = threading.main_thread()
     if any(thread is not main_thread and not thread.daemon for thread in threading.enumerate()):

@@ -126,7 +126,7 @@ def check_length(name: str, value: object) -> float:
         value: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is not finite, or its absolute value exceeds
+        ConfigurationError: If the value is not finite, or the absolute value exceeds
             ``MAX_LENGTH``.
     """
     number = check_finite(name, value)
@@ -139,9 +139,10 @@ def check_length(name: str, value: object) -> float:
 
 
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Decorate a public function with a check of its arguments against the type hints.
+    """Decorate a public function with a check of the arguments against the type hints.
 
-    Array types and literals are not checked; the function itself must check these, and all values.
+    Array types and literals are not checked; the function itself must check such arguments, and all
+    values.
 
     Raises:
         ConfigurationError: In the call, if an argument has another type.

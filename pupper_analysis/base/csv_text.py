@@ -1,4 +1,4 @@
-"""CSV text of tables. Spreadsheets never execute a cell of it as a formula."""
+"""CSV text of tables. Spreadsheets never execute a cell of this text as a formula."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Final
 
 _FORMULA_START: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""First characters of cells that spreadsheets may execute, with their full-width forms (OWASP, CSV
+"""First characters of cells that spreadsheets may execute, with full-width forms (OWASP, CSV
 Injection)."""
 
 _TEXT_MARK: Final = "'"
@@ -17,10 +17,10 @@ _TEXT_MARK: Final = "'"
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV, one line each.
+    """Return rows as CSV, a line per row.
 
     A text that a spreadsheet would execute gets a leading apostrophe. Numbers, also as text, stay
-    as they are: ``-0.1``.
+    unchanged: ``-0.1``.
     """
     return "".join(map(_line, rows))
 
@@ -33,7 +33,7 @@ def _line(row: Iterable[object]) -> str:
 
 
 def cell_text(cell: str) -> str:
-    """Return the text of a cell that ``csv_text`` wrote: without the apostrophe that it added."""
+    """Return the text of a cell that ``csv_text`` wrote: without an added apostrophe."""
     if cell.startswith(_TEXT_MARK) and _FORMULA_START.match(cell, len(_TEXT_MARK)):
         return cell[len(_TEXT_MARK) :]
     return cell

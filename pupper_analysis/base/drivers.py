@@ -1,7 +1,7 @@
 """Import of MuJoCo if the requested OpenGL is not available, and MuJoCo's log file.
 
-MuJoCo imports the OpenGL backend named in the environment variable MUJOCO_GL during its own import.
-MuJoCo ignores an ImportError of the backend, but PyOpenGL also raises other exceptions. The
+MuJoCo imports the OpenGL backend named in the environment variable MUJOCO_GL during the import of
+MuJoCo. MuJoCo ignores an ImportError of the backend, but PyOpenGL also raises other exceptions. The
 functions here import MuJoCo without OpenGL in that case, so that only rendering fails.
 """
 
@@ -35,7 +35,7 @@ def import_mujoco() -> None:
 def import_without_opengl() -> None:
     """Import MuJoCo without OpenGL, because GLFW starts a process while loading.
 
-    MUJOCO_GL has its old value afterwards; ``tools/analyze/render.py`` uses this value to load
+    MUJOCO_GL has the old value afterwards; ``tools/analyze/render.py`` uses this value to load
     OpenGL.
     """
     previous = os.environ.get("MUJOCO_GL")
@@ -53,7 +53,7 @@ def import_without_opengl() -> None:
 def no_mujoco_log() -> Iterator[None]:
     """Keep MuJoCo from writing MUJOCO_LOG.TXT into the current folder, in the whole process.
 
-    For commands, whose process does nothing else. Its warnings still go to standard error.
+    For commands, whose process does nothing else. Warnings still go to standard error.
     """
     log: Any = import_module("mujoco").MjLogConfig
     before = log.get().logto_file

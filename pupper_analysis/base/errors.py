@@ -24,8 +24,8 @@ _E = TypeVar("_E", bound="PupperAnalysisError")
 class PupperAnalysisError(Exception):
     """Base class of all exceptions that the package raises deliberately.
 
-    Exceptions can be pickled independently of their constructor arguments, so that worker processes
-    can return them.
+    Exceptions can be pickled independently of the constructor arguments, so that worker processes
+    can return exceptions.
 
     Attributes:
         diagnostic: Code, values with units, and message texts in both languages.
@@ -61,7 +61,7 @@ def as_diagnostic(problem: Problem) -> Diagnostic:
 
 
 def _restore_error(error_type: type[_E], args: tuple[Any, ...], attributes: dict[str, Any]) -> _E:
-    """Create an error from its attributes, without the constructor.
+    """Create an error from attributes, without the constructor.
 
     The constructor would build a new message.
     """
@@ -106,7 +106,7 @@ class ModelError(PupperAnalysisError):
 class InputError(PupperAnalysisError):
     """File that cannot be read: missing, no regular file, too large, or no valid text.
 
-    The readers of a file type convert this error to an error of their own.
+    The readers of a file type convert this error to a more specific error.
 
     Attributes:
         path: The file.
@@ -166,7 +166,7 @@ class StanceUnreachableError(PupperAnalysisError):
     """Stand task without a solution within the joint limits and without collisions.
 
     Attributes:
-        shortfall: {foot or contact point: remaining distance [m] to its target}.
+        shortfall: {foot or contact point: remaining distance [m] to the target}.
         at_limit: {joint: limit [rad]} of the joints at a limit in the best configuration found.
         possible: {requirement: diagnostic of its feasible value}, for each requirement whose
             relaxation alone makes the task feasible. If there is none, for small sets that must be
@@ -281,7 +281,7 @@ class OutputError(PupperAnalysisError):
 
 
 class NoEquilibriumError(PupperAnalysisError):
-    """No static equilibrium of a servo-driven robot near its stand.
+    """No static equilibrium of a servo-driven robot near the stand.
 
     Attributes:
         share: Fraction of the feed-forward torque that could be removed before the equilibrium was
@@ -294,7 +294,7 @@ class NoEquilibriumError(PupperAnalysisError):
 
 
 class NotStandingError(PupperAnalysisError):
-    """Servo-driven robot that does not remain standing at its computed equilibrium.
+    """Servo-driven robot that does not remain standing at the computed equilibrium.
 
     Attributes:
         problems: Reasons: ``failures`` of the ``SteadyState``.
@@ -389,7 +389,7 @@ class FitError(PupperAnalysisError):
 
 
 def __dir__() -> list[str]:
-    """Return the names that this module defines, without those that it imports."""
+    """Return the names that this module defines, without imported names."""
     return sorted(
         name
         for name, value in globals().items()

@@ -1,4 +1,4 @@
-"""Lazy imports of the public names of a package, as listed in the stub beside its ``__init__.py``.
+"""Lazy imports of the public names of a package, as listed in the stub beside ``__init__.py``.
 
 A name is imported at first use, so ``import pupper_analysis`` is fast. Type checkers read the same
 stub. The package ``lazy_loader`` does the same, but ``python -m pupper_analysis`` must be

@@ -1,10 +1,10 @@
 """Atomic writing of output files, with protection of inputs and of other existing files.
 
 All output files are written by this module (except for scratch files in the system's temporary
-folder). A file is written completely or not at all. A run never overwrites its inputs (`runs`).
-Without ``force``, a non-empty file is replaced only by a result of the same kind (`kinds`). New
-contents are first written to hidden temporary files in the same folder; files left by killed
-processes are removed later.
+folder). A file is written completely or not at all. A run never overwrites an input of the same run
+(`runs`). Without ``force``, a non-empty file is replaced only by a result of the same kind
+(`kinds`). New contents are first written to hidden temporary files in the same folder; files left
+by killed processes are removed later.
 """
 
 from __future__ import annotations
@@ -64,14 +64,15 @@ def hidden_beside(target: Path) -> Path:
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
 """Age [s] after which a temporary file is removed whatever its process: one day, since no write
-takes that long. Process ids are reused, and those of another container cannot be looked up."""
+takes that long. Process ids are reused, and ids of another container cannot be looked up."""
 
 
 def remove_stale_files(folder: Path) -> None:
     """Remove old temporary files from a folder, once per process; only on POSIX systems.
 
-    A temporary file is removed if its process ran on this machine and has ended, or if the file is
-    older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed remain.
+    A temporary file is removed if the writing process ran on this machine and has ended, or if the
+    file is older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed
+    remain.
 
     Each run that may write to a folder calls this function, also if the run writes nothing in the
     end.
@@ -112,7 +113,8 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
     Args:
         path: Path of the new file; must not exist.
         data: Content.
-        like: Status of the file whose owner and mode are copied. By default, those of any new file.
+        like: Status of the file whose owner and mode are copied. By default, owner and mode of any
+            new file.
 
     Raises:
         OSError: If the file exists or cannot be created.
@@ -130,7 +132,7 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
 
 
 STANDARD_OUTPUT: Final = Path("-")
-"""Path that represents standard output. A file with this name must be given with its folder
+"""Path that represents standard output. A file with this name must be given with a folder
 (``./-``)."""
 
 
@@ -149,7 +151,7 @@ _result_streams: list[TextIO] = []
 def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.BytesIO]:
     """Yield a buffer whose content is written to the file if the block succeeds.
 
-    A regular file is replaced in one step, with its mode; a new file has the mode given by the
+    A regular file is replaced atomically, with the same mode; a new file has the mode given by the
     umask. Links are followed. A path that is no regular file (a pipe, a device), or that is the
     target of standard output, is written to in place.
 
@@ -343,7 +345,7 @@ def _result_stream() -> TextIO:
 
 
 def _write_bytes(stream: TextIO, data: bytes) -> None:
-    """Write bytes to a text stream, without its encoding if the stream has a byte buffer."""
+    """Write bytes to a text stream, without encoding if the stream has a byte buffer."""
     stream.flush()
     buffer = getattr(stream, "buffer", None)
     if buffer is None:
@@ -378,7 +380,7 @@ class Writing:
 
 
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
-    """Write several files, or none of them.
+    """Write several files, or none.
 
     All new contents, and the old files under second names, are on disk before the first file is
     replaced by a rename. If a replacement fails, or the process is interrupted, the earlier
@@ -386,7 +388,7 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
     content.
 
     Args:
-        writings: Files to write. Existing files keep their modes. New files get the mode given by
+        writings: Files to write. Existing files keep the mode. New files get the mode given by
             the umask; missing folders are created.
         backup: Whether to copy each existing file to ``NAME.bak`` (``NAME.bak2`` etc. if the name
             is taken).
@@ -576,7 +578,7 @@ def _undo_replacements(files: Sequence[_StagedFile], copies: Sequence[Path]) -> 
 
 
 def _sync_folders(folders: set[Path]) -> None:
-    """Write the renames in these folders to disk, if the system supports this."""
+    """Write the renames in the given folders to disk, if the system supports this."""
     for folder in folders:
         with suppress(OSError):
             handle = os.open(folder, os.O_RDONLY)

@@ -2,7 +2,7 @@
 
 All input files are read by ``read_input``, or checked by ``check_input`` if a library opens the
 file. A rejected file raises an ``InputError``, which the readers of a file type convert to an error
-of their own.
+of a more specific class.
 
 A model may also come from standard input. Relative paths in such a model, for example of meshes,
 are relative to the current folder.
@@ -83,8 +83,8 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
     Args:
         path: The file.
         most: Maximum size [bytes].
-        own: Whether the file belongs to this package, and not to the user. It is then not recorded
-            as an input of the run.
+        own: Whether the file belongs to this package, and not to the user. The file is then not
+            recorded as an input of the run.
 
     Raises:
         InputError: If the file is missing, is no regular file, is too large, or cannot be read.
@@ -206,7 +206,7 @@ def discard_standard_input() -> None:
 
 
 def is_held(path: Path) -> bool:
-    """Return True if a path represents standard input and its content is held."""
+    """Return True if a path represents standard input and the content is held."""
     return path == STANDARD_INPUT and bool(_held_content)
 
 

@@ -18,7 +18,7 @@ GENERATOR_NAME: Final = "pupper-analysis"
 """Name of the generator, written before the version in JSON, pages and figures."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
-"""Number of bytes read from the start of a file to recognise its kind. The header of a table with a
+"""Number of bytes read from the start of a file to recognise the kind. The header of a table with a
 hundred joints is shorter."""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
@@ -67,7 +67,7 @@ class Folder:
 
 
 def match_prefix(*marks: str) -> Callable[[BinaryIO], bool]:
-    """Return a test of whether a file starts with one of several texts."""
+    """Return a test for files that start with one of several texts."""
     prefixes = tuple(mark.encode() for mark in marks)
     return lambda file: file.read(max(map(len, prefixes))).startswith(prefixes)
 

@@ -1,4 +1,4 @@
-"""Locks: one run at a time writes to a folder, or adds rows to a file."""
+"""Locks: a single run at a time writes to a folder, or adds rows to a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Final
 
 _guard: Final = threading.Lock()
 _held: Final[set[str]] = set()
-"""Lock files of this process: the system does not refuse a lock to the process that holds it."""
+"""Lock files of this process: the system does not refuse a lock to the process that holds the
+lock."""
 
 
 @contextmanager
@@ -23,11 +24,11 @@ def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
     locks lock nothing.
 
     Args:
-        path: The lock file. It is created if needed.
+        path: The lock file. Created if needed.
         temporary: Remove the lock file at the end.
 
     Raises:
-        OSError: If the file cannot be opened, or its file system has no locks.
+        OSError: If the file cannot be opened, or the file system has no locks.
     """
     place = os.path.realpath(path)
     with _guard:
@@ -50,7 +51,7 @@ def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
 
 
 def _open_locked(place: str) -> int | None:
-    """Open a file and lock it; return None if another process holds the lock."""
+    """Open and lock a file; return None if another process holds the lock."""
     while True:
         handle = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
         try:

@@ -1,4 +1,4 @@
-"""HTML tables of results for notebooks: one row per field, with its value and its unit.
+"""HTML tables of results for notebooks: a row per field, with value and unit.
 
 ``Result._repr_html_`` and the same method of ``Robot`` and ``Configuration`` use this module.
 Jupyter calls ``_repr_html_`` to display the value of a cell. Long arrays are summarised; the page
@@ -23,8 +23,8 @@ MAX_SHOWN_NUMBERS = 12
 quadruped."""
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of entries of a mapping or a sequence that a cell shows, one per line. Chosen, not
-tuned: the joints of a quadruped."""
+"""Largest number of entries of a mapping or a sequence that a cell shows, an entry per line.
+Chosen, not tuned: the joints of a quadruped."""
 
 MAX_TEXT_LENGTH = 200
 """Largest number of characters of the text of a nested object."""
@@ -33,7 +33,7 @@ NUMBER_FORMAT = ".4g"
 """Format of numbers in a cell; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Numbers of an array below this fraction of the largest one, or of 1, are shown as 0: they are
+"""Numbers of an array below this fraction of the largest number, or of 1, are shown as 0: these are
 rounding of double precision."""
 
 _NOTHING = "&ndash;"
@@ -44,7 +44,7 @@ Row = tuple[str, str, str]
 
 
 def render_result(result: object) -> str:
-    """Return the HTML table of a dataclass: its public fields and reported properties.
+    """Return the HTML table of a dataclass: public fields and reported properties.
 
     Args:
         result: Instance of a dataclass.
@@ -61,7 +61,7 @@ def render_table(caption: str, rows: Iterable[Row]) -> str:
     """Return an HTML table with the columns field, value and unit.
 
     Args:
-        caption: Text above the table; it is escaped.
+        caption: Text above the table; escaped here.
         rows: Name (escaped), HTML of the value (from ``format_value``), and unit (escaped).
     """
     style = "text-align: left; vertical-align: top"
@@ -104,7 +104,7 @@ def _number_text(value: float) -> str:
 
 
 def _array_html(values: np.ndarray[Any, Any]) -> str:
-    """Return all numbers of a short array, or the shape and the range of a longer one."""
+    """Return all numbers of a short array, or the shape and the range of a longer array."""
     if values.size == 0:
         return "empty"
     if values.dtype.kind not in "fiub":
@@ -119,7 +119,7 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
 
 
 def _sequence_html(values: Sequence[object]) -> str:
-    """Return short sequences of numbers and names on one line, other items one per line."""
+    """Return short sequences of numbers and names on a single line, other items on a line each."""
     if not values:
         return _NOTHING
     simple = all(isinstance(value, str | int | float | np.number) for value in values)
@@ -129,7 +129,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines only their number is stated."""
+    """Join HTML lines; after ``MAX_SHOWN_ROWS`` lines only the number of lines is stated."""
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS
@@ -138,7 +138,7 @@ def _lines_html(lines: Sequence[str]) -> str:
 
 
 def _summarise(value: object) -> str:
-    """Return the text of an object that has one of its own, else its short ``repr``."""
+    """Return the text of an object that has a text, else the short ``repr``."""
     own_text = type(value).__str__ is not object.__str__
     text = str(value) if own_text else repr(value)
     return text if len(text) <= MAX_TEXT_LENGTH else f"{text[:MAX_TEXT_LENGTH]} ..."

@@ -1,4 +1,4 @@
-"""Base classes of results, and their conversion to JSON, dictionaries and tables."""
+"""Base classes of results, and the conversion to JSON, dictionaries and tables."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Result:
 
 
 class Tabular(Result):
-    """Base class of results that are tables: one row per joint, sample, direction or finding."""
+    """Base class of results that are tables: a row per joint, sample, direction or finding."""
 
     def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
         """Return {column: values}; all columns have the same length."""
@@ -139,7 +139,7 @@ class Tabular(Result):
 
 
 def shorten(value: object) -> str:
-    """Return a short text for a value: numbers with 6 digits, long containers by their sizes."""
+    """Return a short text for a value: numbers with 6 digits, long containers by size."""
     if isinstance(value, Enum):
         return repr(value.value)
     if isinstance(value, float):
@@ -168,7 +168,7 @@ def shorten(value: object) -> str:
 
 
 def __dir__() -> list[str]:
-    """Return the names that this module defines, without those that it imports."""
+    """Return the names that this module defines, without imported names."""
     return sorted(
         name
         for name, value in globals().items()

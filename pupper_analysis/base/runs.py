@@ -1,6 +1,6 @@
 """Record of the files that a run reads and writes, so that no run overwrites its own input.
 
-A run is a command, or one call of a function that reads and writes. The record ends with the run: a
+A run is a command, or a call of a function that reads and writes. The record ends with the run: a
 Python session may convert a file, inspect the result and convert the file again.
 """
 
@@ -28,10 +28,10 @@ class Run:
 
     Attributes:
         force: Whether existing files other than results may be replaced. Input files are never
-            replaced, unless the run edits them in place.
+            replaced, unless edited in place by the run.
         inputs: {file: name under which the file was read}.
         outputs: {existing file: name under which the file will be written}.
-        written: Files that the run has written; reading these is permitted.
+        written: Files that the run has written; reading such files is permitted.
         command: Words of the command line; empty in Python.
         asked: {option: value} of the command line or of a file of options.
     """
@@ -57,7 +57,7 @@ class Run:
             self.outputs[identity] = path
 
     def refuse_input(self, path: Path, identity: Identity) -> None:
-        """Raise an error if the run has read a file that it did not write itself.
+        """Raise an error if the run has read a file that the run did not write.
 
         Args:
             path: Name of the file, for the error.
@@ -77,7 +77,7 @@ class Run:
         Args:
             path: The file.
             edited: Whether the run has edited the file in place. The file then counts as an input,
-                which later output of the run must not replace. Otherwise the run may read it.
+                which later output of the run must not replace. Otherwise the run may read the file.
         """
         identity = identify_file(path)
         if identity is None:

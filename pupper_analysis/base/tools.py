@@ -1,10 +1,10 @@
-"""Discovery of tools and formats: our own by folder, those of other distributions by entry point.
+"""Discovery of tools and formats: our own by folder, tools of other distributions by entry point.
 
-A tool is a package that answers one question. The first line of its docstring is the question, and
-``HEADING`` selects the heading in ``--help``. ``command.py`` contains the command, ``document.py``
-the pages of the results, ``words.toml`` the texts. Optional modules that other packages find by
-name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery imports no tool; question
-and heading are read from the source text.
+A tool is a package that answers one question. The first line of the package docstring is the
+question, and ``HEADING`` selects the heading in ``--help``. ``command.py`` contains the command,
+``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that other
+packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery imports
+no tool; question and heading are read from the source text.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
 reads the files (`models.readers`), and ``rules.toml`` contains audit rules for this format.
@@ -56,7 +56,7 @@ class Tool(NamedTuple):
 
     @property
     def heading(self) -> str:
-        """Heading in ``--help``, one of ``HELP_HEADINGS``."""
+        """Heading in ``--help``, an element of ``HELP_HEADINGS``."""
         found = _HEADING_PATTERN.search(self._source_text)
         return found[1] if found and found[1] in HELP_HEADINGS else HELP_HEADINGS[-1]
 
@@ -131,7 +131,7 @@ def formats() -> Mapping[str, Format]:
 
 
 def find_format(path: Path) -> Format | None:
-    """Return the format of a file by its suffix; None for URDF, MJCF and unknown suffixes."""
+    """Return the format of a file by suffix; None for URDF, MJCF and unknown suffixes."""
     suffix = path.suffix.lower()
     if suffix in _COMMON_SUFFIXES:
         return None
@@ -142,7 +142,7 @@ def find_format(path: Path) -> Format | None:
 
 
 def detect_format(data: bytes) -> Format | None:
-    """Return the format of a file by its first bytes; None for XML or unknown content."""
+    """Return the format of a file by the first bytes; None for XML or unknown content."""
     if data.lstrip()[:1] == b"<":
         return None
     return next(

@@ -44,7 +44,7 @@ READ_IN: Final[Mapping[str, tuple[float, str]]] = {
 
 
 class Position(float):
-    """Requested joint position with its unit; ``"rad or m"`` if the user typed no unit."""
+    """Requested joint position with the unit; ``"rad or m"`` if the user typed no unit."""
 
     unit: str
 

@@ -25,7 +25,7 @@ class Addition:
     """Addition to a model, applied by a method of `SpecTree` or of a new MJCF file.
 
     Attributes:
-        verb: Name of the method. Its arguments are the fields of the addition except the reason.
+        verb: Name of the method. The arguments are the fields of the addition except the reason.
         reason: Reported reason.
     """
 

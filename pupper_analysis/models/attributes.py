@@ -28,7 +28,8 @@ class JointAttribute:
         relative: Whether the tolerance is relative.
         felt: Whether forward dynamics depend on the parameter.
         unstated: Default if a file does not specify the parameter.
-        urdf: Child element of ``<joint>`` and its attribute; None if URDF lacks the parameter.
+        urdf: Child element of ``<joint>`` and attribute of this element; None if URDF lacks the
+            parameter.
         mjcf: Attributes of a joint or actuator in an MJCF, any of which sets the parameter; the
             joint's own attribute first. Empty if MJCF lacks the parameter.
         pinocchio: Vector (nv,) of Pinocchio's model; "" if there is none.
@@ -81,7 +82,7 @@ limit is stated. The readers of both engines require a finite number; the strong
 
 
 def known_limit(stated: float) -> float:
-    """Return a URDF's effort or velocity; infinity if it is ``UNSTATED`` or more."""
+    """Return a URDF's effort or velocity; infinity if the value is ``UNSTATED`` or more."""
     return math.inf if stated >= UNSTATED else stated
 
 
@@ -283,7 +284,7 @@ Number = float | str
 """Number, or the text of a number in another file."""
 
 FLOOR_NAME: Final = "floor"
-"""Name of an added floor, and of its material."""
+"""Name of an added floor, and of the floor material."""
 
 HOME_KEYFRAME: Final = "home"
 """Name of the keyframe of the initial pose."""

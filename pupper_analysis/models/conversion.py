@@ -2,8 +2,8 @@
 
 Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges, so
 ``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. MuJoCo's URDF importer
-by default welds the base to the world and drops its mass, so static bodies are kept and a free
-joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be changed in place.
+by default welds the base to the world and drops the mass of the base, so static bodies are kept and
+a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be changed in place.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class MujocoTree:
 
     Attributes:
         model: MuJoCo model.
-        base: Name of the base body. It differs from the tree's if that is ``world``, a reserved
-            name.
+        base: Name of the base body. Another name than the tree's base if the latter is
+            ``world``, a reserved name.
     """
 
     def __init__(self, parameters: MultibodyTree) -> None:
@@ -71,7 +71,7 @@ class MujocoTree:
     def fits(self, parameters: MultibodyTree) -> bool:
         """Return True if a tree has the parents and joint types of this model.
 
-        Its parameters can then be set without compiling a new model.
+        The parameters can then be set without compiling a new model.
         """
         return self._structure == _structure_key(parameters)
 
@@ -301,7 +301,7 @@ def _add_joint(
 
 
 def places_of_joint(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
-    """Return the placements of a hinge or slide in its body, and of the body in the joint.
+    """Return the placements of a hinge or slide in the body, and of the body in the joint.
 
     The first is at joint position zero. The second is independent of the joint position.
     """

@@ -34,12 +34,12 @@ class Description:
         contact_points: {contact point: (link in the URDF, site, body or geom in the MJCF)}. A
             spherical foot has a single contact point, with the name of the foot.
         frames: {frame: (name in the URDF, name in the MJCF)} of further frames in both files.
-        feet: {foot: contact points} of the feet with more than one contact point.
+        feet: {foot: contact points} of the feet with several contact points.
         foot_geoms: {contact point: (geom in the MJCF, radius [m])} of contact points that are not
             the centre of a sphere. The radius of a corner of a box is 0.
         nominal: {joint: position [rad, m]} of the nominal stand; missing joints are at zero.
         made_frames: Contact points without a frame in either file.
-        added: Additions to ``mjcf`` for simulation, each with its reason. Files that are written
+        added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written
             get the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain.
         efforts: {joint: effort limit} of motors that were replaced by servos, whose own attributes

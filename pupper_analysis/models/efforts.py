@@ -1,8 +1,8 @@
-"""Torque limits of motors at their joints, from all statements of a URDF and an MJCF.
+"""Torque limits of motors at the joints, from all statements of a URDF and an MJCF.
 
 A torque limit has four sources: the URDF's ``effort``, and in an MJCF the joint's
-``actuatorfrcrange``, an actuator's ``forcerange`` times its gear, and the ``ctrlrange`` of a plain
-motor times its gain and gear. MuJoCo clamps a torque by all of them, one after the other, so the
+``actuatorfrcrange``, an actuator's ``forcerange`` times the gear, and the ``ctrlrange`` of a plain
+motor times gain and gear. MuJoCo clamps a torque by all these limits in sequence, so the
 smallest limit counts.
 
 A limit of zero is a motor without torque, and a negative limit is an error; ``EffortCode`` names
@@ -47,12 +47,12 @@ class EffortCode(StrEnum):
 
 @dataclass(frozen=True)
 class EffortStatement(Result):
-    """Torque limit of a joint's motor as one attribute of a file states it.
+    """Torque limit of a joint's motor as stated by a single attribute of a file.
 
     Attributes:
         file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces the files' limits.
         element: ``joint`` or ``actuator``.
-        name: Name of the element; of several actuators at a joint their names, separated by commas.
+        name: Name of the element; of several actuators at a joint all names, separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
         stated: Lower and upper end of the range in the file, for an effort with both signs; for
             several actuators the sum at the joint.
@@ -112,12 +112,12 @@ class EffortStatement(Result):
 
     @property
     def greatest(self) -> float:
-        """Largest torque in one of the two directions [N m]."""
+        """Largest torque in either direction [N m]."""
         return max(abs(self.lower), abs(self.upper))
 
     @property
     def least(self) -> float:
-        """Torque that is available in both directions [N m]; 0 if one end is 0."""
+        """Torque that is available in both directions [N m]; 0 if one end of the range is 0."""
         return max(0.0, min(-self.lower, self.upper))
 
 
@@ -131,8 +131,8 @@ class EffortLimit(Result):
         upper: Upper end of the torque range (N m); inf without a limit.
         origin: Statement with the smallest limit; None without a limit.
         stated: All statements of both files.
-        code: Meaning of the limit: ``unknown`` if no file states one, ``zero`` and ``negative`` if
-            the motor has no torque, else ``stated``.
+        code: Meaning of the limit: ``unknown`` if no file states a limit, ``zero`` and ``negative``
+            if the motor has no torque, else ``stated``.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ("code",)
@@ -214,7 +214,7 @@ def _list_statements(
 ) -> list[EffortStatement]:
     """Return the statements of an MJCF about a joint, with ranges at the joint.
 
-    Several actuators at a joint are summed to one statement.
+    Several actuators at a joint are summed to a single statement.
     """
     statements = read_joint_effort(model, joint)
     if len(drives) == 1:
@@ -262,11 +262,11 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
 
 
 _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-"""Transmissions of actuators that act on one joint, in an ``MjSpec``."""
+"""Transmissions of actuators that act on a single joint, in an ``MjSpec``."""
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the empty force range of an actuator; None without one."""
+    """Return the empty force range of an actuator; None without such a range."""
     name = actuator.name or actuator.target
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:
@@ -281,7 +281,7 @@ def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatemen
 def _is_empty(
     file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], switch: int
 ) -> bool:
-    """Return True if a range is in force by its numbers alone, is stated, and contains nothing."""
+    """Return True if a range is in force by the numbers alone, is stated, and contains nothing."""
     low, high = (float(end) for end in range_)
     if switch != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
         return False
@@ -355,7 +355,7 @@ rad/s within 1 ms. Robots in use have 350 to 25,000."""
 
 @dataclass(frozen=True)
 class Motor:
-    """Effort of a joint with the quantities that bound it.
+    """Effort of a joint with bounding quantities.
 
     Attributes:
         joint: Name of a hinge.
@@ -374,18 +374,18 @@ class Motor:
 def placeholder_efforts(
     motors: Sequence[Motor], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yield the efforts that are placeholders, since no motor can have them.
+    """Yield the efforts that are placeholders, since no motor can have such efforts.
 
-    These are: round efforts (1, 2 or 5 times 10^n, from 100) above `MAX_TORQUE_PER_LINK_MASS`;
-    efforts above `MAX_ROTOR_ACCELERATION`; and all other efforts, if their sum is above
-    `MAX_TORQUE_PER_ROBOT_MASS`.
+    Placeholders are: round efforts (1, 2 or 5 times 10^n, from 100) above
+    `MAX_TORQUE_PER_LINK_MASS`; efforts above `MAX_ROTOR_ACCELERATION`; and all other efforts, if
+    their sum is above `MAX_TORQUE_PER_ROBOT_MASS`.
 
     Args:
         motors: All hinges with a limit.
         total: Mass of the robot [kg].
 
     Yields:
-        Joints (those of the last case by decreasing torque per mass), and the finding about their
+        Joints (joints of the last case by decreasing torque per mass), and the finding about their
         efforts.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]

@@ -1,8 +1,8 @@
 """Reading of files from git without executing any program that the repository configures.
 
-A repository may come from an untrusted source. Its configuration and attributes can name programs:
-filters, hooks, a file system monitor, the transport of missing objects. Therefore callers use
-plumbing commands, which apply no filters, with the options and the environment below.
+A repository may come from an untrusted source. The configuration and attributes of a repository can
+name programs: filters, hooks, a file system monitor, the transport of missing objects. Therefore
+callers use plumbing commands, which apply no filters, with the options and the environment below.
 """
 
 from __future__ import annotations

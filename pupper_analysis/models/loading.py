@@ -1,6 +1,6 @@
 """Reading of any URDF or MJCF; malformed files raise an error with file and line.
 
-Other formats have readers in packages of their own, found by `base.tools.formats`.
+Other formats have readers in separate packages, found by `base.tools.formats`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CheckFinding:
         name: Name of the element; "" for the whole file.
         message: Description of the problem.
         child: Path below the element, for the line number.
-        place: Location, if the element cannot be found by its name.
+        place: Location, if the element cannot be found by name.
         severity: Severity, if lower than that of the rule.
     """
 
@@ -47,7 +47,7 @@ class CheckFinding:
 
 
 Check = Callable[[Any], Iterator[CheckFinding]]
-"""Audit check of a ``RobotModel``, or of the subclass of one format."""
+"""Audit check of a ``RobotModel``, or of the subclass of a specific format."""
 
 
 class ModelFile(Protocol):
@@ -80,20 +80,20 @@ class Reader(Protocol):
         """Return links and joints of the robot that a read file specifies, for checks."""
 
     def read_as_urdf(self, path: Path) -> UrdfFile:
-        """Read a file of this format, and convert it to a URDF with the same values.
+        """Read a file of this format, and convert the model to a URDF with the same values.
 
         ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
         """
 
     def read_as_mjcf(self, path: Path) -> MjcfFile:
-        """Read a file of this format, and convert it to an MJCF with the same values.
+        """Read a file of this format, and convert the model to an MJCF with the same values.
 
         ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
         """
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader for a file by its suffix; None for URDF, MJCF and unknown suffixes."""
+    """Return the reader for a file by suffix; None for URDF, MJCF and unknown suffixes."""
     model_format = find_format(path)
     return (
         None
@@ -105,7 +105,7 @@ def reader_of(path: Path) -> Reader | None:
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
     """Read a URDF or an MJCF; the root element determines the format.
 
-    A xacro file is expanded if the package xacro is installed; its elements have no line numbers.
+    A xacro file is expanded if the package xacro is installed; the elements have no line numbers.
     An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:

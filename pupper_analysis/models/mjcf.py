@@ -49,7 +49,7 @@ def free_joints(model: mujoco.MjModel) -> list[int]:
 
 
 def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Return the ids of the hinges and slides, the joints with one coordinate."""
+    """Return the ids of the hinges and slides, the joints with a single coordinate."""
     return np.flatnonzero(model.jnt_type >= min(SLIDE, HINGE))
 
 
@@ -64,13 +64,13 @@ GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),
 )
-"""Attributes of a geom that determine its contacts, and its visualisation group."""
+"""Attributes of a geom that determine contacts, and the visualisation group."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
     """Add a plane at z = 0 with MuJoCo's default contact parameters.
 
-    The defaults of the MJCF are not used, because they are intended for the robot.
+    The defaults of the MJCF are not used, because these defaults are intended for the robot.
 
     Args:
         body: World, or a body that is fixed to the world.
@@ -216,7 +216,7 @@ _EQUALITY_OBJECTS = {
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the name of an equality, or its number and objects: ``#3 (rod = heel)``."""
+    """Return the name of an equality, or the number and objects: ``#3 (rod = heel)``."""
     objects = [
         str(mujoco.mj_id2name(model, object_type.value, object_id) or f"#{object_id}")
         for object_type, object_id in equality_ends(model, index)
@@ -226,7 +226,7 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
 
 
 def format_equality_name(index: int, *ends: str) -> str:
-    """Return the name of an equality without a name, from its number and its objects."""
+    """Return the name of an equality without a name, from the number and objects."""
     return f"#{index} ({' = '.join(ends)})"
 
 

@@ -251,7 +251,7 @@ class IncludeTree:
     """Elements of an MJCF with expanded includes.
 
     Attributes:
-        files: The file, and all files that it includes or attaches.
+        files: The file, and all files that this file includes or attaches.
         attached: Root elements of directly and indirectly attached models.
         folders: Folders of the file and of the attached models.
         root: Root element.
@@ -346,7 +346,7 @@ class IncludeTree:
         self._copies_by_model[name] = tree.copies
 
     def _find_included(self, element: etree._Element, path: Path) -> Path:
-        """Count an include, and return its file.
+        """Count an include, and return the included file.
 
         The name is relative to the main file or, if that does not exist, to the including file.
         """
@@ -414,7 +414,7 @@ def _multiply_numbers(text: str) -> int:
 
 
 def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
-    """Yield an element and its descendants, in the order of the file."""
+    """Yield an element and all descendants, in the order of the file."""
     pending = [root]
     while pending:
         node = pending.pop()
@@ -425,9 +425,9 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return {(tag or section, name): element}; the first element with a name counts.
 
-    If no element has the name, the key also finds an actuator by its joint, and a joint without
-    name by its body. A default is listed by its class; a mesh, texture or height field without name
-    by its file; a ``freejoint`` also as ``joint``.
+    If no element has the name, the key also finds an actuator by the joint name, and a joint
+    without name by the body name. A default is listed by class; a mesh, texture or height field
+    without name by the file name; a ``freejoint`` also as ``joint``.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -456,8 +456,8 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
     """Return the element that sets an attribute: the element itself, or a default class.
 
-    The default class is that of the element, or the ``childclass`` of a body above it. A class
-    inherits from the classes around it.
+    The default class is the class of the element, or the ``childclass`` of a body above it. A class
+    inherits from the enclosing classes.
 
     Args:
         root: Root element.
@@ -479,7 +479,7 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
-    """Return a default class and the classes around it, outermost first."""
+    """Return a default class and the enclosing classes, outermost first."""
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]
     while name is not None and pending:
@@ -497,7 +497,7 @@ class MjcfFile:
     Attributes:
         path: The file.
         spec: Parsed spec, not compiled, without elements whose files are missing.
-        files: The file, and all files that it includes or attaches.
+        files: The file, and all files that this file includes or attaches.
         notes: Diagnostics of removed or replaced elements.
         refusal: Message and location if MuJoCo does not compile the file; None otherwise.
             ``MjSpec.copy()`` drops dangling elements, so a copy of the spec may compile although
@@ -507,7 +507,7 @@ class MjcfFile:
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Name of the original format, such as ``"the SDF"``; "" for an MJCF.
-        gains: {joint: (stiffness, damping) of its servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
+        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
             contacts.
@@ -594,7 +594,7 @@ class MjcfFile:
 
     @property
     def bare(self) -> tuple[str, ...]:
-        """Bodies with removed geoms, because the files of their meshes are missing."""
+        """Bodies with removed geoms, because the files of the meshes are missing."""
         return self._list_missing("bodies")
 
     def _list_missing(self, word: str) -> tuple[str, ...]:
@@ -612,7 +612,7 @@ class MjcfFile:
                     yield node.attributes, node.place
 
     def numbered(self, section: str, number: int) -> Place:
-        """Return the location of an element without a name, by its number in a section.
+        """Return the location of an element without a name, by the number in a section.
 
         Args:
             section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
@@ -654,7 +654,7 @@ class MjcfFile:
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:
-    """Read an MJCF with its includes, and compile it.
+    """Read an MJCF with all included files, and compile the MJCF.
 
     Raises:
         ConfigurationError: If ``path`` is no path.
@@ -760,7 +760,7 @@ def _make_refusal(
 def _locate_message(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[str, Place]:
-    """Return MuJoCo's message, and the location of the element that it concerns.
+    """Return MuJoCo's message, and the location of the element that the message concerns.
 
     MuJoCo reports the line in the main file, or in an unspecified file, and 0 for included
     elements. The reported name may be that of a missing element.

@@ -2,7 +2,7 @@
 
 Fixed children are merged into the body that carries them. Link frames are a convention: two files
 can describe the same robot with different link frames. `matching.alignment` transforms the frames
-of one tree to those of another.
+of one tree to the frames of another tree.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class TreeBody:
 
 @dataclass(frozen=True, eq=False)
 class TreeJoint:
-    """Joint, and pose of the moved body in its parent.
+    """Joint, and pose of the moved body in the parent.
 
     Attributes:
         parent: Joint that moves the parent body, or name of the base.
@@ -74,7 +74,7 @@ class TreeJoint:
         lower: Lower limit [rad, m].
         upper: Upper limit [rad, m].
         effort: Effort limit [N m, N].
-        velocity: Velocity limit [rad/s, m/s]; infinite if the format cannot specify it.
+        velocity: Velocity limit [rad/s, m/s]; infinite if the format cannot specify a limit.
         armature: Armature [kg m^2, kg].
         damping: Damping [N m s/rad, N s/m].
         friction: Friction loss [N m, N].
@@ -95,11 +95,11 @@ class TreeJoint:
 
     @property
     def placement(self) -> pin.SE3:
-        """Pose of the body in the frame of its parent body, at a joint position of zero."""
+        """Pose of the body in the frame of the parent body, at a joint position of zero."""
         return pin.SE3(self.rotation, self.position)
 
     def placed(self, placement: pin.SE3) -> TreeJoint:
-        """Return a copy of the joint, with another pose of its body in the frame of the parent."""
+        """Return a copy of the joint, with another pose of the body in the frame of the parent."""
         position, rotation = np.array(placement.translation), np.array(placement.rotation)
         return replace(self, position=position, rotation=rotation)
 
@@ -117,7 +117,7 @@ class MultibodyTree:
             body)}.
         gravity: Gravity (3,) [m/s^2].
         base_damping: Damping of the free joint in all six directions [N s/m, N m s/rad]; an MJCF
-            may set it by a default class.
+            may set the damping by a default class.
         base_armature: Armature of the free joint in all six directions [kg, kg m^2].
     """
 
@@ -161,7 +161,7 @@ class MultibodyTree:
         return found
 
     def parents_first(self) -> list[str]:
-        """Return all joints in depth-first order, in which Pinocchio requires them."""
+        """Return all joints in depth-first order, as required by Pinocchio."""
         return self.below(self.base)
 
     def below(self, body: str) -> list[str]:
@@ -199,7 +199,7 @@ def from_pinocchio(
         frames: {name: BODY frame of the model}.
 
     Raises:
-        ModelError: If a joint has the name of the base, because bodies are named by their joints.
+        ModelError: If a joint has the name of the base, because bodies are named by joint names.
     """
     names = set(joint_names)
     if base in names:
@@ -292,7 +292,7 @@ _JOINT_FIELDS = {
 def copy_value(
     tree: MultibodyTree, source: MultibodyTree, kind: str, element: str
 ) -> MultibodyTree:
-    """Return a tree with one value of another tree.
+    """Return a tree with a value of another tree.
 
     If the parent of a single joint would create a loop, the parents of all joints are copied.
 

@@ -1,4 +1,4 @@
-"""Locations in model files, and errors that contain them."""
+"""Locations in model files, and errors that contain locations."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def innermost_element(element: T, path: str | None, child: Callable[[T, str], T 
 
 
 def quote_short(value: str) -> str:
-    """Quote a value; if it has more than 40 characters, only the first 37."""
+    """Quote a value; of a value with more than 40 characters, only the first 37."""
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
 
@@ -83,7 +83,7 @@ NO_LINE: Final = 65535
 
 
 def line_of(element: etree._Element) -> int | None:
-    """Return the line number of an XML element in its file; None if unknown."""
+    """Return the line number of an XML element in the file; None if unknown."""
     line = element.sourceline
     return line if line is not None and line < NO_LINE else None
 
@@ -94,7 +94,7 @@ def make_element_error(path: Path, element: etree._Element, problem: Diagnostic)
 
 
 def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
-    """Return the error for a problem of a file, or of a location in it."""
+    """Return the error for a problem of a file, or of a location in the file."""
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (place.within if place.element is not None else "")
     return ModelError(name, replace(problem, sources=sources))

@@ -35,7 +35,7 @@ def existing_file(path: Path) -> Path | None:
 
 
 def is_pointer(path: Path) -> bool:
-    """Return True if a file is a Git LFS pointer without its content.
+    """Return True if a file is a Git LFS pointer without content.
 
     Only regular files are opened, because reading a pipe may block.
     """
@@ -118,7 +118,7 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
 
 
 def expand_xacro(path: Path) -> str:
-    """Return the URDF text of a xacro file, with the default values of its arguments.
+    """Return the URDF text of a xacro file, with the default values of the arguments.
 
     Raises:
         ModelError: If xacro is not installed, the file does not exist, or the expansion fails.

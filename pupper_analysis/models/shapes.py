@@ -103,11 +103,11 @@ class Mesh:
 
 
 class Terms(NamedTuple):
-    """Convex sets whose Minkowski sum is a shape, in the frame of its body [m].
+    """Convex sets whose Minkowski sum is a shape, in the frame of the body [m].
 
     Attributes:
         centre: Point (3,).
-        bars: Half vectors of line segments: three for a box, one for a capsule.
+        bars: Half vectors of line segments: three for a box, a single one for a capsule.
         radii: Semi-axes of an ellipse (two) or of an ellipsoid (three); () if there is none.
         ball: Radius of the ball.
         hull: Vertices (n, 3) of a convex hull, relative to the centre; None if there is none.
@@ -130,7 +130,7 @@ class Shape:
         pose: Pose in the frame of the body.
         size: Radius; radius and half length; or three half sizes [m].
         collides: Whether the shape can collide.
-        read: Function that returns the mesh, or its hull for collisions, in the frame of the shape;
+        read: Function that returns the mesh, or the hull for collisions, in the frame of the shape;
             None if unknown.
     """
 
@@ -143,11 +143,11 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """Mesh of the shape, read once. As in MuJoCo, only its convex hull matters."""
+        """Mesh of the shape, read once. As in MuJoCo, only the convex hull matters."""
         return self.read()
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Express the shape in the outer frame of its body.
+        """Express the shape in the outer frame of the body.
 
         Args:
             pose: Pose of the body in the outer frame.
@@ -201,7 +201,7 @@ class Shape:
         """Return the support function of the convex hull, in the frame of the body.
 
         h(d) = max over points x of the hull of d^T x. The support function of a Minkowski sum is
-        the sum of the support functions of its terms. Two shapes have the same convex hull if their
+        the sum of the support functions of the terms. Two shapes have the same convex hull if their
         support functions are equal; MuJoCo and most other engines collide convex hulls.
 
         Args:
@@ -351,7 +351,7 @@ NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsu
 
 
 def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = None) -> Shape:
-    """Return the shape of a geom in the frame of its body, or in the world frame.
+    """Return the shape of a geom in the frame of the body, or in the world frame.
 
     Args:
         model: MuJoCo model.

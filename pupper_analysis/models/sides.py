@@ -1,4 +1,4 @@
-"""Left-right symmetry of joints and links, derived from their names."""
+"""Left-right symmetry of joints and links, derived from names."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGN
 """Names of leg joints. Joints of arms and hands, whose base is bolted down, do not match."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
-"""Relative tolerance for equal motor parameters. In published models, motors of one type have
+"""Relative tolerance for equal motor parameters. In published models, motors of the same type have
 identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
-"""Minimum ratio of equal to unequal pairs for a model with one set of values per motor type. If
-each motor was identified individually, no pair is equal."""
+"""Minimum ratio of equal to unequal pairs for a model with a single set of values per motor type.
+If each motor was identified individually, no pair is equal."""
 
 _MAX_MOTOR_RATIO = 20.0
 """Lower bound of the ratio between left and right value of an error, if motors were identified
@@ -70,7 +70,7 @@ def find_unlike_pairs(
     """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
 
     If at least three quarters of the pairs are equal, the result contains the unequal pairs, since
-    motors of one type have one set of values. Otherwise, the motors were
+    motors of the same type have a single set of values. Otherwise, the motors were
     identified individually, and the result contains the pairs whose values differ by a factor of
     ``_MAX_MOTOR_RATIO`` or more.
 

@@ -67,7 +67,7 @@ def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float
     """Set a joint parameter of an MJCF spec, for example damping or effort.
 
     An effort becomes a symmetric force range of the joint. If MuJoCo stores a polynomial, the value
-    is its first coefficient, and the others are zero.
+    is the first coefficient, and all other coefficients are zero.
 
     Args:
         joint: Joint; modified.
@@ -88,7 +88,7 @@ def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """Bodies and joints of an MJCF, with the methods of `UrdfTree` and those of additions.
+    """Bodies and joints of an MJCF, with the methods of `UrdfTree` and methods for additions.
 
     Attributes:
         spec: MuJoCo's editable model.
@@ -107,7 +107,7 @@ class SpecTree:
         return None if parent.name == self.spec.worldbody.name else str(parent.name)
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the names of the joints that move a body against its parent, except a free one."""
+        """Return the names of the joints between a body and its parent, except free joints."""
         joints = self.spec.body(link).joints
         return tuple(joint.name for joint in joints if joint.type != JointKind.FREE)
 
@@ -117,7 +117,7 @@ class SpecTree:
         return None if element is None else str(element.parent.name)
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return a body and all descendants that are fixed to it."""
+        """Return a body and all descendants that are fixed to this body."""
         group = [link]
         for name in group:
             children = self.spec.body(name).bodies
@@ -125,14 +125,14 @@ class SpecTree:
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yield a body and its descendants."""
+        """Yield a body and all descendants."""
         body = self.spec.body(link)
         yield link
         for child in body.find_all(mujoco.mjtObj.mjOBJ_BODY):
             yield child.name
 
     def weight(self, link: str) -> float:
-        """Return the mass of a body [kg], computed from its geoms if not specified."""
+        """Return the mass of a body [kg], computed from geoms if not specified."""
         return float(self._compiled_model.body(link).mass[0])
 
     @cached_property
@@ -143,7 +143,7 @@ class SpecTree:
         self.__dict__.pop("_compiled_model", None)
 
     def remove_subtree(self, link: str) -> None:
-        """Delete a body, its descendants, and all elements that refer to them."""
+        """Delete a body, all descendants, and all elements that refer to the deleted bodies."""
         self.spec.delete(self.spec.body(link))
         self._clear_cache()
 
@@ -166,7 +166,7 @@ class SpecTree:
         self._clear_cache()
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiply mass and inertia of a body by a factor, specified or computed from its geoms."""
+        """Multiply mass and inertia of a body by a factor, specified or computed from geoms."""
         body = self.spec.body(link)
         self._clear_cache()
         if body.explicitinertial:
@@ -179,7 +179,7 @@ class SpecTree:
                 geom.mass = factor * geom.mass
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiply the inertia of a body about its CoM by a factor.
+        """Multiply the inertia of a body about the CoM by a factor.
 
         Raises:
             ValueError: If the inertia is not specified, but computed from the geoms.
@@ -191,7 +191,7 @@ class SpecTree:
         body.fullinertia = factor * np.array(body.fullinertia)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Translate the CoM of a body by an offset (3,) [m]; its inertia becomes explicit."""
+        """Translate the CoM of a body by an offset (3,) [m]; the inertia becomes explicit."""
         body = self.spec.body(link)
         if not body.explicitinertial:
             self.spec.adopt_inertial(body)
@@ -200,8 +200,8 @@ class SpecTree:
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor.
 
-        An effort is scaled in the joint, in the force ranges of its actuators, and in the control
-        ranges of torque motors.
+        An effort is scaled in the joint, in the force ranges of the joint's actuators, and in the
+        control ranges of torque motors.
         """
         element = self.spec.joint(joint)
         if attribute == BY_KIND["effort"]:
@@ -318,7 +318,7 @@ class SpecTree:
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Change the last actuator of a joint to a position servo; without an actuator, add one.
+        """Change the last actuator of a joint to a position servo, or add a servo.
 
         Limits of the control and of the activation, and the delay, are removed.
 
@@ -341,7 +341,7 @@ class SpecTree:
     def limit_effort(self, joint: str, effort: float) -> None:
         """Replace the force limits of a joint and its actuators by a symmetric limit of the total.
 
-        Control ranges of torque motors are disabled; those of servos stay. Only actuators with
+        Control ranges of torque motors are disabled; ranges of servos stay. Only actuators with
         transmission ``joint`` are changed.
 
         Args:
@@ -418,7 +418,7 @@ class SpecTree:
 
 _MIN_SINGULAR_VALUE: Final = 0.1
 """Smallest singular value of the matrix of three slide axes, above which the slides move a base in
-all directions. For coordinate axes it is 1. Chosen, not tuned."""
+all directions. For coordinate axes the value is 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 _FREE_BASE_JOINTS: Final = (
@@ -428,7 +428,7 @@ _FREE_BASE_JOINTS: Final = (
 
 
 def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:
-    """Replace the joints of a free base by one free joint, in place, and delete all keyframes.
+    """Replace the joints of a free base by a single free joint, in place, and delete all keyframes.
 
     Models converted from OpenSim, and some exporters, use three slides and three hinges (or a
     ball). The other modules support a free joint only.
@@ -453,7 +453,7 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """Delete a joint and its actuators, joint equalities and sensors."""
+    """Delete a joint and the joint's actuators, joint equalities and sensors."""
     name = joint.name
     for actuator in list(spec.actuators):
         if actuator.target == name:
@@ -475,7 +475,7 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
-    """Return the base with the most joints if its undriven, springless joints leave it free."""
+    """Return the base with the most joints if its undriven, springless joints free the base."""
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)
     base = max(bodies, key=lambda body: len(body.find_all(joint_type)), default=None)

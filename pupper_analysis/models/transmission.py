@@ -51,9 +51,9 @@ def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint id: ids of its actuators} for all hinges and slides with an actuator.
+    """Return {joint id: ids of the joint's actuators} for all hinges and slides with an actuator.
 
-    Only actuators with transmission ``joint`` or ``jointinparent`` at this one joint count.
+    Only actuators with transmission ``joint`` or ``jointinparent`` at this single joint count.
     """
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
@@ -134,7 +134,7 @@ class Drive(StrEnum):
 
     @property
     def bad(self) -> bool:
-        """Whether the actuator is a servo that cannot hold the joint because of its parameters."""
+        """Whether the actuator is a servo whose parameters cannot hold the joint."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
     @property
@@ -152,9 +152,9 @@ class MadeServo:
     """A servo that the MJCF does not have.
 
     Attributes:
-        joint: Its joint.
-        kp: Its stiffness (N m/rad).
-        kd: Its damping (N m s/rad).
+        joint: Joint of the servo.
+        kp: Stiffness (N m/rad).
+        kd: Damping (N m s/rad).
         instead_of: What the MJCF has there.
     """
 
@@ -167,9 +167,9 @@ class MadeServo:
 def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
-    Several actuators are classified together: if one is ``WRONG_SIGN``, the sum of the stiffnesses
-    decides between this type and ``SERVO``; otherwise the first type in ``_TYPE_PRIORITY`` is
-    returned.
+    Several actuators are classified together: if an actuator is ``WRONG_SIGN``, the sum of the
+    stiffnesses decides between this type and ``SERVO``; otherwise the first type in
+    ``_TYPE_PRIORITY`` is returned.
 
     Args:
         model: Unmodified model of the MJCF.

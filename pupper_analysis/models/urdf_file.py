@@ -46,7 +46,7 @@ class UrdfFile:
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Name of the original format, such as ``"the SDF"``; "" for a URDF.
-        gains: {joint: (stiffness, damping) of its servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
+        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
     """
 

@@ -319,14 +319,14 @@ class UrdfTree:
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return a link and all descendants that are fixed to it, breadth first."""
+        """Return a link and all descendants that are fixed to this link, breadth first."""
         group = [link]
         for name in group:
             group += [joint.child for joint in self.below.get(name, ()) if joint.is_fixed]
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yield a link and its descendants, depth first."""
+        """Yield a link and all descendants, depth first."""
         pending = [link]
         while pending:
             name = pending.pop()
@@ -351,7 +351,7 @@ class UrdfTree:
             link.remove("visual", "collision")
 
     def remove_subtree(self, link: str) -> None:
-        """Remove a link, its descendants and its joints."""
+        """Remove a link, all descendants and their joints."""
         for name in list(self.subtree(link)):
             if name in self.above:
                 self.root.remove(self.above[name].element)
@@ -359,7 +359,7 @@ class UrdfTree:
         self._clear_cache()
 
     def remove_base(self) -> None:
-        """Remove the base and the joints on it."""
+        """Remove the base and the joints on the base."""
         base = self.base
         for joint in self.below.get(base.name, ()):
             self.root.remove(joint.element)
@@ -421,7 +421,7 @@ class UrdfTree:
         self.scale_inertia(link, factor)
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiply the inertia of a link about its CoM by a factor."""
+        """Multiply the inertia of a link about the CoM by a factor."""
         inertial = self.links[link].inertial
         for entry in INERTIA_ENTRIES:
             _scale_attribute(None if inertial is None else inertial.find("inertia"), entry, factor)

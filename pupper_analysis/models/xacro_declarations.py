@@ -1,7 +1,8 @@
 """Xacro elements that declare something, and that a URDF does not use.
 
 Converters and hand-written URDFs keep such elements, and every reader of URDF ignores them: 88 of
-674 public URDFs contain only these. A file that uses xacro otherwise must be expanded first.
+674 public URDFs contain only such elements. A file that uses xacro otherwise must be expanded
+first.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
 
     Args:
         path: The file, for messages.
-        root: Root element; it is changed.
+        root: Root element, changed in place.
         resolve: Finds included files.
 
     Returns:
@@ -75,7 +76,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
 
 
 def _remove(element: etree._Element) -> None:
-    """Remove an element, and keep the text behind it."""
+    """Remove an element, and keep the text behind the element."""
     parent, before = element.getparent(), element.getprevious()
     if before is None:
         parent.text = (parent.text or "") + (element.tail or "")

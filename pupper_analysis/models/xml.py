@@ -43,7 +43,8 @@ XACRO_PREFIX: Final = "xacro"
 """Namespace prefix of xacro elements, by convention of ROS."""
 
 _LATE_DECLARATION: Final = re.compile(rb"(?:\A|(?<=\A\xef\xbb\xbf))\s+<\?xml\s[^>]*\?>")
-"""XML declaration behind white space, such as a blank first line; XML permits nothing before it."""
+"""XML declaration behind white space, such as a blank first line; XML permits nothing before the
+declaration."""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -54,7 +55,7 @@ MAX_NUMBER: Final = 1e50
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
-    """Return the text of a file, and its root element without comments and default namespace."""
+    """Return the text of a file, and the root element without comments and default namespace."""
     text = _read_model_text(path)
     return text, parse_file_text(path, text)
 
@@ -215,7 +216,7 @@ def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> e
 
 
 def make_unique_name(wanted: str, taken: set[str]) -> str:
-    """Return the wanted name, with a number if it is taken, and add the result to ``taken``."""
+    """Return the wanted name, with a number if already taken, and add the result to ``taken``."""
     name, number = wanted, 1
     while name in taken:
         number += 1

@@ -100,7 +100,7 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     Args:
         robot: The robot.
         drive: Servos and MuJoCo model that were simulated.
-        states: States of a rollout up to its end, shape (n, size).
+        states: States of a rollout up to the end, shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
     """
     sampler = ContactSampler(robot, drive.model)

@@ -2,17 +2,18 @@
 
 The spectrum of a step (``robot.stability``) states that a deviation x grows as x(t) = x(0) 2^(t/T).
 That is a hypothesis: the linearisation may be valid for micrometres only, and dry friction makes it
-depend on the finite-difference step. It is tested so:
+depend on the finite-difference step. The test is:
 
 1. Two simulations start at the judged state, displaced along the modes by +p and -p. The friction
    of joints and contacts is that of the model.
 2. The deviation D(t) is half the difference of the two simulations: the largest over the joints.
    What both have in common, such as creep, cancels.
-3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over its least value, within
+3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the least value, within
    ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of the last
    two doublings.
 4. Modes that shake are confirmed, too, if D is sustained: the growth may end in a limit cycle.
-5. Otherwise the simulation refutes them: it decides, and the disagreement is reported.
+5. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
+reported.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ _DECAYED_RATIO = 1e-2
 not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
-"""Time (s) after which the modes are refuted if D is less than this factor above its least value;
+"""Time (s) after which the modes are refuted if D is less than this factor above the least value;
 an exponential with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
 _MAX_DOUBLING_RATIO = 1.6
@@ -100,7 +101,7 @@ def confirm_growth(
     """Confirm or refute the modes with which a state would not last, by simulation.
 
     Nothing is simulated if there is no such mode, or if the state is not at rest. Modes that dry
-    friction hides (``Mode.freed``) are tested after the others, and only if none of the others is
+    friction hides (``Mode.freed``) are tested last, and only if no other mode is
     confirmed to leave the state within ``HOLD_DURATION``.
 
     Args:

@@ -35,7 +35,7 @@ from pupper_analysis.stance.stand import Stand
 Array = NDArray[np.float64]
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Smallest remaining height of the judged point of `StandReference`, relative to its expected
+"""Smallest remaining height of the judged point of `StandReference`, relative to the expected
 height: below, a robot has fallen. Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
@@ -45,7 +45,7 @@ stand tilt by up to 2.6 deg; v3-long-leg, which sits on its shanks, by 16 deg.""
 
 @dataclass(frozen=True, eq=False)
 class StandCheck(Result):
-    """Result of the check whether a robot stands, from one simulated state.
+    """Result of the check whether a robot stands, from a simulated state.
 
     Attributes:
         tilt: Tilt of the base relative to the expected stand, regardless of heading (rad).
@@ -64,7 +64,7 @@ class StandCheck(Result):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot is upright and at the expected height, and only its feet touch."""
+        """Whether the robot is upright and at the expected height, on its feet only."""
         return self.tilt <= MAX_STANDING_TILT and not self.touching and not self.collapses
 
 
@@ -137,7 +137,7 @@ class StandReference:
         return position
 
     def check_stand(self, state: Array, touching: Collection[str]) -> StandCheck:
-        """Check whether a robot stands: the one predicate for all commands.
+        """Check whether a robot stands: a common predicate for all commands.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -159,8 +159,8 @@ class StandReference:
     def has_fallen(self, state: Array) -> bool:
         """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
-        The CoM, fixed in the base, is too low if it has sunk below its expected position by more
-        than (1 - ``FALLEN_HEIGHT_RATIO``) of its expected height above the feet. A robot with a
+        The CoM, fixed in the base, is too low if it has sunk below the expected position by more
+        than (1 - ``FALLEN_HEIGHT_RATIO``) of the expected height above the feet. A robot with a
         fixed base never falls.
 
         Args:
@@ -174,9 +174,9 @@ class StandReference:
         )
 
     def has_collapsed(self, state: Array) -> bool:
-        """Return True if a robot no longer stands, or has left its posture (fixed base).
+        """Return True if a robot no longer stands, or has left the posture (fixed base).
 
-        With a free base, the limits of tilt, height and travel are those of `fall.has_collapsed`.
+        With a free base, the limits of tilt, height and travel are defined by `fall.has_collapsed`.
         With a fixed base, a joint must deviate by at least ``MIN_POSTURE_DEVIATION``.
 
         Args:
@@ -194,7 +194,7 @@ class StandReference:
 
 @dataclass(frozen=True, eq=False)
 class ContactSample:
-    """Ground contacts at one state.
+    """Ground contacts at a state.
 
     Attributes:
         time: Simulated time [s].
@@ -241,7 +241,7 @@ class ContactSampler:
         return ContactSample(float(self.data.time), forces, bodies)
 
     def find_ground_bodies(self, state: Array) -> set[str]:
-        """Return the names of bodies that touch the ground with other geoms than those of feet.
+        """Return the names of bodies that touch the ground with non-foot geoms.
 
         Faster than ``sample``, since no forces are computed.
 
@@ -400,7 +400,7 @@ class ContactRecord:
         torques: Settled motor torques, shape (nu,) [N m].
         forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)
             [N].
-        feet_settled: {contact point: settled position of its centre in the world, shape (3,) [m]}.
+        feet_settled: {contact point: settled position of the centre in the world, shape (3,) [m]}.
         lifted: {light foot that left the ground: time at which the foot first did [s]}.
     """
 
@@ -500,7 +500,7 @@ def find_pushing_bodies(
     Args:
         model: MuJoCo model.
         data: Data with evaluated contacts.
-        min_force: Normal force [N] of one contact above which a pair counts.
+        min_force: Normal force [N] of a contact above which a pair counts.
 
     Returns:
         Alphabetically sorted pairs of body names; the ground belongs to the body "world".

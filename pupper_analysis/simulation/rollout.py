@@ -1,6 +1,6 @@
-"""Prepare and run MuJoCo rollouts of stands; ``monitor`` evaluates their states.
+"""Prepare and run MuJoCo rollouts of stands; ``monitor`` evaluates the states.
 
-`make_stand_start` places a robot on soft ground with its servos commanded; `roll_out` and
+`make_stand_start` places a robot on soft ground with commanded servos; `roll_out` and
 `simulate_commands` run MuJoCo from there.
 """
 
@@ -78,7 +78,7 @@ def make_stand_start(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> StandStart:
-    """Place a robot on its ground in a stand, with its servos commanded.
+    """Place a robot on the ground in a stand, with commanded servos.
 
     Args:
         robot: The robot.
@@ -89,10 +89,10 @@ def make_stand_start(
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the stand belongs to another
+        ConfigurationError: If an argument is out of range, or the stand belongs to another
             robot.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = stand.check(robot)
@@ -123,7 +123,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal,
     with the joint positions kept, until the vertical balance is zero. The simulation then starts
     at rest instead of with a fall of some millimetres. A stand is not lowered if the base is
-    fixed, a contact is welded, or feet on planes of their own have a depth already. If no depth
+    fixed, a contact is welded, or feet on separate planes have a depth already. If no depth
     carries the weight, the state at the largest depth is returned.
 
     Args:
@@ -169,7 +169,7 @@ def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
     """Return the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
 
     Args:
-        robot: The robot, on its ground.
+        robot: The robot, on the ground.
         drive: Servos and MuJoCo model.
         qpos: Configuration, shape (nq,).
         ctrl: Actuator commands, shape (model.nu,).
@@ -185,8 +185,9 @@ def settled_activations(
 ) -> Array:
     """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    The activation of an actuator with filter dynamics is its command, clipped to ``ctrlrange``.
-    Other activations are zero, as are those with a time constant above ``max_time_constant`` [s].
+    The activation of an actuator with filter dynamics is the command, clipped to ``ctrlrange``.
+    Other activations are zero, as are activations with a time constant above ``max_time_constant``
+    [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -225,7 +226,7 @@ def roll_out(
 
     Args:
         model: MuJoCo model.
-        workers: MuJoCo data, one per thread.
+        workers: MuJoCo data, an entry per thread.
         starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
         control: Controls in each step, shape (runs, steps, n).
         control_spec: MuJoCo's specification of the controls; actuator commands by default.
@@ -241,7 +242,7 @@ def roll_out(
 
 
 def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
-    """Simulate a model from one state.
+    """Simulate a model from a state.
 
     Args:
         model: MuJoCo model.
@@ -269,7 +270,7 @@ def make_forced_controls(
 
     Returns:
         The controls, shape (runs, steps, model.nu + 6 model.nbody), with forces of zero; and a view
-        into them, shape (runs, steps, 3) [N]: the force on the base at its CoM, in world axes.
+        into them, shape (runs, steps, 3) [N]: the force on the base at the CoM, in world axes.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
     control[:, :, : model.nu] = ctrl

@@ -39,25 +39,25 @@ MAX_HEIGHT_DEVIATION = 2e-4
 not tuned."""
 
 MAX_FOOT_DISPLACEMENT = 5e-3
-"""Largest horizontal displacement of a foot from its target for a robot at rest [m]. Chosen, not
+"""Largest horizontal displacement of a foot from the target for a robot at rest [m]. Chosen, not
 tuned."""
 
 MAX_BASE_ROTATION = 0.1
 """Largest rotation of the base against the stand [rad]. A robot that rotates further is not held
-up by its servos. Chosen, not tuned."""
+up by the servos. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Largest ratio of the rest quantities to their bounds, over one second, at which settling ends
+"""Largest ratio of the rest quantities to the bounds, over one second, at which settling ends
 early. The spectrum then decides whether the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
-"""Ratio of foot displacement or base rotation to its bound above which the simulation ends with
+"""Ratio of foot displacement or base rotation to the bound above which the simulation ends with
 failure: feet are held there by friction, and a base that starts at rest overshoots to at most twice
-its final tilt."""
+the final tilt."""
 
 _CHECK_INTERVAL = 0.25
-"""Simulated time between two tests of whether the robot is at rest or lost [s]. It is longer than a
-foot that is thrown up stays off the ground. Chosen, not tuned."""
+"""Simulated time between two tests of whether the robot is at rest or lost [s]. The interval is
+longer than a foot that is thrown up stays off the ground. Chosen, not tuned."""
 
 _DECAY_TIME_CONSTANTS = 3.0
 """Duration of the nudged simulation, in time constants of the least damped mode: 5 % of the nudge
@@ -93,10 +93,10 @@ def comes_to_rest(
         kd: Servo damping [N m s/rad]; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the stand belongs to another
+        ConfigurationError: If an argument is out of range, or the stand belongs to another
             robot.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
@@ -126,7 +126,7 @@ def comes_to_rest(
 
 
 def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:
-    """Simulate a stand until it is at rest; return its last second, None without rest."""
+    """Simulate a stand until it is at rest; return the last second, None without rest."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
@@ -157,7 +157,7 @@ def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) ->
 
 
 def _rest_ratio(held: StandStart, states: Array, displacements: Array) -> float:
-    """Return the largest ratio of height deviation, drift and foot displacement to its bound."""
+    """Return the largest ratio of height deviation, drift and foot displacement to the bound."""
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
     drift = abs(float(heights[-1] - heights[0])) / duration

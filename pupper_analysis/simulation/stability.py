@@ -44,7 +44,7 @@ def stand_stability(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Stability:
-    """Judge whether a stand is stable, from the eigenvalues of one of MuJoCo's steps.
+    """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
 
     The evaluation takes milliseconds unless a mode grows; then one to three nudged simulations, of
     up to ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
@@ -60,13 +60,13 @@ def stand_stability(
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
-        The modes that grow, with their doubling times, and the stability margin.
+        The modes that grow, with doubling times, and the stability margin.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, a stand's base is fixed, or the
+        ConfigurationError: If an argument is out of range, a stand's base is fixed, or the
             stand belongs to another robot.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
@@ -112,7 +112,7 @@ MAX_RESTING_SPEED = 5e-3
 def evaluate_final_stability(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> Stability:
-    """Judge the stability of the final state of a simulation, or of its initial state.
+    """Judge the stability of the final state of a simulation, or of the initial state.
 
     ``start`` and ``end`` are MuJoCo states (mjSTATE_FULLPHYSICS).
     The initial state is judged if the simulation has failed (``has_fallen``), since the modes that
@@ -160,7 +160,7 @@ def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
 def judge_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge the stability of a state: the one rule for all commands.
+    """Judge the stability of a state: a common rule for all commands.
 
     A mode of the spectrum (``step_stability``) that would leave the state counts only if a nudged
     simulation of the unmodified model confirms the mode; see ``confirm_growth``.
@@ -175,7 +175,7 @@ def judge_stability(
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Largest displacement of a joint after a nudge, from its position before the nudge, at which the
+"""Largest displacement of a joint after a nudge, from the position before the nudge, at which the
 joint has stayed [rad, m]. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
@@ -197,7 +197,7 @@ class Nudge(Result):
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of that time, without creep (m/s, rad/s).
         left: Largest speed in the last third of that time, without creep (m/s, rad/s).
-        moved: Largest displacement of a joint in the last third, from its position before the
+        moved: Largest displacement of a joint in the last third, from the position before the
             nudge, beyond the creep (rad, m).
         farthest: Largest displacement of a joint at any time after the nudge, beyond the creep
             (rad, m).

@@ -1,4 +1,4 @@
-"""Simulate a stand with its base nudged in twelve directions, and report the first failure."""
+"""Simulate a stand with the base nudged in twelve directions, and report the first failure."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ Array = NDArray[np.float64]
 
 BASE_NUDGE_SPEED = 0.01
 """Initial speed of the base in each direction [m/s]; for a rotation, at the height of the CoM. An
-unstable equilibrium is left only after a perturbation; one that is stable by a few percent survives
-this speed. Chosen, not tuned."""
+unstable equilibrium is left only after a perturbation; a stand that is stable by a few percent
+survives this speed. Chosen, not tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
 
 _HORIZONTAL_FACTOR = 1 / math.cos(math.pi / _HORIZONTAL_NUDGES)
 """Factor of the horizontal speeds, so that the octagon of nudges contains the circle with radius
-``BASE_NUDGE_SPEED``. An unstable stand is left once its mode exceeds a limit, so a stand that
+``BASE_NUDGE_SPEED``. An unstable stand is left once the mode exceeds a limit, so a stand that
 survives two neighbouring nudges survives the nudges between."""
 
 MAX_JOINT_DEVIATION = 0.1
@@ -42,7 +42,7 @@ MAX_JOINT_DEVIATION = 0.1
 buckle go on to 0.3 rad and more."""
 
 MAX_FOOT_SLIP = 5e-3
-"""Largest displacement of a foot along the ground, beyond its creep, before the foot has slid [m].
+"""Largest displacement of a foot along the ground, beyond the creep, before the foot has slid [m].
 Rolling gives 1 mm. Deep in soft ground, where MuJoCo's friction is viscous, feet creep as far in
 12 s with a tenth of the friction used."""
 
@@ -52,7 +52,7 @@ load rises by less after a nudge."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
 """Bounds of ``is_near_limit``: CoM margin relative to the CoM displacement by a nudge; utilisation
-of motors and friction; distance of a joint from its limits [rad, m]. Measured: of 80 random robots
+of motors and friction; distance of a joint from the limits [rad, m]. Measured: of 80 random robots
 with 50 to 97 % of their payloads, those that a nudge upset had a CoM margin below 3
 displacements."""
 
@@ -119,7 +119,7 @@ def simulate_nudges(
     """Simulate a stand whose base starts with a velocity, in each of twelve directions.
 
     The velocity is ``BASE_NUDGE_SPEED`` up or down, or as a rotation about z in both senses, or
-    along the ground in one of eight directions, with a larger speed that covers the directions
+    along the ground in each of eight directions, with a larger speed that covers the directions
     between.
 
     The model is simulated unmodified, with the dry friction of joints and contacts. A stand that
@@ -130,16 +130,16 @@ def simulate_nudges(
     if the foot is back on the ground at the end.
 
     Args:
-        robot: The robot, with its payload.
+        robot: The robot, with the payload.
         stand: The stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         duration: Simulated time [s], 2 to 600.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the robot cannot stand.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
@@ -169,15 +169,15 @@ def simulate_nudges(
 
 
 def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> bool:
-    """Return True if a nudge may move a stable stand to where its linearisation does not hold.
+    """Return True if a nudge may move a stable stand to where the linearisation does not hold.
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and torques and forces by
-    about one percent. A stand is far from its limits if the CoM is far from the edge of the support
-    polygon, motors and friction have reserves, joints are far from their limits, and each foot
+    about one percent. A stand is far from the limits if the CoM is far from the edge of the support
+    polygon, motors and friction have reserves, joints are far from the limits, and each foot
     carries load. False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:
-        robot: The robot, with its payload.
+        robot: The robot, with the payload.
         stand: The stand, solved for the simulated ground.
         statics: Statics of the stand.
     """
@@ -204,7 +204,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 def _free_joint_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint limits, (nu,) each; infinite for a closed gripper's joints.
 
-    These are joints that carry no foot and rest on a limit in the stand.
+    The result is the joints that carry no foot and rest on a limit in the stand.
     """
     angles, free = stand.qpos[7:], np.isin(robot.joint_names, free_joints(robot))
     at_lower = free & (angles < robot.lower_limits + _LIMIT_ATOL)

@@ -1,4 +1,4 @@
-"""Verdict of a stance: result of its simulations, and the assumptions behind the result.
+"""Verdict of a stance: result of the simulations, and the assumptions behind the result.
 
 ``judge_stance`` forms each verdict of a simulated stance, ``predict_verdict`` that of a stance that
 has not been simulated. Documents, drawings and exit statuses use these verdicts.
@@ -23,7 +23,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 class VerdictCode(StrEnum):
-    """Verdict in one word, from the best to the worst.
+    """Verdict in a single word, from the best to the worst.
 
     ``LIMITS_UNKNOWN`` and ``MASSES_UNKNOWN`` replace only verdicts that pass.
     """
@@ -92,7 +92,7 @@ class Outcome:
         torque_error: Largest torque deviation / largest predicted torque; NaN without a prediction.
         force_error: Largest relative deviation of a foot force; None if no foot carries load.
         stability: Stability of the settled state; None if not evaluated.
-        creep: Motion over the last 10 s; None if it was not measured.
+        creep: Motion over the last 10 s; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
         stays: Whether the robot stands still on its feet, even if not as predicted.
     """
@@ -136,7 +136,7 @@ NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict(Result):
-    """Verdict on a stance, or on a payload, path or push in that stance, with its assumptions.
+    """Verdict on a stance, or on a payload, path or push in that stance, with assumptions.
 
     Attributes:
         code: The worst verdict that applies.
@@ -147,20 +147,20 @@ class Verdict(Result):
         commands_alone: End of the simulation with position commands only, ctrl = q*; None if not
             simulated.
         torque_error: With feed-forward, largest deviation / largest predicted torque.
-        force_error: With feed-forward, largest deviation of a vertical foot force / its prediction;
+        force_error: With feed-forward, largest deviation of a vertical foot force / the prediction;
             None if no foot carries load.
         failures: Reasons of a failure with feed-forward.
         failures_alone: Reasons of a failure without feed-forward.
-        overloaded: Motors above their limits.
+        overloaded: Motors above their effort limits.
         servos: Servos of the simulation.
-        own: Simulation of the published file from its keyframe; None for robots without a file.
+        own: Simulation of the published file from the keyframe; None for robots without a file.
         published: Differences between the published MJCF and the simulated model; None if not
             compared.
         doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes
             that leave the stand within the simulated time; infinite without such a mode.
         creep: Motion over the last 10 s of the simulation with feed-forward; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
-        converted: Model that was converted from the other one, ``"urdf"`` or ``"mjcf"``: both
+        converted: Model that was converted from the other model, ``"urdf"`` or ``"mjcf"``: both
             engines read one file then; empty if each engine read its own file.
         remarks: Other assumptions, such as balls in place of soles, or limbs without feet.
     """
@@ -207,10 +207,10 @@ def judge_stance(
         alone: Simulation without feed-forward; None if there is none.
         servos: Servos of the simulation.
         asked: Question that the simulation answers.
-        overloaded: Motors above their limits.
-        own: Simulation of the published file from its keyframe.
+        overloaded: Motors above their effort limits.
+        own: Simulation of the published file from the keyframe.
         published: Differences between the published MJCF and the simulated model.
-        converted: Model that was converted from the other one; empty without a conversion.
+        converted: Model that was converted from the other model; empty without a conversion.
         unknown: Whether the answer depends on torque limits that no file states; a passing verdict
             is then ``LIMITS_UNKNOWN``.
         masses_unknown: Whether moving links have masses that no file states; a passing verdict is
@@ -256,7 +256,7 @@ def _min_doubling_time(stability: Stability | None) -> float:
 def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
-    """Form the verdict on a balanced stance before its simulation; the verdict never passes.
+    """Form the verdict on a balanced stance before the simulation; the verdict never passes.
 
     Args:
         statics: Statics of the stance.

@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
     """Return the largest element of MuJoCo's balance residual in a stand [N, N m].
 
-    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g less its passive forces, the
+    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g less the passive forces, the
     contact Jacobian J of the MJCF, and the predicted contact forces f, weld forces and motor
     torques tau. The load of closed loops is subtracted.
     """
@@ -103,7 +103,7 @@ not tuned."""
 
 MAX_BALANCE_RESIDUAL = 1e-3
 """Largest residual of MuJoCo's balance with the predicted forces, relative to the weight, with
-which both files describe one robot. Rounded files leave 1e-6. Chosen, not tuned."""
+which both files describe the same robot. Rounded files leave 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
 """Lever [m] on which the weight gives the smallest torque by which torque deviations are divided:
@@ -127,7 +127,7 @@ tuned."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StandVerification(Outcome, SimulationSettings, Tabular):
-    """Simulation of a stand compared with its prediction, with the ``SimulationSettings``.
+    """Simulation of a stand compared with the prediction, with the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
     from the URDF. For a robot with a fixed base, heights and tilts of the base are 0.
@@ -147,7 +147,7 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
         tilt: Angle between the base's orientation at the end and that of the task (rad).
-        foot_slip: {foot: settled distance from its target} along the ground or along the foot's
+        foot_slip: {foot: settled distance from the target} along the ground or along the foot's
             plane (m).
         joint_error: Largest deviation of a joint from the stand in that second (rad).
         joint_positions: (nu,) settled joint positions (rad, m).
@@ -158,7 +158,7 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
         foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
             welds and grips, force of MuJoCo's constraint.
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
-        force_error: Largest deviation of a foot force along the contact normal / its prediction
+        force_error: Largest deviation of a foot force along the contact normal / the prediction
             (or / ``MIN_FORCE_SCALE`` of the weight, if the prediction is smaller); for a grip,
             deviation of the force vector. None if no foot carries load.
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
@@ -167,7 +167,7 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
             the robot fell or did not come to rest.
         nudge: Response to the nudge; None if the robot was not nudged.
         time: (n,) times of the height samples (s).
-        height: (n,) base heights at these times (m).
+        height: (n,) base heights at ``time`` (m).
         motion_time: (m,) times of the configurations (s).
         motion: (m, nq) configurations at these times, rounded to six digits, for animations.
     """
@@ -243,10 +243,10 @@ def verify_stand(
         The comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, a stand's base is fixed, or the
+        ConfigurationError: If an argument is out of range, a stand's base is fixed, or the
             stand belongs to another robot.
-        ModelError: If a joint has no motor, if it has no position servo and kp and kd are not both
-            given, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
@@ -313,7 +313,7 @@ CREEP_TIME = 10.0
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
     """Measure the mean speeds of base, feet and joints over the last ``CREEP_TIME`` of states.
 
-    Shorter rollouts are measured from their first state.
+    Shorter rollouts are measured from the first state.
     """
     steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
     first, last = states[-1 - steps], states[-1]
@@ -430,7 +430,7 @@ def _compare_with_prediction(
 ) -> StandVerification:
     """Compare a simulation with the prediction, without a judgement (``passed`` is True).
 
-    The error of a foot's force is relative to its prediction, or to ``force_scale`` [N] if that is
+    The error of a foot's force is relative to the prediction, or to ``force_scale`` [N] if that is
     larger.
     """
     timestep = float(drive.model.opt.timestep)
@@ -597,7 +597,7 @@ def describe_drive_limits(
 
     Args:
         robot: The robot.
-        run: Simulation that deviates from its prediction.
+        run: Simulation that deviates from the prediction.
         predicted: Predicted motor torques, shape (nu,) [N m].
         positions: Predicted joint positions, shape (nu,) [rad].
     """
@@ -636,7 +636,7 @@ def _find_deviations(
     record: ContactRecord,
     result: StandVerification,
 ) -> list[Diagnostic]:
-    """Report deviations from the prediction, with a cause if one is known."""
+    """Report deviations from the prediction, with a cause if known."""
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
     details = {

@@ -1,12 +1,13 @@
 """Solve for contact forces in friction cones that keep a robot in static equilibrium.
 
 Input: the linear balance equations of a robot (`Balance`), friction coefficients, and a criterion.
-Output: one vector of contact forces that satisfies balance and friction, or None if none exists.
+Output: a vector of contact forces that satisfies balance and friction, or None if no such vector
+exists.
 
 The balance of the base, ``base_rows @ f = base_load``, is eliminated first: ``f = particular +
 free @ z`` with ``free`` a basis of the null space, so that balance holds to rounding for every z.
-If the optimum without cones already satisfies them, it is returned (LAPACK). Otherwise z is the
-solution of a second-order cone program, which Clarabel solves.
+If the optimum without cones already satisfies them, this optimum is returned (LAPACK). Otherwise z
+is the solution of a second-order cone program, which Clarabel solves.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def split_force(force: Sequence[float], normal: Sequence[float]) -> tuple[float, float]:
-    """Split a contact force into its normal component and the norm of its tangential part.
+    """Split a contact force into the normal component and the norm of its tangential part.
 
     Args:
         force: Three components [N].
@@ -83,7 +84,7 @@ class Balance:
         base_load = base_rows @ f            (satisfied to rounding)
         joint_load = joint_rows @ f + tau    (defines the motor torques tau)
 
-    with contact forces in their friction cones and the norm of each grip force at most ``grips``.
+    with contact forces in the friction cones and the norm of each grip force at most ``grips``.
     Weld wrenches are unbounded. Below, ``size`` is 3 n + 6 w + 3 g.
 
     Attributes:
@@ -273,7 +274,7 @@ class Balance:
 
     @cached_property
     def _particular_and_null_space(self) -> tuple[Array, Array]:
-        """Least-squares solution of balance, shape (size,), and a null space basis of its rows."""
+        """Least-squares solution of balance, shape (size,), and a null space basis of the rows."""
         left, sizes, right = np.linalg.svd(self.base_rows)
         rank = int((sizes > 1e-12 * sizes[0]).sum())
         particular: Array = (left[:, :rank].T @ self.base_load / sizes[:rank]) @ right[:rank]
@@ -293,7 +294,7 @@ class Balance:
         return error < BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest force beyond its friction cone or grip limit [N].
+        """Return the largest force beyond the friction cone or grip limit [N].
 
         Negative if all forces are strictly inside; NaN if a force is NaN.
         """
@@ -421,7 +422,7 @@ class TangentialMetric:
 
     For a contact, W multiplies the normal component by 1 and the tangential components by
     1000 / sqrt(viscosity). Components of welds and grips are multiplied by 1. The matrix is never
-    formed; the class implements the products with W and with its inverse.
+    formed; the class implements the products with W and with the inverse.
 
     Args:
         normals: Shape (n, 3); unit vectors out of the ground.
@@ -482,7 +483,7 @@ class TangentialMetric:
 
 
 def _to_csc(matrix: Array) -> sparse.csc_matrix:
-    """Convert to SciPy's CSC format, in a third of the time of its constructor for arrays."""
+    """Convert to SciPy's CSC format, in a third of the time of the constructor for arrays."""
     by_column = matrix.T
     columns, rows = np.nonzero(by_column)
     ends = np.searchsorted(columns, np.arange(len(by_column) + 1))

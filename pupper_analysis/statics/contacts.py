@@ -1,4 +1,4 @@
-"""Contacts of a robot with the ground: positions, normals, friction, and their Jacobian.
+"""Contacts of a robot with the ground: positions, normals, friction, and Jacobian.
 
 `make_contacts` validates the contacts that a caller requests. `Contacts.jacobian` and
 `Contacts.balance` provide the equations of static equilibrium that `cone_program.Balance` solves.
@@ -35,7 +35,7 @@ class Contacts:
 
     Attributes:
         nv: Number of degrees of freedom of the robot.
-        free: Number of degrees of freedom of its base.
+        free: Number of degrees of freedom of the base.
         feet: Names of the n contact points that carry load.
         normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
         friction: Shape (n,); friction coefficients.
@@ -43,8 +43,8 @@ class Contacts:
             the world frame.
         soles: For each foot of the robot that carries load, the names in ``feet`` that belong to
             it.
-        welds: For each welded or gripping part, a contact point on it; None for the base. The last
-            len(``grips``) entries are grips.
+        welds: For each welded or gripping part, a contact point on the part; None for the base. The
+            last len(``grips``) entries are grips.
         stated: Contact forces that the task states: shape (k, n), 1.0 where a contact belongs to a
             group, and shape (k,), the total normal force of each group in units of the robot's
             weight. None if the task states no force.
@@ -277,7 +277,7 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
     Returns:
         Groups, shape (k, n), 1.0 if a contact point belongs to the group of a stated force; and
         forces, shape (k,), in units of the robot's weight. None if the task states no force for
-        these feet.
+        such feet.
     """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None
@@ -293,15 +293,15 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
 def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
     """Return position and force limit of each grip, or None if the robot has no grips.
 
-    A grip is a foot that holds on to its contact point: it can pull as well as push, and carries no
-    moment. The norm of its force is limited.
+    A grip is a foot that holds on to its contact point: a grip can pull as well as push, and
+    carries no moment. The norm of the grip force is limited.
 
     Args:
         robot: Robot.
         places: {contact point: position, shape (3,) [m], in the world frame}.
 
     Returns:
-        Shape (g, 4), one row per gripping foot: position [m] of its first contact point in the
+        Shape (g, 4), a row per gripping foot: position [m] of the first contact point in the
         world frame, and maximum force in units of the robot's weight.
     """
     rows = [

@@ -37,11 +37,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FootLoad(Result):
-    """Load of one foot: force of the ground, summed over the contact points of the foot.
+    """Load of a foot: force of the ground, summed over the contact points of the foot.
 
     Attributes:
         force: Force of the ground in world axes, shape (3,) (N).
-        centre_of_pressure: Mean of the contact points, weighted by their normal forces, in the
+        centre_of_pressure: Mean of the contact points, weighted by the normal forces, in the
             world frame, shape (3,) (m).
         friction_utilisation: Tangential force / (friction coefficient x normal force).
     """
@@ -67,7 +67,7 @@ def friction_utilisation_of(
 
 
 class FootLoads(Mapping[str, FootLoad]):
-    """Load of each foot, summed over its contact points when the foot is accessed.
+    """Load of each foot, summed over the contact points when the foot is accessed.
 
     Args:
         feet: Contact points of each foot that carry load.
@@ -126,25 +126,25 @@ _MAX_VISCOSITY_ITERATIONS = 50
 
 
 class ForceDistribution(StrEnum):
-    """Criterion that selects contact forces if balance does not determine them.
+    """Criterion that selects contact forces if balance does not determine the forces.
 
     MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces. MuJoCo
-    sustains these forces without creep: its regularised friction lets feet creep until tangential
+    sustains these forces without creep: regularised friction lets feet creep until tangential
     forces that act against each other have vanished. On level ground and steps no tangential force
     remains; on a slope all feet creep downhill together. The criterion is the minimum of
-    sum f_t^2 / c, with c the viscosity of `GroundLaw`; its optimality condition is
+    sum f_t^2 / c, with c the viscosity of `GroundLaw`; the optimality condition is
     f_t = c (v + omega x r). Use these torques for a robot or a simulator.
     Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
     normal forces minimise the sum of squared motor torques, or equal the stated forces. Beside
     grips alone, the sum of all squared forces is minimised instead; contacts have tangential forces
-    only if balance requires these.
+    only if balance requires tangential forces.
 
-    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. Its tangential
+    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. The tangential
     forces are not sustained by the creeping friction of a simulator.
 
     MIN_MAX_TORQUE minimises the largest motor utilisation (the largest torque if no motor has an
-    effort limit), then the sum of squared utilisations. It determines whether the motors can hold
-    the configuration at all.
+    effort limit), then the sum of squared utilisations. This criterion determines whether the
+    motors can hold the configuration at all.
     """
 
     MIN_TANGENTIAL = "minimum tangential"
@@ -154,7 +154,7 @@ class ForceDistribution(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Tabular):
-    """Static equilibrium of a robot: joint torques and contact forces that balance its load.
+    """Static equilibrium of a robot: joint torques and contact forces that balance the load.
 
     Attributes:
         joint_names: Names of the joints, in actuator order.
@@ -162,7 +162,7 @@ class Equilibrium(Tabular):
         motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
             infinite for a loaded motor with a limit of zero, 0 for dependent joints of loops.
         contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
-        contact_points: {foot: (3,)} where it acts, in the world (m).
+        contact_points: {foot: (3,)} point of application, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
         residual_force: Norm of what is left of the balance of forces (N).
         residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
@@ -187,16 +187,16 @@ class Equilibrium(Tabular):
 
 @dataclass(frozen=True, eq=False)
 class GravityCompensation(Equilibrium):
-    """The static equilibrium of a robot: an ``Equilibrium``, and how it stands in it.
+    """Static equilibrium of a robot, with the loads of feet, base and welds and the CoM margin.
 
     Attributes:
-        foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
+        foot_loads: {foot: load}; of a flat foot, the sum over its contact points.
         base_wrench: External wrench that holds the base, shape (6,): force in world axes (N),
             torque in base axes (N m). Zero with contacts or welds; empty for a fixed base.
-        weld_wrenches: {what is welded to the world: (6,)} force (N), and moment (N m) about the
+        weld_wrenches: {part welded to the world: (6,)} force (N), and moment (N m) about the
             base's frame, a foot's centre or the welded point, both in world axes; of a grip no
             moment.
-        center_of_mass: (3,) in the world (m).
+        center_of_mass: (3,) position in the world (m).
         com_margin: Distance from the vertical projection of the CoM, or of the zero-moment point of
             a motion, to the edge of the support region (m), positive inside. Infinite with a weld;
             None without contacts and welds.
@@ -225,11 +225,11 @@ def gravity_compensation(
     f are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,),
     is the generalised force of gravity minus the passive forces of the MJCF, which are springs,
     gravity compensation and wind (`Configuration.load`). The six base rows determine the total
-    wrench of f; ``distribution`` selects one f in the friction cones. Without contacts and welds,
-    an external wrench holds the base, and tau is the joint part of g.
+    wrench of f; ``distribution`` selects a force vector f in the friction cones. Without contacts
+    and welds, an external wrench holds the base, and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
-    their load to the motors (`Configuration.by_motors`).
+    the load of such joints to the motors (`Configuration.by_motors`).
 
     A second-order cone program is solved if the optimum without friction cones violates the cones,
     and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of
@@ -237,7 +237,7 @@ def gravity_compensation(
 
     Args:
         config: State of the robot. The velocity is ignored.
-        contacts: Contact points that carry load. Default: all except those of welded or gripping
+        contacts: Contact points that carry load. Default: all except points of welded or gripping
             parts; none for a fixed base.
         friction: Friction coefficient, for all contact points or per contact point. Default:
             MuJoCo's contact.
@@ -343,7 +343,7 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Check that closed loops and joint couplings are closed, up to their compliance.
+    """Check that closed loops and joint couplings are closed, up to the compliance.
 
     Args:
         config: State of the robot.
@@ -394,9 +394,9 @@ def _iterate_viscosities(
 ) -> Array | None:
     """Repeat the minimum-tangential solution with viscosities of the previous normal forces.
 
-    Stops when no force component changes by more than `BALANCE_TOLERANCE` times the largest one,
-    after `_MAX_VISCOSITY_ITERATIONS`, or if a contact has no viscosity. On level ground the
-    viscosities have no influence, and ``forces`` are returned.
+    Stops when no force component changes by more than `BALANCE_TOLERANCE` times the largest
+    component, after `_MAX_VISCOSITY_ITERATIONS`, or if a contact has no viscosity. On level ground
+    the viscosities have no influence, and ``forces`` are returned.
     """
     if carrying.level:
         return forces
@@ -465,7 +465,7 @@ def _make_result(
     Args:
         config: State of the robot.
         remainder: Shape (nv,) [N, N m]; load minus the generalised force of ``forces``.
-        load: Shape (nv,) [N, N m]. Without contacts, its base part is the external base wrench.
+        load: Shape (nv,) [N, N m]. Without contacts, the base part is the external base wrench.
         carrying: Contacts that carry load.
         forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
         point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.
@@ -531,8 +531,8 @@ def _make_result(
 
 _UNLIMITED_FRICTION = 1e4
 """Friction coefficient, and factor on grip limits, with which a contact practically cannot slide.
-If balance is possible with it but not with the real value, friction is reported as the cause.
-Chosen, not tuned."""
+If balance is possible with this value but not with the real value, friction is reported as the
+cause. Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -610,7 +610,7 @@ def _round_up(minimum: float) -> float:
 
 
 def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Return an error if scaling all grip limits by one factor makes balance possible."""
+    """Return an error if scaling all grip limits by a common factor makes balance possible."""
 
     def holds(factor: float) -> bool:
         stronger = replace(problem, grips=factor * problem.grips)
@@ -681,10 +681,10 @@ lever arm is a rounding error. Chosen, not tuned."""
 
 
 def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
-    """Compute the mass at which the first motor reaches its limit: torques + m rates = +-limits.
+    """Compute the mass at which the first motor reaches the limit: torques + m rates = +-limits.
 
     Of the two limits of a motor, the limit in the direction of ``rates`` counts. A motor whose
-    torque does not depend on the mass is ignored, even if it exceeds its limit.
+    torque does not depend on the mass is ignored, even if the torque exceeds the limit.
 
     Args:
         torques: Shape (nu,) [N m]; motor torques without payload.

@@ -1,8 +1,9 @@
 """Support polygon and support region: horizontal CoM positions that allow equilibrium.
 
-On contacts of one plane the region is the convex hull of the contact points, seen from above. On
-contacts of several planes, with grips or with stated contact forces, it is the projection of all
-CoM positions for which contact forces in the friction cones exist (`support_corners`).
+On contacts of a single plane the region is the convex hull of the contact points, seen from above.
+On contacts of several planes, with grips or with stated contact forces, the region is the
+projection of all CoM positions for which contact forces in the friction cones exist
+(`support_corners`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
     Args:
         com: Shape (3,) [m]; centre of mass in the world frame.
-        points: Contact point of each foot, shape (3,) [m]. The polygon is the convex hull of their
+        points: Contact point of each foot, shape (3,) [m]. The polygon is the convex hull of the
             vertical projections.
 
     Returns:
@@ -123,9 +124,9 @@ def support_corners(
 ) -> tuple[Corner, ...]:
     """Compute corners of the support region, seen from above.
 
-    If all normals are equal (one plane, or parallel planes), and without stated forces and grips,
-    the result is the contact points, whose convex hull is used independent of friction (gravity
-    along the plane is not checked here). Otherwise the region contains all CoM
+    If all normals are equal (a single plane, or parallel planes), and without stated forces and
+    grips, the result is the contact points, whose convex hull is used independent of friction
+    (gravity along the plane is not checked here). Otherwise the region contains all CoM
     positions for which forces f_i in the friction cones exist with
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z.
@@ -170,7 +171,8 @@ def _compute_region(
 ) -> tuple[Corner, ...]:
     """Compute extreme CoM positions in `SIDES` directions; empty without equilibrium.
 
-    Arguments are those of ``support_corners``, arrays as bytes, so that results can be cached.
+    Arguments are the same as for ``support_corners``, arrays as bytes, so that results can be
+    cached.
     """
     positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
     grip_rows, count = np.frombuffer(grips).reshape(-1, 4), len(positions)
@@ -211,7 +213,7 @@ def support_polygon(contacts: Array) -> Array:
     """Compute the corners of the convex hull of contact points, seen from above.
 
     Args:
-        contacts: Shape (k, 2) or (k, 3) [m]; at least three points that are not on one line.
+        contacts: Shape (k, 2) or (k, 3) [m]; at least three points that are not on a common line.
 
     Returns:
         Shape (n, 2) [m], counter-clockwise.

@@ -1,4 +1,4 @@
-"""Commands, one package per command, with the name of the command."""
+"""Commands. Each package has the name of a command."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

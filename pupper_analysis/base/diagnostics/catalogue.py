@@ -1,7 +1,7 @@
 """Catalogue of all texts for users, by key and language.
 
-Each TOML file contains the texts of one package: ``catalogue/statics.toml`` those of ``statics``.
-Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a table:
+Each TOML file contains the texts of a single package: ``catalogue/statics.toml`` the texts of
+``statics``. Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a table:
 
     [effort-limit-differs]
     severity = "warning"
@@ -9,9 +9,9 @@ Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a table:
     zh = "..."
 
 The default of ``severity`` is ``note``. The default of ``group`` is ``found`` for notes and
-``wrong`` for others. ``templates`` describes the syntax in braces.
+``wrong`` for all other severities. ``templates`` describes the syntax in braces.
 
-Three files have one line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` contains
+Three files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` contains
 names of kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of
 documents; ``meanings.toml`` descriptions of fields of results, by class and field. A tool has such
 lines in the tables ``[texts]`` and ``[meanings]``. If a tool of another distribution lacks a
@@ -36,7 +36,7 @@ _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 _LINE_ENTRY = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
 _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings.toml"
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
-"""Files with one line per entry."""
+"""Files with a line per entry."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
@@ -102,7 +102,7 @@ def phrase(key: str, language: str) -> str:
 
 
 def meaning(kind: type, field: str, language: str) -> str:
-    """Return the description of a field of a result, with its unit; "" if there is none.
+    """Return the description of a field of a result, with the unit; "" without a description.
 
     Args:
         kind: Class of the result.
@@ -144,7 +144,7 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 
 @cache
 def _load_other_tables() -> Mapping[str, str]:
-    """Return {code: text of its table} of tools and formats of other distributions."""
+    """Return {code: text of the table} of tools and formats of other distributions."""
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     tables = [_split_tables(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
@@ -162,7 +162,7 @@ def _load_other_entries(file: str) -> Mapping[str, str]:
 
 @cache
 def _load_tables() -> Mapping[str, str]:
-    """Return {code: text of its table} of this package.
+    """Return {code: text of the table} of this package.
 
     Parsing all TOML takes 50 ms per 1,000 entries, a tenth of the start of a command, and a command
     uses few entries. Therefore the files are only split at the table headers, and entries are
@@ -179,7 +179,7 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return {key: entry as TOML} of a file with one line per entry, and of the tools' tables."""
+    """Return {key: entry as TOML} of a file with a line per entry, and of the tools' tables."""
     text = (_CATALOGUE_FOLDER / file).read_text(encoding="utf-8")
     if file in _TABLES_BY_FILE:
         paths = [path for path in word_files().values() if path.name not in LINE_ENTRY_FILES]

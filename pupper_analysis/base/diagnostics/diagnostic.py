@@ -1,4 +1,4 @@
-"""``Diagnostic``: a stable code, a subject, values with units, and their sources."""
+"""``Diagnostic``: a stable code, a subject, values with units, and sources."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Severity(StrEnum):
     ERROR = "error"
     """Impossible, rejected or failed."""
     WARNING = "warning"
-    """Very likely unintended, or a verdict depends on it."""
+    """Very likely unintended, or a verdict depends on the finding."""
     NOTE = "note"
     """Information."""
 
@@ -46,7 +46,7 @@ class Group(StrEnum):
     WRONG = "wrong"
     """Must be repaired."""
     ASSUMED = "assumed"
-    """Added or modified by the package, because the files do not specify it: must be checked."""
+    """Added or modified by the package, because not specified in the files: must be checked."""
     FOUND = "found"
     """Read from the files: for information."""
 
@@ -95,7 +95,7 @@ class Diagnostic:
 
     Attributes:
         code: Key of the catalogue entry, such as ``"mesh-missing"``. Codes are stable.
-        severity: Severity of the catalogue, or a lower one in less severe cases.
+        severity: Severity of the catalogue, or a lower severity in less severe cases.
         subject: Subject; None for the whole robot or task.
         values: {name: number with unit, name, term, tuple of such values, or another diagnostic}.
         sources: Locations of the values.
@@ -185,7 +185,7 @@ def diagnose(
         code: Key of the catalogue entry.
         subject: Subject, or (kind, name).
         sources: Locations of the values. A path represents the whole file.
-        severity: Severity, if it differs from that of the catalogue.
+        severity: Severity, if different from the severity in the catalogue.
         **values: Values for the text, and for programs that read the diagnostic. NumPy numbers
             become Python numbers, iterables become tuples.
 

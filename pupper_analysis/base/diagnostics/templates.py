@@ -1,9 +1,9 @@
-"""Values of diagnostics (numbers with units, terms, phrases), and templates for their texts.
+"""Values of diagnostics (numbers with units, terms, phrases), and templates for the texts.
 
 Syntax of a template:
 
 - ``{mass}``, ``{mass:.3g}``: a value; a float is formatted by ``format_number``. A ``Quantity`` is
-  formatted with its unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (mm, deg, g, ms, %),
+  formatted with the unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (mm, deg, g, ms, %),
   ``{at:read:.3g}`` deg for rad and mm for m, ``{at:stated}`` the SI unit. ``{gap::.1f}`` omits the
   unit;
 - ``{name!r}``: a text in quotes;
@@ -103,7 +103,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Vector:
-    """Several numbers with one unit.
+    """Several numbers with a common unit.
 
     Attributes:
         values: Numbers in SI units.
@@ -142,7 +142,7 @@ class Vector:
 
 
 def _with_unit(number: str, unit: str) -> str:
-    """Return a number followed by its unit, without a space before a degree sign."""
+    """Return a number followed by the unit, without a space before a degree sign."""
     return number if unit == "1" else f"{number}{unit}" if unit == "°" else f"{number} {unit}"
 
 
@@ -172,7 +172,7 @@ class Phrase(str):
         return phrase
 
     def __reduce__(self) -> tuple[type[Phrase], tuple[str, str]]:
-        """Return the constructor and its arguments, for copying and pickling."""
+        """Return the constructor and the arguments, for copying and pickling."""
         return Phrase, (str(self), self.chinese)
 
     def text(self, language: str = "en") -> str:
@@ -188,12 +188,12 @@ NOT_STATED = Term("not stated")
 
 
 def describe_effort(value: float, unit: str) -> Quantity | Term:
-    """Return a torque limit with its unit, or the term "not stated" if it is not finite."""
+    """Return a torque limit with the unit, or the term "not stated" if not finite."""
     return Quantity(value, unit) if math.isfinite(value) else NOT_STATED
 
 
 def describe_bound(value: float, unit: str) -> Quantity | Term:
-    """Return a limit with its unit, or the term "unlimited" if the limit is not finite."""
+    """Return a limit with the unit, or the term "unlimited" if the limit is not finite."""
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED
 
 
@@ -216,7 +216,7 @@ _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {le
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
-    """Return the text of a template with its values.
+    """Return the text of a template with the values filled in.
 
     Args:
         template: Template.
@@ -233,7 +233,7 @@ def fill_template(template: str, values: Mapping[str, Any], language: str) -> st
 
 
 class _TemplateFormatter(Formatter):
-    """String formatter for the template syntax of this module, in one language."""
+    """String formatter for the template syntax of this module, in a single language."""
 
     def __init__(self, language: str) -> None:
         self.language = language

@@ -1,1 +1,1 @@
-"""A robot as a file states it, whatever its format: links, joints, inertials, shapes and frames."""
+"""A robot as stated by a file of any format: links, joints, inertials, shapes and frames."""

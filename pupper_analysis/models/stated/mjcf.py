@@ -130,7 +130,8 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
     Args:
         file: The file.
         element: Element of the spec.
-        body: Named body around the element. Its location is returned if no line is recorded.
+        body: Named body around the element. The location of this body is returned if no line is
+            recorded.
     """
     match = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
     body_place = file.place("body", body)
@@ -276,11 +277,11 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{group: its attributes}."""
+"""{group: attributes}."""
 
 
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
-    """Return the ids of the geoms that can collide, by their contact bits or in a contact pair.
+    """Return the ids of the geoms that can collide, by contact bits or in a contact pair.
 
     The result is empty if contacts are disabled. Other geoms are only visual.
     """

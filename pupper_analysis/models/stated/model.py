@@ -1,6 +1,6 @@
 """Robot model as specified by a file, independent of the format.
 
-Links that are fixed to others remain separate, unlike in the models of the engines.
+Links that are fixed to other links remain separate, unlike in the models of the engines.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Inertial:
         mass: Mass [kg].
         com: Centre of mass (3,) [m] in the frame of the body.
         inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
-        stated: Whether the file specifies the values; otherwise they are derived from the shapes.
+        stated: Whether the file specifies the values; otherwise the values are derived from the
+            shapes.
         rounding: Upper bound [kg m^2] of half a unit of the last digit of the specified entries.
     """
 
@@ -77,7 +78,7 @@ class Joint:
 
     Attributes:
         name: Name of the joint.
-        kind: One of HINGE, SLIDE, BALL, FREE, FIXED.
+        kind: ``HINGE``, ``SLIDE``, ``BALL``, ``FREE`` or ``FIXED``.
         parent: Body that carries the joint.
         child: Body that the joint moves.
         position: Position (3,) [m] at zero angles, in the base frame.
@@ -202,11 +203,11 @@ class RobotModel:
         return False
 
     def inertial_part(self, part: str) -> str:
-        """Return the path below a body to its ``mass``, ``origin`` or ``inertia`` in the format."""
+        """Return the path below a body to the ``mass``, ``origin`` or ``inertia`` in the format."""
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter in the format, and its child element (or None)."""
+        """Return the name of a joint parameter in the format, and the child element (or None)."""
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
         return (attribute.mjcf or (attribute.kind,))[0], None
@@ -222,7 +223,7 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Return a body and all descendants fixed to it, directly or not; empty for the world."""
+        """Return a body and all bodies fixed to it, directly or not; empty for the world."""
         if name not in self.links:
             return []
         group = [self.links[name]]
@@ -232,7 +233,7 @@ class RobotModel:
         return group
 
     def carrier(self, name: str) -> str:
-        """Return the nearest ancestor that moves, or the root; the body itself if it moves."""
+        """Return a body if it moves; else its nearest moving ancestor, or the root."""
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:
             name = link.parent
@@ -269,7 +270,7 @@ class MjcfModel(RobotModel):
     Attributes:
         file: The file.
         mj_model: Compiled model; None if MuJoCo does not compile the file.
-        refusal: Message of MuJoCo and its location, if the unmodified file does not compile.
+        refusal: Message of MuJoCo and the location, if the unmodified file does not compile.
         body_names: Name in ``links`` of each body of MuJoCo, by id.
     """
 

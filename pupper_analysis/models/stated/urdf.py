@@ -1,4 +1,4 @@
-"""Reading of the `stated` robot model of a URDF from its XML, including meshes."""
+"""Reading of the `stated` robot model of a URDF from XML, including meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text of converted model files, before they are written.
+"""Text of converted model files, before writing.
 
 `mjcf_draft` converts a URDF to an MJCF, and adds a floor, feet, servos and a keyframe in which the
 robot stands. `urdf_draft` converts an MJCF to a URDF. Both list the quantities that the new format
@@ -57,18 +57,18 @@ _LOST_JOINT_TAGS = ("safety_controller", "calibration")
 
 @dataclass(frozen=True)
 class ConversionDraft:
-    """A converted model file before it is written.
+    """A converted model file before writing.
 
     Attributes:
         text: XML text. Mesh paths are relative to the folder of the output file.
-        meshes: Mesh files to be written beside the output file, with their contents.
+        meshes: Mesh files to be written beside the output file, with contents.
         notes: Additions and assumptions.
         not_converted: Quantities that the new format cannot express, and omitted elements.
         repairs: Repaired inertials.
         urdf: Source URDF with repaired inertials, with which a new MJCF is compared. None for a new
             URDF.
         stands: True if the robot has a free base, so that the stand must be verified.
-        failure: Reason why the robot does not stand, if it is already known.
+        failure: Reason why the robot does not stand, if already known.
         lost: Missing parts that make the conversion fail, for example collision meshes.
         on_balls: Joints whose feet touch with balls that replace meshes; a note reports them.
     """
@@ -114,7 +114,7 @@ class NewMjcf(MjcfXml):
         option.attrib.update({name: format_number(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
-        """Add a light, and a floor with its material."""
+        """Add a light, and a floor with a material."""
         asset, world = self.section("asset"), self.section("worldbody")
         add_element(
             asset, "texture", name=FLOOR_NAME, type="2d", builtin="checker", width="256",
@@ -149,7 +149,7 @@ class NewMjcf(MjcfXml):
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Add a position servo with the name of its joint.
+        """Add a position servo with the name of the joint.
 
         Args:
             joint: Joint.
@@ -193,7 +193,7 @@ class NewMjcf(MjcfXml):
             body: Body of the sphere.
             radius: Radius [m].
             place: Centre, shape (3,) [m], in the frame of the body.
-            like: Unused; a new MJCF has one collision class.
+            like: Unused; a new MJCF has a single collision class.
         """
         add_element(
             self.body(body),
@@ -341,7 +341,8 @@ def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
 def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Robot) -> Addition:
     """Express a start pose in the coordinates of the new file; return other additions unchanged.
 
-    The frame of the base in the new file may be below the feet, where `load_robot` moves it.
+    The frame of the base in the new file may be below the feet, where `load_robot` moves the base
+    frame.
     """
     if not isinstance(addition, StartKeyframe):
         return addition
@@ -404,7 +405,7 @@ micrometre. Chosen, not tuned."""
 
 
 def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
-    """Add an IMU at the link with "imu" in its name, otherwise at the origin of the base.
+    """Add an IMU at the link with "imu" in the name, otherwise at the origin of the base.
 
     Returns:
         Note about the addition.
@@ -424,7 +425,7 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
     is at least as high as in the keyframe.
 
     Args:
-        mjcf: New MJCF, with its keyframe if it has one.
+        mjcf: New MJCF, with a keyframe if present.
         bodies: Bodies of the URDF.
         model: Compiled model of the new MJCF so far.
     """
@@ -455,8 +456,8 @@ _DEFAULT_ATTRIBUTES = {
 def put_defaults(root: etree._Element) -> None:
     """Move common attribute values into the top default class.
 
-    A value is moved if all elements of the type have the attribute, and more than half of them have
-    this value.
+    A value is moved if all elements of the type have the attribute, and more than half of these
+    elements have this value.
     """
     top = root.find("default")
     assert top is not None

@@ -1,7 +1,7 @@
 """Conversion of a model file to the other format, with verification.
 
 `convert_model` writes the new file, compares it with the source, simulates the stand of the robot
-and, for a new MJCF, the file itself from its keyframe.
+and, for a new MJCF, the file itself from the keyframe.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def convert_model(
     friction, effort limits (as force ranges), mimic joints (as equalities), collision and visual
     shapes, mesh scales. Additions for simulation: a floor, a free joint, feet, position servos,
     contact exclusions of bodies that overlap in the stand, a keyframe ``home`` with the commands
-    that hold it, an IMU. A new URDF contains the numbers that MuJoCo compiles from the MJCF.
-    Quantities that the new format cannot express are listed in ``not_converted``.
+    that hold this configuration, an IMU. A new URDF contains the numbers that MuJoCo compiles from
+    the MJCF. Quantities that the new format cannot express are listed in ``not_converted``.
 
     Args:
         source: Path of the URDF or MJCF. For an MJCF, only ``output``, ``packages`` and ``force``
@@ -84,7 +84,7 @@ def convert_model(
             is not named ``world``.
         armature: Rotor inertia [kg m^2] for each joint.
         repair_inertia: Replace physically impossible inertias of moving links by the nearest
-            possible ones, and masses of zero by 1 g. Default: such links are refused.
+            possible inertias, and masses of zero by 1 g. Default: such links are refused.
         copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
             new file contains relative paths to the existing meshes.
         packages: Folder of each ROS package, for ``package://`` paths.
@@ -197,7 +197,7 @@ class Conversion(Result):
         comparison: Comparison of the new file with the source.
         verification: Simulation of the stand for 12 s. None if the base is fixed, or the robot is
             known not to stand.
-        kept: Simulation of a new MJCF from its keyframe, with a nudge. None for a new URDF, and in
+        kept: Simulation of a new MJCF from the keyframe, with a nudge. None for a new URDF, and in
             the cases of ``verification``.
         failures: Reasons for a negative result: unexplained differences from the source, a robot
             that does not stand, lost collision meshes.
@@ -221,7 +221,7 @@ class Conversion(Result):
 
 @dataclass(frozen=True, eq=False)
 class KeyframeRun(Result):
-    """Simulation of an MJCF from its first keyframe, with a nudge.
+    """Simulation of an MJCF from the first keyframe, with a nudge.
 
     Attributes:
         keyframe: Name of the keyframe.
@@ -237,9 +237,9 @@ class KeyframeRun(Result):
 
 
 def keyframe_run(path: Path, duration: float = HOLD_DURATION) -> KeyframeRun | None:
-    """Simulate an unmodified MJCF from its first keyframe, after a velocity nudge.
+    """Simulate an unmodified MJCF from the first keyframe, after a velocity nudge.
 
-    The actuator commands are those of the keyframe.
+    The actuator commands are taken from the keyframe.
 
     Args:
         path: MJCF.

@@ -1,13 +1,13 @@
 """Search for a single mistake that explains many differences between a URDF and an MJCF.
 
 Examples: wrong units, another Euler sequence, exchanged limbs, dropped products of inertia. Each
-hypothesis is tested: the mistake is undone in one of the trees, and the differences that disappear
+hypothesis is tested: the mistake is undone in either tree, and the differences that disappear
 are explained.
 
 Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
 second moments about the frame's origin are additive, so the difference of two combined bodies is
-the difference of the links. A mistake is undone link by link; it is a cause only if no difference
-of the body remains.
+the difference of the links. A mistake is undone link by link; the mistake is a cause only if no
+difference of the body remains.
 """
 
 from __future__ import annotations
@@ -113,14 +113,14 @@ def _find_mover(robot: Robot, model: pin.Model, joint: int) -> str:
 
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:
-    """Sum mass, CoM and inertia of bodies that are expressed in one frame, as one rigid body."""
+    """Sum mass, CoM and inertia of bodies expressed in a common frame, as one rigid body."""
     return body_from_moments(sum((compute_moments(body) for body in bodies), start=np.zeros(10)))
 
 
 def compute_moments(body: TreeBody) -> Array:
-    """Compute mass, first moments and rotational inertia of a body about the origin of its frame.
+    """Compute mass, first moments and rotational inertia of a body about the origin of the frame.
 
-    The vectors of bodies that are expressed in one frame can be added.
+    The vectors of bodies that are expressed in a common frame can be added.
 
     Returns:
         Shape (10,): mass m [kg]; first moments m c, with the CoM c [kg m]; ixx, iyy, izz, ixy, ixz,
@@ -149,7 +149,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class PatternCase:
-    """Two different trees and their differences.
+    """Two different trees and the differences between both.
 
     Attributes:
         robot: Robot.
@@ -243,7 +243,7 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another eulerseq, or another angle unit, of the MJCF with which differences disappear.
 
     A finding requires that at least 60 % of the differences in rotations and axes disappear, or of
-    those in limits if no rotation differs.
+    differences in limits if no rotation differs.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -300,9 +300,10 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 
 
 def find_exchanged(case: PatternCase) -> PatternFindings:
-    """Find pairs of limbs whose names are exchanged in one of the two files.
+    """Find pairs of limbs whose names are exchanged in either file.
 
-    A pair is a finding if most of its differences disappear when the joint names are exchanged.
+    A pair is a finding if most differences of the pair disappear when the joint names are
+    exchanged.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}
@@ -488,7 +489,7 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 
 
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
-    """Test whether one file has no products of inertia.
+    """Test whether a file has no products of inertia.
 
     The products are removed in the other file, in the axes of each link or in the axes of the
     combined body, and the inertias are compared again.
@@ -572,7 +573,7 @@ _MAX_RESIDUAL = 0.02
 """Largest fraction of a body's difference that may remain after a mistake is undone.
 
 Files with 5 to 6 digits leave some thousandths for a link of a hundredth of the body. A wrong
-subset of links leaves about as much as it removes."""
+subset of links leaves about as much as the subset removes."""
 
 
 _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -638,7 +639,7 @@ class _LinkSlip:
 def find_link_slips(case: PatternCase) -> PatternFindings:
     """Explain inertial differences of bodies by single links.
 
-    A link is missing in one file, or its mass differs by a factor.
+    A link is missing in a file, or the mass differs by a factor.
     """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
@@ -860,7 +861,7 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Sine of the angle between two joint axes below which the axes count as parallel when their
+"""Sine of the angle between two joint axes below which the axes count as parallel when the
 distance is computed: rounding. Chosen, not tuned."""
 
 _MAX_MOVED_JOINTS = 20
@@ -872,7 +873,7 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints of which only the axis is displaced.
 
     Bodies are expressed in the frame of the joint. If only the joint is moved, CoM, children and
-    frames seem displaced too, although they have not moved in the robot.
+    frames seem displaced too, although neither has moved in the robot.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

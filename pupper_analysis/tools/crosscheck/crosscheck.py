@@ -12,7 +12,8 @@ the models or to an engine.
 
 Terms that a URDF cannot express (springs, tendons, fluid ...; see `mjcf_only`) are removed from the
 MJCF for the square, so that both engines use the same model. The last edge shows the effect of
-these terms. yourdfpy evaluates the foot positions of the URDF as well, unless the robot is large.
+the removed terms. yourdfpy evaluates the foot positions of the URDF as well, unless the robot is
+large.
 """
 
 from __future__ import annotations
@@ -111,15 +112,15 @@ def compare_models(
     Files of further formats (`base.tools.formats`) are accepted in place of either file.
 
     Args:
-        urdf: Path of the URDF or its replacement.
-        mjcf: Path of the MJCF or its replacement.
+        urdf: Path of the URDF or the replacement.
+        mjcf: Path of the MJCF or the replacement.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
         feet: Frames that count as feet, named as in the MJCF; by default all frames in both files.
         tolerances: Largest accepted differences; the default is for files with 5 to 6 digits.
         strict_names: Report as differences: joints that are matched by structure, damping and
             friction that the URDF does not state, and a fixed base that is tilted against the URDF.
-            Otherwise these are reported in ``guessed``, ``notes`` and ``mount``.
+            Otherwise the assumptions are reported in ``guessed``, ``notes`` and ``mount``.
         configurations: Number of random configurations of the cross-check.
         seed: Seed of the random numbers, at least 0.
 
@@ -166,7 +167,7 @@ def compare_models(
 def list_mass_shares(
     difference: Difference, urdf: Sources, mjcf: Sources
 ) -> tuple[Diagnostic, ...]:
-    """List the mass [kg] of a different inertial in each file, and its members, heaviest first.
+    """List the mass [kg] of a different inertial in each file, and the members, heaviest first.
 
     The members are the links or bodies that are fixed to each other. The list is empty unless one
     of the files has several members with mass.
@@ -261,8 +262,8 @@ rows."""
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows in which a compared quantity is evaluated.
 
-    Depending on the quantity, these are bodies, joints, degrees of freedom or contact points; for
-    other quantities a single label, such as ``com`` or ``IMU``.
+    Depending on the quantity, the labels are bodies, joints, degrees of freedom or contact points;
+    for other quantities a single label, such as ``com`` or ``IMU``.
 
     Args:
         robot: Robot.
@@ -282,7 +283,7 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
 def collect_evaluation(
     robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
-    """Combine values of the model with values at each state, as arrays with one row per label."""
+    """Combine values of the model with values at each state, as arrays with a row per label."""
     evaluation: Evaluation = {
         name: np.array(values, dtype=float).reshape(len(list_row_labels(robot, name)), -1)
         for name, values in at_rest.items()
@@ -437,7 +438,7 @@ def _evaluate_at_rest(
 def _lump_fixed_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, carriers: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Return the inertia of each carrier with all bodies fixed to it, in world axes.
+    """Return the inertia of each carrier with all fixed bodies, in world axes.
 
     If the first carrier is fixed to the world, all bodies fixed to the world belong to it, as in
     Pinocchio.
@@ -602,7 +603,7 @@ class CrossCheck(Result):
         seed: Seed of the random numbers.
         quantities: Result for each quantity.
         worst: Quantity with the largest relative deviation.
-        notes: Sources of values that one of the files cannot state, and evaluations that were left
+        notes: Sources of values that a file cannot state, and evaluations that were left
             out.
     """
 
@@ -656,7 +657,7 @@ def cross_check(
 ) -> CrossCheck:
     """Compare a URDF and an MJCF in Pinocchio and in MuJoCo.
 
-    States are random: joints within their limits, any pose of a floating base, with velocities and
+    States are random: joints within limits, any pose of a floating base, with velocities and
     joint torques.
 
     Args:
@@ -664,11 +665,11 @@ def cross_check(
         configurations: Number of states. Large robots are evaluated at fewer states.
         tolerance: Largest accepted relative deviation.
         seed: Seed of the random numbers, at least 0.
-        mimics: Mimic joints of the URDF; by default read from its text. An equivalent joint
+        mimics: Mimic joints of the URDF; by default read from the text. An equivalent joint
             equality of the MJCF is disabled.
 
     Returns:
-        Largest deviation of each quantity with its place, and the verdict.
+        Largest deviation of each quantity with the place, and the verdict.
 
     Raises:
         ConfigurationError: If an argument is out of range.

@@ -150,7 +150,7 @@ MAX_NAMED_ELEMENTS = 4
 
 @build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
-    """Create the report of the comparison of a URDF and an MJCF: differences and their causes.
+    """Create the report of the comparison of a URDF and an MJCF: differences and causes.
 
     `build_document` calls this function for a `Comparison`.
     """

@@ -17,7 +17,7 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 @build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a path and its simulation, with an animated 3-D view.
+    """Create the report of a path and the simulation, with an animated 3-D view.
 
     `build_document` calls this function for a `PathThere`.
     """

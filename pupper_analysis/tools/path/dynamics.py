@@ -39,10 +39,10 @@ is exact after each iteration."""
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Equilibrium):
-    """Torques and forces of a motion at one time: an `Equilibrium` with inertial forces.
+    """Torques and forces of a motion at a time: an `Equilibrium` with inertial forces.
 
     Attributes:
-        contact_moments: Moment of the ground on each foot about its contact point, shape (3,), in
+        contact_moments: Moment of the ground on each foot about the contact point, shape (3,), in
             world axes: resistance to rolling and spinning.
         zero_moment_point: Shape (3,), in the world frame: point on the ground about which the
             contact forces, without ``contact_moments``, have no tangential moment. NaN for a fixed
@@ -160,7 +160,7 @@ def _mean_ground_point(config: Configuration, normals: Mapping[str, Array]) -> t
 def zero_moment_point(config: Configuration, load: Array, origin: Array, normal: Array) -> Array:
     """Compute the zero-moment point: origin + normal x M / (F . normal).
 
-    F is the total contact force and M its moment about ``origin``, both from the six base rows of
+    F is the total contact force and M the moment about ``origin``, both from the six base rows of
     the load. The robot tips if the point leaves the support region. At rest the point is below the
     centre of mass. (Vukobratovic and Borovac 2004, "Zero-moment point - thirty five years of its
     life".)
@@ -225,8 +225,8 @@ def rolling_levers(
     MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, and rolling, by at
     most mu_j f_n, with mu_j [m] the coefficients of the contact. As for sliding friction, the
     moment is regularised: below the limit it is mu_j^2 / mu_1^2 (alpha + b omega) / R. The limit is
-    reached at about 0.1 rad/s. It is evaluated for a foot that carries an equal fraction of the
-    weight.
+    reached at about 0.1 rad/s. The moment is evaluated for a foot that carries an equal fraction of
+    the weight.
 
     Args:
         config: State of the robot, with ``qvel``.
@@ -264,7 +264,7 @@ def remaining_moment_fraction(
 ) -> float:
     """Compute the fraction of a resisting moment that fits into the cone beside a contact force.
 
-    Force and moment share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
+    Force and moment share a cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
 
     Args:
         robot: Robot.

@@ -1,4 +1,4 @@
-"""Geometry of a path through stances: configurations and their derivatives, without dynamics.
+"""Geometry of a path through stances: configurations and derivatives, without dynamics.
 
 `path_geometry` divides a list of stand tasks into segments. Each sample of a segment is a stand
 whose task is interpolated linearly in the path parameter s of the segment; s follows a minimum-jerk
@@ -100,7 +100,7 @@ class Segment:
 def segments_of(
     robot: Robot, stances: Sequence[StandTask]
 ) -> tuple[list[Segment], tuple[Stand, ...]]:
-    """Solve the stances, and check that each can follow the previous one.
+    """Solve the stances, and check that each can follow the previous stance.
 
     Raises:
         ConfigurationError: If stances have different grounds, mix ``com`` types, move a foot that
@@ -327,10 +327,10 @@ def path_geometry(
         stances: Stand tasks.
         per_segment: Number of samples per segment, at least 2.
         seconds: Duration of the path [s], for the times in error messages.
-        rolling: Feet roll without slipping. If False, the centres of their spheres stay.
+        rolling: Feet roll without slipping. If False, the centres of the foot spheres stay.
 
     Raises:
-        ConfigurationError: If a stance cannot follow the previous one, or a joint jumps.
+        ConfigurationError: If a stance cannot follow the previous stance, or a joint jumps.
         NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot that the robot does not have.
         StanceUnreachableError: If a sample is out of reach. The error states the time.
@@ -379,7 +379,7 @@ class _RollingFeet:
     """Displacements of spherical feet that roll without slipping, from sample to sample.
 
     Attributes:
-        away: Displacement of each contact point from its position in the stance, shape (3,) [m].
+        away: Displacement of each contact point from the position in the stance, shape (3,) [m].
         step: Change of ``away`` at the last sample, used as initial guess.
         turned: Orientation of each contact point at the last sample, shape (3, 3).
     """

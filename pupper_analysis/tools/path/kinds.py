@@ -1,4 +1,4 @@
-"""File type of a path table, and its recognition by the header line."""
+"""File type of a path table, and recognition by the header line."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Paths through stances: configurations, motor torques and contact forces over time.
 
 `stance_path` computes the geometry of a path (`geometry`) and, for each sample, the inverse
-dynamics at the given speed (`dynamics`). If a foot is about to lift, its load is faded out
-smoothly.
+dynamics at the given speed (`dynamics`). If a foot is about to lift, the load of the foot is faded
+out smoothly.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ def path_effort(
     rate: float,
     acceleration: float,
 ) -> dict[str, Array]:
-    """Compute one sample of each array of a `StancePath`, with minimum tangential forces.
+    """Compute a sample of each array of a `StancePath`, with minimum tangential forces.
 
     Towards a segment on which fewer feet carry load, the forces are a weighted mean of two
     solutions, with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
-    satisfies it.
+    satisfies the equilibrium.
 
     Args:
         robot: Robot.
@@ -143,7 +143,7 @@ within 1 % of the true peaks."""
 
 @dataclass(frozen=True, eq=False)
 class StancePath(Tabular):
-    """Path through stances with n samples, and the dynamics at its speed.
+    """Path through stances with n samples, and the dynamics at the path's speed.
 
     ``qvel`` and ``qacc`` are derivatives of ``qpos`` in the public convention: linear velocity of
     the base in the world frame, angular velocity in the frame of the base.
@@ -174,8 +174,8 @@ class StancePath(Tabular):
             file states a limit.
         peak_joint: Joint with the largest utilisation.
         peak_time: Time of the largest utilisation.
-        peak_speed_utilisation: Largest joint speed / velocity limit of the URDF; NaN if it states
-            none.
+        peak_speed_utilisation: Largest joint speed / velocity limit of the URDF; NaN if the URDF
+            states none.
         fastest_joint: Joint with the largest speed utilisation.
     """
 
@@ -265,12 +265,12 @@ def stance_path(
 
     Args:
         robot: Robot with a floating base.
-        stances: Two or more stand tasks on one ground, without an offset of the base. To wait in a
-            stance, pass it twice. ``ik_seed`` of the first task is used; later tasks start from the
-            previous solution.
+        stances: Two or more stand tasks on the same ground, without an offset of the base. To wait
+            in a stance, pass it twice. ``ik_seed`` of the first task is used; later tasks start
+            from the previous solution.
         seconds: Duration of the path [s].
         rate: Minimum sampling rate [Hz]. A segment has at least `MIN_SAMPLES_PER_SEGMENT` samples.
-        rolling: Feet roll without slipping. If False, the centres of their spheres do not move.
+        rolling: Feet roll without slipping. If False, the centres of the foot spheres do not move.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stances cannot follow each other:
@@ -339,8 +339,8 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 
 _ROUNDING = 1e-9
-"""Torque [N m] or speed [rad/s] of a joint up to which it counts as zero (rounding). Chosen, not
-tuned."""
+"""Torque [N m] or speed [rad/s] of a joint up to which the value counts as zero (rounding). Chosen,
+not tuned."""
 
 
 MIN_DURATION = 1e-3

@@ -41,12 +41,12 @@ from pupper_analysis.tools.path.plan import StancePath, stance_path
 
 MAX_TIMESTEP = 2.5e-4
 """Upper bound of the default time step [s]. An implicit integrator adds kd x time step to the
-inertia of a joint, which its contacts ignore. Measured torque errors of `original` by this effect:
+inertia of a joint, which the contacts ignore. Measured torque errors of `original` by this effect:
 15 % at 4 ms, 4 % at 1 ms, 1 % at this bound."""
 
 _SPLINE_ENDS = ("clamped", "not-a-knot")
 """Boundary conditions of joint splines: the path starts at rest; the last time step may end before
-the end of the path, so its velocity is not prescribed."""
+the end of the path, so the velocity is not prescribed."""
 
 _NEWTON_STEPS = 2
 """Number of Newton iterations that extend the legs by the penetration of the ground, which is a few
@@ -60,7 +60,7 @@ knee of A1 (kd 13 N m s/rad, no armature), whose fastest squat then has a torque
 loses ground contact; at 40 us the error is 3 %."""
 
 MIN_TIMESTEP = 1e-5
-"""Lower bound of the default time step [s]. A path of one second then takes one or two seconds to
+"""Lower bound of the default time step [s]. A path of 1 s then takes 1 or 2 s to
 simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
@@ -106,7 +106,7 @@ def path_commands(
     Args:
         robot: Robot.
         path: Path of this robot.
-        drive_of: Function that returns the servos of a robot. Default: the servos of its model.
+        drive_of: Function that returns the servos of a robot. Default: the servos of the model.
         timestep: Time step of the simulation [s], as in ``track_path``.
 
     Raises:
@@ -245,14 +245,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PathThere(Result):
-    """Path from the nominal stand to a stance, with its simulation.
+    """Path from the nominal stand to a stance, with a simulation.
 
     Attributes:
         name: Name of the robot.
         stand: Stand at the end of the path.
         path: Path.
         tracking: Result of the simulation.
-        verdict: Verdict on tracking, and its conditions.
+        verdict: Verdict on tracking, and the conditions.
     """
 
     name: str
@@ -275,7 +275,7 @@ def study_path(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> PathThere:
-    """Plan the path from the nominal stand to a stance, and simulate it.
+    """Plan the path from the nominal stand to a stance, and simulate the path.
 
     Args:
         robot: Robot.
@@ -406,12 +406,13 @@ def track_path(
     The velocity term compensates the servo damping, which acts on the absolute joint velocity;
     without this term the joints lag by kd / kp (20 ms for v3). Legs are extended by the penetration
     of the feet into MuJoCo's soft ground under the loads of the motion, and torques belong to the
-    extended legs. Creep of rolling feet is not compensated; it matters for paths of less than a
+    extended legs. Creep of rolling feet is not compensated; creep matters for paths of less than a
     second.
 
     A path is tracked if joint and torque errors are within `JOINT_TOLERANCE` and
-    `TORQUE_TOLERANCE`, no motor or joint exceeds its torque or velocity limit, the robot does not
-    fall, loaded feet stay on the ground, lifted feet do not touch it, and no other part touches it.
+    `TORQUE_TOLERANCE`, no motor or joint exceeds a torque or velocity limit, the robot does not
+    fall, loaded feet stay on the ground, lifted feet do not touch the ground, and no other part
+    touches the ground.
 
     Args:
         robot: Robot without closed loops.
@@ -474,7 +475,8 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
     """Find saturated motors, and compute the largest torque error relative to the largest torque.
 
     Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
-    velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at its start.
+    velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at the start
+    of the step.
     """
     drive, robot, model = plan.drive, plan.robot, plan.drive.model
     public = robot.mj_convention

@@ -1,4 +1,4 @@
-"""Find the largest payload of a stance, and what fails beyond it."""
+"""Find the largest payload of a stance, and the failure beyond this limit."""
 
 HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

@@ -29,7 +29,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
 
     Args:
         limit: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if it is not available.
+        robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
     trial_texts = () if limit.trial is None else (_describe_trial(limit.trial),)
     return judged_document(
@@ -52,7 +52,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
-    """Return the verdict, with the kind of its torque limits: peak, continuous or both."""
+    """Return the verdict, with the kind of torque limits: peak, continuous or both."""
     if math.isnan(limit.mass):
         key = "UNKNOWN"
     elif not limit.passed:
@@ -67,7 +67,7 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """State the largest mass, its position, and the failure above.
+    """State the largest mass, the position, and the failure above.
 
     If torque limits of motors that carry the load are unknown, state these motors instead.
     """
@@ -101,7 +101,7 @@ def _unknown_text(limit: PayloadLimit) -> doc.Text:
 def payload_table(limit: PayloadLimit) -> doc.Table:
     """Create the table of the bounds, the smallest first, with the failure above each bound.
 
-    The bound of the simulation is listed only if it is finite.
+    The bound of the simulation is listed only if finite.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (text(_BOUND_KEYS[name]), mass_text(bound.mass), _describe_bound_failure(bound))
@@ -146,7 +146,7 @@ def _describe_bound_failure(bound: Bound) -> doc.Words:
 
 
 def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
-    """Describe a failure with its motors, joints, feet or bodies."""
+    """Describe a failure with the motors, joints, feet or bodies."""
     failure_text, names = word(failure.value), ", ".join(where)
     if not names:
         return failure_text

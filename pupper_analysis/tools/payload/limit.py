@@ -2,7 +2,7 @@
 
 `payload_limit` solves the loaded stance for increasing masses, bisects the mass at which the
 stance, the motors and the servos fail, verifies the smallest of these bounds by simulation, and
-returns the smallest bound with its cause. `simulate_payload` simulates one mass.
+returns the smallest bound with the cause. `simulate_payload` simulates a single mass.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def simulate_payload(
 
     Args:
         robot: The robot.
-        stance: The stance; of a stand, its task.
+        stance: The stance; of a stand, the task.
         mass: Mass of the payload [kg].
         point: Place of the payload, as in ``with_payload``.
         kp: Servo stiffness [N m/rad]; the model's own by default.
@@ -88,7 +88,7 @@ def simulate_payload(
         The outcome of the simulations.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        ConfigurationError: If an argument is out of range, or the robot cannot stand.
         ModelError: If the model has no position servos, and kp and kd are not both given; or the
             robot has no such frame.
         StanceUnreachableError: If the loaded stance is out of reach.
@@ -121,9 +121,9 @@ the squared value relative to the smallest static bound is the absolute toleranc
 tuned."""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
-"""Relative tolerances of the bounds of stance, motors and servos. The first one applies to the
-smallest bound, except if the servos set this bound. The second one is relative to the first mass
-that fails. Each bound is the lower end of its bracket. Chosen, not tuned."""
+"""Relative tolerances of the bounds of stance, motors and servos. The first tolerance applies to
+the smallest bound, except if the servos set this bound. The second tolerance is relative to the
+first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
@@ -142,7 +142,7 @@ needs more, or no friction is sufficient, the failure is called tipping. Chosen,
 
 @dataclass(frozen=True, eq=False)
 class Bound(Result):
-    """One bound of a payload.
+    """Bound of a payload.
 
     Attributes:
         mass: Largest mass below the bound [kg]; infinite without a bound, or if the bound is larger
@@ -158,7 +158,7 @@ class Bound(Result):
 
 @dataclass(frozen=True, eq=False)
 class PayloadLimit(Result):
-    """Largest payload of a stance, with its bounds and assumptions.
+    """Largest payload of a stance, with bounds and assumptions.
 
     The values belong to the loaded stand (``solve_loaded_stand``): the mass is welded to the robot,
     the CoM is at the place that the task requires, and the feet penetrate the simulated ground.
@@ -177,7 +177,7 @@ class PayloadLimit(Result):
         motors: Bound of the motors: a larger mass needs more than the torque limit of a motor, with
             the contact forces of smallest tangential component.
         servos: Bound of the servos, for motors without torque limits: with a larger mass a servo
-            command exceeds its range, or a deviation leaves the stand within 12 s. Computed from
+            command exceeds the range, or a deviation leaves the stand within 12 s. Computed from
             the eigenvalues of MuJoCo's step; simulations check the result near the smallest bound.
         simulation: Bound of the simulation: largest mass of which ``VERIFIED_FRACTION`` holds in
             simulation. Infinite if the smallest of the other bounds holds, or is 0 or infinite; 0
@@ -247,7 +247,7 @@ class PayloadLimit(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot carries a known payload: ``mass`` > 0, and its simulations hold.
+        """Whether the robot carries a known payload: ``mass`` > 0, and the simulations hold.
 
         False if the mass is unknown (NaN).
         """
@@ -274,19 +274,19 @@ def payload_limit(
 
     Args:
         robot: The robot.
-        stance: The stance; of a stand, its task. The nominal stand by default.
+        stance: The stance; of a stand, the task. The nominal stand by default.
         point: Place of the mass, as in ``with_payload``.
         kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
 
     Returns:
-        The limit with its bounds and assumptions.
+        The limit with bounds and assumptions.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach without payload.
         StaticsInfeasibleError: If the stance slides or tips without payload.
         NotSettlingError: If the penetration depths of the feet do not converge without payload.
-        ConfigurationError: If an argument is out of its range, or invalid for the robot.
+        ConfigurationError: If an argument is out of range, or invalid for the robot.
         ModelError: If the model has no position servos, and kp and kd are not both given; or the
             robot has no such frame.
     """
@@ -366,7 +366,7 @@ def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
 
 
 FailureCause = tuple[Failure, tuple[str, ...]] | None
-"""Failure with its motors, joints, feet or bodies; None without a failure."""
+"""Failure with the motors, joints, feet or bodies; None without a failure."""
 
 
 def _bisect_simulation_bound(
@@ -458,7 +458,7 @@ class _LoadedStand:
 class _PayloadSearch:
     """Search for the bounds of stance, motors and servos.
 
-    Each ``find_..._failure`` method evaluates one mass [kg].
+    Each ``find_..._failure`` method evaluates a mass [kg].
     """
 
     def __init__(
@@ -525,7 +525,7 @@ class _PayloadSearch:
     def get_loaded_stand(self, mass: float) -> _LoadedStand:
         """Return the loaded stand with a mass [kg].
 
-        Only the last stand is cached: the model of each loaded robot contains its meshes.
+        Only the last stand is cached: the model of each loaded robot contains the robot's meshes.
         """
         if self._last_stand[0] != mass:
             self._last_stand = mass, self._solve_stand(mass)
@@ -549,7 +549,7 @@ class _PayloadSearch:
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def find_stance_failure(self, mass: float) -> FailureCause:
-        """Return the reason why a loaded stand fails without considering its motors.
+        """Return the reason why a loaded stand fails without considering the motors.
 
         There is no stand, or a part other than a foot touches the ground.
         """
@@ -565,13 +565,13 @@ class _PayloadSearch:
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def find_motor_failure(self, mass: float) -> FailureCause:
-        """Return the motors above their torque limits; None without such a motor or a stand."""
+        """Return the motors above the torque limit; None without such a motor or a stand."""
         statics = self.get_loaded_stand(mass).statics
         overloaded = () if statics is None else find_overloaded_motors(statics)
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
-        """Check the servo bound of the spectrum by simulations, and search again if it is wrong.
+        """Check the servo bound of the spectrum by simulations; if it is wrong, search again.
 
         The spectrum is evaluated in milliseconds per mass. The simulations are run just below the
         smallest bound and, if the servos set this bound, just above.
@@ -607,7 +607,7 @@ class _PayloadSearch:
     def find_servo_failure(self, mass: float, *, is_simulated: bool = True) -> FailureCause:
         """Return the reason why servos do not hold a stand; None without a failure or a stand.
 
-        A command is out of its range, or a mode leaves the stand. The motor torques are unlimited:
+        A command is out of range, or a mode leaves the stand. The motor torques are unlimited:
         torque limits belong to the bound of the motors.
 
         Args:

@@ -1,1 +1,1 @@
-"""Read USD files (UsdPhysics), for example those of Isaac Sim, for `audit` and `crosscheck`."""
+"""Read USD files (UsdPhysics), for example files of Isaac Sim, for `audit` and `crosscheck`."""

@@ -27,7 +27,7 @@ from pupper_analysis.models.places import (
 from pupper_analysis.models.xml import LFS_POINTER
 
 MAX_BYTES: Final = 500_000_000
-"""Upper bound of the size of a layer [bytes]; meshes are part of it. Chosen, not tuned."""
+"""Upper bound of the size of a layer [bytes]; meshes are part of the layer. Chosen, not tuned."""
 
 MAX_DEPTH: Final = 500
 """Upper bound of the nesting depth of a text layer: USD's parser overflows its stack with deeper
@@ -42,7 +42,7 @@ class UsdFile:
         path: File.
         stage: `pxr.Usd.Stage`, with all payloads loaded.
         bodies: {name: prim path} of the rigid bodies. The name is the prim's display name or name;
-            if several bodies share it, the path.
+            if several bodies share a name, the path.
         joints: {name: prim path} of the joints, named in the same way.
         notes: Notes on parts that were not read.
     """
@@ -180,7 +180,7 @@ def _name_prims(prims: list[Any]) -> dict[str, str]:
 
 @contextmanager
 def _capture_warnings(pxr: Any) -> Iterator[Any]:
-    """Capture USD's warnings; yield a function that returns them."""
+    """Capture USD's warnings; yield a function that returns the warnings."""
     delegate = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield lambda: [warning.commentary for warning in delegate.TakeUncoalescedDiagnostics()]

@@ -1,7 +1,7 @@
 """Robot model of a USD file: bodies and joints of UsdPhysics as a tree.
 
 Body poses follow from the joint frames, as in engines with reduced coordinates. The transforms of
-the prims are one pose of the robot, at unknown joint positions.
+the prims are a pose of the robot, at unknown joint positions.
 
 Engines derive missing masses from the collision shapes: a body without CoM or inertia takes them
 from its shapes, and a body without any mass property has the density of water. The masses of such
@@ -93,8 +93,8 @@ NUMBER_ATTRIBUTES: Final[Mapping[str, tuple[NumberAttribute, ...]]] = {
     ),
     "spring": (NumberAttribute("mjc:stiffness"),),
 }
-"""{kind, as in `models.attributes`: attributes that state it}. The first stated one is used; for
-the effort the smallest one, since each is a limit."""
+"""{kind, as in `models.attributes`: attributes that state the value}. The first stated attribute is
+used; for the effort the smallest value, since each value is a limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +189,9 @@ def read_edge(
 
 
 def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
-    """Return a joint's kind, its axis, and its limits in the units of the file.
+    """Return kind, axis and limits of a joint in the units of the file.
 
-    Joints of unknown types are free; they are refused when joints are compared.
+    Joints of unknown types are free; such joints are refused when joints are compared.
     """
     kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE)
     if kind not in (HINGE, SLIDE):
@@ -281,7 +281,7 @@ class MassOrigin(StrEnum):
     STATED = "stated"
     """Mass, CoM and inertia are stated."""
     SHAPES = "shapes"
-    """Mass, CoM or inertia is missing: engines derive it from the shapes."""
+    """Mass, CoM or inertia is missing: engines derive the value from the shapes."""
     WATER = "water"
     """No mass or density is stated for at least one shape: engines use the density of water."""
     UNKNOWN = "unknown"
@@ -356,7 +356,7 @@ def _read_positive(prim: Any, name: str) -> float:
 
 
 def _read_vector(prim: Any, name: str) -> Array | None:
-    """Return three finite numbers; None if they are missing (the schema's default is -inf)."""
+    """Return three finite numbers; None if missing (the schema's default is -inf)."""
     value = read_value(prim, name, "vector")
     values = None if value is None else recover_decimals(value)
     return None if values is None or not np.isfinite(values).all() else values
@@ -375,11 +375,11 @@ class UsdModel(RobotModel):
     Attributes:
         file: File.
         edges: {joint: joint data} of all enabled joints.
-        body_masses: {body: mass properties and their origin}.
+        body_masses: {body: mass properties and the origin of these}.
         loops: Joints that close loops, or are excluded from the articulation.
         floating: Whether the base can move.
         mount: Pose of the base in the world, z up [m].
-        gravity: Gravity, shape (3,) [m/s^2], z up; None if the file does not state it.
+        gravity: Gravity, shape (3,) [m/s^2], z up; None if not stated in the file.
     """
 
     file: UsdFile
@@ -391,7 +391,7 @@ class UsdModel(RobotModel):
     gravity: Array | None
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the kind of a joint's number, since its names differ between schemas."""
+        """Return the kind of a joint's number, since names differ between schemas."""
         return attribute.kind, None
 
     @property
@@ -401,7 +401,7 @@ class UsdModel(RobotModel):
 
     @property
     def gains(self) -> dict[str, tuple[float, float]]:
-        """{joint: stiffness and damping of its servo} [N m/rad, N m s/rad; N/m, N s/m for slides].
+        """{joint: stiffness and damping of the servo} [N m/rad, N m s/rad; N/m, N s/m for slides].
 
         Joints without a force drive of positive stiffness are left out.
         """
@@ -627,7 +627,7 @@ class _JointForest:
 
 
 def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
-    """Create a joint in the base frame, from the pose of its parent in the base frame.
+    """Create a joint in the base frame, from the pose of the parent in the base frame.
 
     A joint that is defined from child to parent rotates in the opposite direction.
     """
@@ -793,7 +793,7 @@ def read_axis(prim: Any, name: str, default: str) -> str:
     """Return the axis of an attribute: X, Y or Z.
 
     Raises:
-        ModelError: If the value is none of these.
+        ModelError: If the value is not allowed.
     """
     axis = str(read_value(prim, name, "text") or default)
     if axis not in AXIS_INDICES:
@@ -804,7 +804,7 @@ def read_axis(prim: Any, name: str, default: str) -> str:
 
 
 def recover_decimals(value: Any) -> Array:
-    """Return numbers as they were written: for single-precision numbers the shortest decimal.
+    """Return numbers as written: for single-precision numbers the shortest decimal.
 
     A written 0.18 is stored as 0.18000000715. No other decimal with as few digits has the same
     nearest single-precision number.
@@ -824,7 +824,7 @@ def make_rotation(quaternion: Any) -> Array:
 
 
 def compute_world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
-    """Return the transform of a prim to the world of its stage, in the convention of USD.
+    """Return the transform of a prim to the world of the stage, in the convention of USD.
 
     Raises:
         ModelError: If an operation of the transform has no value.
@@ -867,7 +867,7 @@ def _list_collision_shapes(file: UsdFile, body: Any) -> Iterator[Any]:
 
 
 def list_body_prims(file: UsdFile, body: Any) -> Iterator[Any]:
-    """Yield the prims of a body: the body and its descendants, without other bodies."""
+    """Yield the prims of a body: the body and all descendants, without other bodies."""
     from pxr import Usd
 
     other_bodies = set(file.bodies.values()) - {str(body.GetPath())}

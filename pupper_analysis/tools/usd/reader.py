@@ -190,7 +190,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         return None if found.element is None else found
 
     def weighing(self, body: str) -> Place:
-        """Return the location of a body's mass: its prim in the USD file."""
+        """Return the location of a body's mass: the prim in the USD file."""
         return self.place("body", body)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
@@ -208,7 +208,7 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
     """Read a USD file as an MJCF with the same numbers.
 
     Raises:
-        ModelError: If the file cannot be read, or MuJoCo refuses its numbers.
+        ModelError: If the file cannot be read, or MuJoCo refuses the numbers.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -298,7 +298,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 
 _MAX_RANGE = 1e6
-"""Range limit [rad, m] in place of an infinite one, since MuJoCo requires two limits. Chosen, not
+"""Range limit [rad, m] in place of an infinite limit, since MuJoCo requires two limits. Chosen, not
 tuned."""
 
 
@@ -306,7 +306,7 @@ def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
     """Return the inertials of moving bodies, each merged with the bodies that are fixed to it.
 
     MuJoCo refuses degenerate inertias, for example that of a thin rod, even on a body that is fixed
-    to another one.
+    to another body.
     """
     inertials: dict[str, Inertial] = {}
     for name, link in model.links.items():
@@ -405,7 +405,7 @@ def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Find bodies without any statement of mass; a NOTE if the body is fixed to another one."""
+    """Find bodies without any statement of mass; a NOTE if the body is fixed to another body."""
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.UNKNOWN:
             is_separate = robot.links[name].moving or robot.links[name].parent is None
