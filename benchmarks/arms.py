@@ -37,7 +37,7 @@ from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.posture import held_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.tools.hold.force import force_limits_along, force_polytope
+from pupper_analysis.statics.polytope import force_inequalities, force_limits_along
 from pupper_analysis.tools.hold.hold import Hold, hold_posture
 from pupper_analysis.tools.hold.motions import JointMotions
 
@@ -134,7 +134,8 @@ def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
     rng = np.random.default_rng(2)
     directions = rng.normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found, _ = force_limits_along(*force_polytope(robot, held.posture, held.tool), directions)
+    inequalities = force_inequalities(pa.Configuration(robot, qpos), held.tool)
+    found, _ = force_limits_along(*inequalities, directions)
     off = 0.0
     for way, most in zip(directions, found, strict=True):
         programme = linprog([-1.0], A_ub=(faces @ way)[:, None], b_ub=room, bounds=(0, None))

@@ -169,39 +169,62 @@ def _compute_region(
     stated: tuple[bytes, ...],
     grips: bytes,
 ) -> tuple[Corner, ...]:
+    """Call ``find_extreme_positions`` with arrays as bytes, so that results can be cached."""
+    positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
+    grip_rows, stated_arrays = np.frombuffer(grips).reshape(-1, 4), None
+    if stated:
+        groups, totals = (np.frombuffer(data) for data in stated)
+        stated_arrays = groups.reshape(-1, len(positions)), totals
+    return find_extreme_positions(
+        positions, unit_normals, np.array(friction), stated_arrays, grip_rows
+    )
+
+
+def find_extreme_positions(
+    points: Array,
+    normals: Array,
+    friction: Array,
+    stated: tuple[Array, Array] | None,
+    grips: Array,
+    inequalities: tuple[Array, Array] | None = None,
+) -> tuple[Corner, ...]:
     """Compute extreme CoM positions in `SIDES` directions; empty without equilibrium.
 
-    Arguments are the same as for ``support_corners``, arrays as bytes, so that results can be
-    cached.
+    Args:
+        points: Shape (n, 3) [m]; contact points in the world frame.
+        normals: Shape (n, 3); unit vectors out of the ground.
+        friction: Shape (n,); friction coefficients.
+        stated: As in ``support_corners``.
+        grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
+        inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
+            of ``rows @ f <= upper``, for example torque limits.
     """
-    positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
-    grip_rows, count = np.frombuffer(grips).reshape(-1, 4), len(positions)
-    positions = np.vstack([positions, grip_rows[:, :3]])
+    count = len(points)
+    positions = np.vstack([points, grips[:, :3]])
     moments = cross_matrices(positions).transpose(1, 0, 2).reshape(3, 3 * len(positions))
     # Forces in units of the weight: their sum is (0, 0, 1), their moment about z is zero.
     rows = np.vstack([np.tile(np.eye(3), len(positions)), moments[2:]])
     load = np.array([0.0, 0.0, 1.0, 0.0])
-    no_joints, no_grips = np.zeros((0, 3 * len(positions))), np.zeros(3 * len(grip_rows))
-    if stated:
-        groups, totals = (np.frombuffer(data) for data in stated)
-        stated_rows = (groups.reshape(-1, count)[:, :, None] * unit_normals).reshape(
-            len(totals), -1
-        )
+    no_joints, no_grips = np.zeros((0, 3 * len(positions))), np.zeros(3 * len(grips))
+    if stated is not None:
+        groups, totals = stated
+        stated_rows = (groups.reshape(-1, count)[:, :, None] * normals).reshape(len(totals), -1)
         stated_rows = np.hstack([stated_rows, np.tile(no_grips, (len(totals), 1))])
         rows = np.vstack([rows, stated_rows])
         load = np.concatenate([load, totals])
-    problem = Balance(rows, load, no_joints, np.zeros(0), unit_normals, grip_rows[:, 3])
-    total_normal = np.concatenate([unit_normals.ravel(), no_grips])[None]
+    problem = Balance(rows, load, no_joints, np.zeros(0), normals, grips[:, 3])
+    bounded = np.concatenate([normals.ravel(), no_grips])[None]
     limit = np.array([_MAX_TOTAL_NORMAL_FORCE])
+    if inequalities is not None:
+        bounded = np.vstack([bounded, inequalities[0]])
+        limit = np.concatenate([limit, inequalities[1]])
     forces_to_com = np.vstack(
         [-moments[1], moments[0]]
     )  # com x e_z equals the moment of the forces
     corners = []
     for angle in 2 * math.pi / SIDES * np.arange(SIDES):
         direction = np.array([math.cos(angle), math.sin(angle)])
-        forces = problem.maximize(
-            direction @ forces_to_com, np.array(friction), total_normal, limit
-        )
+        forces = problem.maximize(direction @ forces_to_com, friction, bounded, limit)
         if forces is None:
             return ()
         x, y = (forces_to_com @ forces).tolist()

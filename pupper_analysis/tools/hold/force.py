@@ -2,9 +2,9 @@
 
 With the static load l, the Jacobian J (3, nu) of the tool and the effort limits, an external force
 f on the tool is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to the
-motors. These forces form a convex polytope. Each face is the limit of a single motor:
-`force_polytope` returns its inequalities, and `tool_force` the extent along the world axes, in
-three plane sections, and in the weakest direction.
+motors. These forces form a convex polytope (`statics.polytope`). Each face is the limit of a
+single motor. `tool_force` returns the extent along the world axes, in three plane sections, and in
+the weakest direction.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.posture import Posture
+from pupper_analysis.statics.polytope import (
+    MIN_LEVER_ARM,
+    force_inequalities,
+    force_limits_along,
+)
 
 Array = NDArray[np.float64]
 
 _NUM_SECTION_DIRECTIONS = 72
 """Number of directions in a section of the polytope, every 5 degrees. Chosen, not tuned."""
-
-_MIN_LEVER_ARM = 1e-9
-"""Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
-motor does not bear the force (rounding)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
         posture: Posture of the robot.
         tool: Point of application of the force.
     """
-    rows, room = force_polytope(robot, posture, tool)
+    rows, room = force_inequalities(Configuration(robot, posture.qpos), tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
     forces, limiting = force_limits_along(rows, room, directions)
     angles = 2 * np.pi * np.arange(_NUM_SECTION_DIRECTIONS) / _NUM_SECTION_DIRECTIONS
@@ -112,54 +113,6 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     )
 
 
-def force_limits_along(
-    rows: Array, room: Array, directions: Array
-) -> tuple[Array, NDArray[np.int64]]:
-    """Compute the extent of a force polytope in given directions.
-
-    Args:
-        rows: Left-hand sides, shape (2 nu, 3) [m, 1]; see `force_polytope`.
-        room: Right-hand sides, shape (2 nu,) [N m, N].
-        directions: Unit vectors, shape (n, 3).
-
-    Returns:
-        Largest forces, shape (n,) [N]: infinite if no motor bears the force, NaN if a motor that
-        bears the force has an unknown limit, 0 if an element of ``room`` is negative; and indices
-        (n,) of the joints that reach the effort limit first, -1 if the force is not finite.
-    """
-    along = directions @ rows.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(along > _MIN_LEVER_ARM, room / along, np.inf)
-    if room.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
-        ends[:, room < 0] = 0.0
-    nearest = ends.argmin(axis=1)
-    forces = ends[np.arange(len(ends)), nearest]
-    forces[(np.abs(along[:, np.isinf(room)]) > _MIN_LEVER_ARM).any(axis=1)] = (
-        np.nan
-    )  # a limit is unknown
-    return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
-
-
-def force_polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
-    """Return the inequalities ``rows @ f <= room`` of the forces on a tool that are withstood.
-
-    Args:
-        robot: Robot with a fixed base.
-        posture: Posture of the robot.
-        tool: Point of application of the force.
-
-    Returns:
-        Rows, shape (2 nu, 3) [m, or 1 for a slide], and room, shape (2 nu,) [N m, N]: distance of
-        the static load from the lower effort limits of all motors, then from the upper limits.
-        The force f is expressed in world axes [N].
-    """
-    config, limits = Configuration(robot, posture.qpos), robot.effort_limits
-    load = config.by_motors(config.load())
-    rows = config.by_motors(tool.jacobian(config).T)
-    room = np.concatenate([limits + load, limits - load])
-    return np.concatenate([rows, -rows]), room
-
-
 def _find_weakest_direction(rows: Array, room: Array) -> tuple[float, Array, int]:
     """Find the smallest force with a motor at the effort limit.
 
@@ -170,11 +123,9 @@ def _find_weakest_direction(rows: Array, room: Array) -> tuple[float, Array, int
     if room.min() < 0:
         return 0.0, np.zeros(3), int(room.argmin()) % (len(rows) // 2)
     lengths = np.linalg.norm(rows, axis=1)
-    if (lengths[np.isinf(room)] > _MIN_LEVER_ARM).any():  # a limit is unknown
+    if (lengths[np.isinf(room)] > MIN_LEVER_ARM).any():  # a limit is unknown
         return float("nan"), np.zeros(3), -1
-    distances = np.where(
-        lengths > _MIN_LEVER_ARM, room / np.maximum(lengths, _MIN_LEVER_ARM), np.inf
-    )
+    distances = np.where(lengths > MIN_LEVER_ARM, room / np.maximum(lengths, MIN_LEVER_ARM), np.inf)
     nearest = int(distances.argmin())
     if not np.isfinite(distances[nearest]):
         return float("inf"), np.zeros(3), -1

@@ -18,7 +18,8 @@ from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.posture import Posture, find_posture, held_stand, joint_ranges
 from pupper_analysis.statics.equilibrium import borne_by_motors
-from pupper_analysis.tools.hold.force import force_limits_along, force_polytope, tool_force
+from pupper_analysis.statics.polytope import force_inequalities, force_limits_along
+from pupper_analysis.tools.hold.force import tool_force
 from pupper_analysis.tools.hold.hold import posture_payload, servo_payload, tool_payload
 from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support import arm as by_hand
@@ -185,7 +186,7 @@ def test_forces_at_the_tool_are_the_polytopes() -> None:
     random = np.random.default_rng(3)
     directions = random.normal(size=(40, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found, _ = force_limits_along(*force_polytope(robot, posture, tool), directions)
+    found, _ = force_limits_along(*force_inequalities(config, tool), directions)
     for way, most in zip(directions, found, strict=True):
         programme = optimize.linprog([-1.0], A_ub=faces @ way[:, None], b_ub=room)
         assert most == pytest.approx(programme.x[0], rel=1e-6)

@@ -1,0 +1,275 @@
+"""Force polytope: external forces on a point of a robot that its motors withstand.
+
+With the static load l, the Jacobian J (3, nu) of the point and the effort limits, an external force
+f on the point is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to
+the motors. The base is held. These forces form a convex polytope, with one pair of parallel faces
+per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force ellipsoid for
+redundant manipulators").
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments, real_array
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Tabular
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.tool import Place, Tool, find_place, find_tool
+
+Array = NDArray[np.float64]
+
+MIN_LEVER_ARM = 1e-9
+"""Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
+motor does not bear the force (rounding)."""
+
+_PARALLEL_TOLERANCE = 1e-9
+"""Smallest triple product of unit normals of three faces that meet in one vertex, and smallest
+singular value of all unit normals with which the polytope is bounded. Rounding is 1e-16; chosen,
+not tuned."""
+
+_VERTEX_RTOL = 1e-9
+"""Distance up to which a vertex may be outside of a face, or two vertices are equal, relative to
+the largest coordinate of a vertex. Chosen, not tuned."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForcePolytope(Tabular):
+    """External forces on a point of a robot that its motors withstand while the base is held.
+
+    A force f on the point is withstood if |l - J^T f| <= limits, with l the static load of the
+    motors. The robot pushes with -f against its environment.
+
+    Attributes:
+        point: Position of the point in the world, shape (3,) (m).
+        joints: Joints of the n motors that move the point.
+        rows: Rows of J^T in world axes, shape (n, 3) (m or 1).
+        load: Static load of the motors, shape (n,) (N m or N).
+        limits: Effort limits of the motors, shape (n,) (N m or N); infinite if no file states the
+            limit.
+        vertices: Vertices of the polytope in world axes, shape (k, 3) (N). Empty if no force keeps
+            all motors within their limits. None if the polytope is unbounded, because no motor
+            bears the force in some direction (fewer than three motors, or a straight limb), or if
+            a limit is unknown.
+    """
+
+    point: Array = field(metadata={"unit": "m"})
+    joints: tuple[str, ...]
+    rows: Array = field(metadata={"unit": "m or 1"})
+    load: Array = field(metadata={"unit": "N m or N"})
+    limits: Array = field(metadata={"unit": "N m or N"})
+    vertices: Array | None = field(metadata={"unit": "N"})
+
+    def largest_force(self, direction: ArrayLike) -> float:
+        """Return the largest external force [N] along a direction.
+
+        Infinite if no motor bears the force; NaN if a motor that bears the force has an unknown
+        limit; 0 if the static load alone exceeds the limit of a motor.
+
+        Args:
+            direction: Direction (3,) of the force, in world axes; normalised here.
+
+        Raises:
+            ConfigurationError: If the direction is not a vector of finite numbers, or is zero.
+        """
+        return self._limit_along(direction)[0]
+
+    def largest_push(self, direction: ArrayLike) -> float:
+        """Return the largest straight push [N] of the robot against its environment.
+
+        The push has no component across the direction: it is minus the external force, so the
+        result is ``largest_force`` against the direction.
+
+        Args:
+            direction: Direction (3,) of the push, in world axes; normalised here.
+
+        Raises:
+            ConfigurationError: If the direction is not a vector of finite numbers, or is zero.
+        """
+        return self.largest_force(-real_array("direction", direction))
+
+    def limiting_joint(self, direction: ArrayLike) -> str | None:
+        """Return the joint of the motor that limits ``largest_force``; None if none does.
+
+        Args:
+            direction: Direction (3,) of the external force, in world axes.
+
+        Raises:
+            ConfigurationError: If the direction is not a vector of finite numbers, or is zero.
+        """
+        index = self._limit_along(direction)[1]
+        return self.joints[index] if index >= 0 else None
+
+    def _limit_along(self, direction: ArrayLike) -> tuple[float, int]:
+        """Return the largest force [N] along a direction, and the index of the limiting motor."""
+        vector = real_array("direction", direction)
+        if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+            problem = diagnose("direction-not-a-vector", given=repr(direction))
+            raise ConfigurationError("direction", problem)
+        if not self.joints:
+            return float("inf"), -1
+        unit = vector / np.linalg.norm(vector)
+        forces, limiting = force_limits_along(*self._inequalities(), unit[None])
+        return float(forces[0]), int(limiting[0])
+
+    def _inequalities(self) -> tuple[Array, Array]:
+        room = np.concatenate([self.limits + self.load, self.limits - self.load])
+        return np.concatenate([self.rows, -self.rows]), room
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
+        return dict(zip(("x", "y", "z"), vertices.T, strict=True))
+
+
+@check_arguments
+def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
+    """Compute the external forces on a foot, hand or other point that the motors withstand.
+
+    The base is held, and gravity and springs act. For the largest straight push of a foot:
+    ``force_polytope(config, "FR").largest_push([0, 0, -1])``.
+
+    Args:
+        config: State of the robot; the velocity is ignored.
+        point: Contact point (the lowest point of its sphere), foot (the mean of its contact
+            points), link, site, body or geom; or a place as in ``with_payload``.
+
+    Raises:
+        UnknownNameError: If the robot has no such frame.
+        ConfigurationError: If the place is not valid.
+    """
+    robot = config.robot
+    tool = _find_point(config, point)
+    first = robot.nv - robot.nu
+    load = config.by_motors(config.load())[first:]
+    rows = config.by_motors(tool.jacobian(config).T)[first:]
+    bearing = np.linalg.norm(rows, axis=1) > MIN_LEVER_ARM
+    moving = np.array([name in tool.chain for name in robot.joint_names])
+    if robot.closure is not None:
+        moving[robot.closure.following] = False  # dependent joints have no motor of their own
+    kept = np.flatnonzero(bearing | moving)
+    limits = robot.effort_limits[kept]
+    vertices = None
+    if np.isfinite(limits).all():
+        room = np.concatenate([limits + load[kept], limits - load[kept]])
+        vertices = find_vertices(rows[kept], room)
+    return ForcePolytope(
+        point=tool.position(config),
+        joints=tuple(robot.joint_names[index] for index in kept),
+        rows=rows[kept],
+        load=load[kept],
+        limits=np.array(limits),
+        vertices=vertices,
+    )
+
+
+def _find_point(config: Configuration, point: str | Place) -> Tool:
+    """Return a contact point, the mean of the contact points of a foot, or a place, as a tool."""
+    robot = config.robot
+    if not isinstance(point, str):
+        return find_place(robot, point)
+    points = robot.feet.get(point, (point,))
+    if not all(name in robot.contact_frames for name in points):
+        return find_tool(robot, point)
+    tool = find_tool(robot, robot.contact_frames[points[0]])
+    places = config.contact_points(points)
+    gap = np.mean(list(places.values()), axis=0) - tool.position(config)
+    return tool.moved(config.frame_rotation(tool.link).T @ gap)
+
+
+def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]:
+    """Return the inequalities ``rows @ f <= room`` of the forces on a tool that are withstood.
+
+    Args:
+        config: State of a robot with a fixed base.
+        tool: Point of application of the force.
+
+    Returns:
+        Rows, shape (2 nu, 3) [m, or 1 for a slide], and room, shape (2 nu,) [N m, N]: distance of
+        the static load from the lower effort limits of all motors, then from the upper limits.
+        The force f is expressed in world axes [N].
+    """
+    limits = config.robot.effort_limits
+    load = config.by_motors(config.load())
+    rows = config.by_motors(tool.jacobian(config).T)
+    room = np.concatenate([limits + load, limits - load])
+    return np.concatenate([rows, -rows]), room
+
+
+def force_limits_along(
+    rows: Array, room: Array, directions: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """Compute the extent of a force polytope in given directions.
+
+    Args:
+        rows: Left-hand sides, shape (2 n, 3) [m, 1]; see `force_inequalities`.
+        room: Right-hand sides, shape (2 n,) [N m, N].
+        directions: Unit vectors, shape (k, 3).
+
+    Returns:
+        Largest forces, shape (k,) [N]: infinite if no motor bears the force, NaN if a motor that
+        bears the force has an unknown limit, 0 if an element of ``room`` is negative; and indices
+        (k,) of the motors that reach the effort limit first, -1 if the force is not finite.
+    """
+    along = directions @ rows.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.where(along > MIN_LEVER_ARM, room / along, np.inf)
+    if room.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
+        ends[:, room < 0] = 0.0
+    nearest = ends.argmin(axis=1)
+    forces = ends[np.arange(len(ends)), nearest]
+    forces[(np.abs(along[:, np.isinf(room)]) > MIN_LEVER_ARM).any(axis=1)] = (
+        np.nan
+    )  # a limit is unknown
+    return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
+
+
+def find_vertices(rows: Array, room: Array) -> Array | None:
+    """Return the vertices of the polytope -room[n:] <= rows @ f <= room[:n].
+
+    Each vertex is the common point of three faces. All triples are solved, because a polytope
+    without volume (a motor with a limit of zero) has no interior point, which Qhull requires.
+
+    Args:
+        rows: Shape (n, 3).
+        room: Shape (2 n,), finite: upper bounds of ``rows @ f``, then of ``-rows @ f``.
+
+    Returns:
+        Shape (k, 3), k = 0 if the inequalities contradict each other. None if the polytope is
+        unbounded.
+    """
+    lengths = np.linalg.norm(rows, axis=1)
+    bearing = lengths > MIN_LEVER_ARM
+    count = len(rows)
+    if (room[:count][~bearing] < 0).any() or (room[count:][~bearing] < 0).any():
+        return np.zeros((0, 3))
+    normals = rows[bearing] / lengths[bearing, None]
+    if len(normals) < 3 or np.linalg.svd(normals, compute_uv=False)[2] < _PARALLEL_TOLERANCE:
+        return None
+    upper = room[:count][bearing] / lengths[bearing]
+    lower = -room[count:][bearing] / lengths[bearing]
+    triples = np.array(list(itertools.combinations(range(len(normals)), 3)))
+    meeting = np.abs(np.linalg.det(normals[triples])) > _PARALLEL_TOLERANCE
+    triples = triples[meeting]
+    sides = np.array(list(itertools.product((0, 1), repeat=3)))
+    ends = np.stack([lower, upper])[sides[:, None], triples]  # (8, triples, 3)
+    points = np.linalg.solve(normals[triples], ends[..., None])[..., 0].reshape(-1, 3)
+    tolerance = _VERTEX_RTOL * np.maximum(1.0, np.abs(points).max(axis=1, initial=0.0))
+    along = points @ normals.T
+    inside = along <= upper + tolerance[:, None]
+    inside &= along >= lower - tolerance[:, None]
+    return _merge_equal_points(points[inside.all(axis=1)])
+
+
+def _merge_equal_points(points: Array) -> Array:
+    """Return points (n, 3) without those that are equal to an earlier point."""
+    tolerance = _VERTEX_RTOL * max(1.0, float(np.abs(points).max(initial=0.0)))
+    kept: list[Array] = []
+    for point in points:
+        if not kept or np.abs(np.array(kept) - point).max(axis=1).min() > tolerance:
+            kept.append(point)
+    return np.array(kept).reshape(-1, 3)

@@ -1,0 +1,168 @@
+"""Support region: horizontal CoM positions for which friction and motors permit equilibrium.
+
+Bretl and Lall 2008, "Testing static equilibrium for legged robots", define the region with
+friction. Torque limits are added as in Orsolino et al. 2020, "Feasible region: an actuation-aware
+extension of the support region".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Tabular
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.statics.contacts import Contacts, make_contacts
+from pupper_analysis.statics.support_polygon import (
+    find_extreme_positions,
+    margin_of_place,
+    support_corners,
+)
+
+Array = NDArray[np.float64]
+
+_MIN_DEPTH = 1e-7
+"""Smallest distance [m] of a corner from the line between its neighbours. The cone program returns
+any point of a side that is perpendicular to its direction, and is accurate to about 1e-8 m."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportRegion(Tabular):
+    """Horizontal CoM positions for which contact forces in equilibrium exist.
+
+    Attributes:
+        corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). Two
+            corners for a line, none if no CoM position permits equilibrium.
+        area: Area of the region (m^2).
+        center_of_mass: Horizontal position of the CoM in the world, shape (2,) (m).
+        com_margin: Distance from the CoM to the edge of the region (m): positive inside, negative
+            outside, minus infinity for a region without corners.
+        torque_limits: Whether the motors also keep within their effort limits.
+    """
+
+    corners: Array = field(metadata={"unit": "m"})
+    area: float = field(metadata={"unit": "m^2"})
+    center_of_mass: Array = field(metadata={"unit": "m"})
+    com_margin: float = field(metadata={"unit": "m"})
+    torque_limits: bool
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        return dict(zip(("x", "y"), self.corners.T, strict=True))
+
+
+@check_arguments
+def support_region(
+    config: Configuration,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
+    torque_limits: bool = True,
+) -> SupportRegion:
+    """Compute the horizontal CoM positions for which the contacts can carry the robot.
+
+    The joints and the weight are those of the configuration, and the CoM moves as if mass moved
+    inside the base: the load of the joints behind the base is unchanged. A CoM position belongs to
+    the region if contact forces f in the friction cones exist with sum f = m g e_z and
+    sum p x f = m g com x e_z, and with |l - J^T f| <= limits if ``torque_limits`` is True.
+
+    On level ground without torque limits, the region is the convex hull of the contact points.
+    Otherwise it is the convex hull of its extreme points in 48 directions, which lies inside.
+
+    Args:
+        config: State of the robot. The velocity is ignored.
+        contacts: Contact points that carry load. Default: all.
+        friction: As in ``gravity_compensation``.
+        normals: As in ``gravity_compensation``.
+        depths: As in ``gravity_compensation``.
+        torque_limits: Whether effort limits restrict the region.
+
+    Raises:
+        UnknownNameError: If a contact point is unknown.
+        ConfigurationError: As in ``gravity_compensation``; if the base is fixed, there are no
+            contacts, a part is welded or grips; or, with ``torque_limits``, if no file states the
+            effort limit of a joint.
+    """
+    robot = config.robot
+    robot.check_floating()
+    robot.check_not_welded("the support region")
+    carrying = make_contacts(robot, contacts, friction, normals, depths)
+    if not carrying.feet:
+        raise ConfigurationError("contacts", diagnose("region-without-contacts"))
+    points = carrying.points(config)
+    is_level = carrying.level and carrying.stated is None
+    if is_level and not torque_limits:
+        found = support_corners(points, carrying.normals, ())
+    else:
+        inequalities = _limit_torques(config, carrying) if torque_limits else None
+        found = find_extreme_positions(
+            points,
+            carrying.normals,
+            carrying.friction,
+            carrying.stated,
+            np.zeros((0, 4)),
+            inequalities,
+        )
+    com = config.center_of_mass()[:2]
+    corners = _make_polygon(found)
+    x, y = np.vstack([corners, corners[:1]]).T
+    return SupportRegion(
+        corners=corners,
+        area=float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2,
+        center_of_mass=com,
+        com_margin=margin_of_place((float(com[0]), float(com[1])), found) if found else -np.inf,
+        torque_limits=torque_limits,
+    )
+
+
+def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
+    """Return torque limits as rows and upper bounds of forces in units of the weight.
+
+    Raises:
+        ConfigurationError: If no file states the effort limit of a joint.
+    """
+    robot = config.robot
+    limits, first = robot.effort_limits, robot.nv - robot.nu
+    motors = np.ones(robot.nu, dtype=bool)
+    if robot.closure is not None:
+        motors[robot.closure.following] = False  # dependent joints have no motor of their own
+    unknown = [robot.joint_names[index] for index in np.flatnonzero(motors & np.isinf(limits))]
+    if unknown:
+        raise ConfigurationError("torque_limits", diagnose("region-limits-unknown", joints=unknown))
+    load = config.by_motors(config.load())[first:][motors]
+    rows = robot.weight * config.by_motors(carrying.jacobian(config))[first:][motors]
+    kept = limits[motors]
+    upper = np.concatenate([kept + load, kept - load])
+    # In units of the limits, so that all rows have the same size.
+    scale = np.tile(np.where(kept > 0, kept, 1.0), 2)
+    return np.concatenate([rows, -rows]) / scale[:, None], upper / scale
+
+
+def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
+    """Return the corners of the convex hull of positions, counter-clockwise, shape (n, 2)."""
+    import shapely  # slow to import
+
+    hull = shapely.MultiPoint(list(positions)).convex_hull
+    if hull.is_empty:
+        return np.zeros((0, 2))
+    if hull.geom_type != "Polygon":
+        return np.array(hull.coords)
+    ring = shapely.get_coordinates(shapely.geometry.polygon.orient(hull).exterior)[:-1]
+    corners = list(ring)
+    index = 0
+    while index < len(corners) and len(corners) > 3:
+        previous, following = corners[index - 1], corners[(index + 1) % len(corners)]
+        if shapely.Point(corners[index]).distance(shapely.LineString([previous, following])) > (
+            _MIN_DEPTH
+        ):
+            index += 1
+        else:
+            del corners[index]
+    return np.array(corners)

@@ -1,0 +1,143 @@
+"""Force polytopes against MuJoCo's statics, SciPy's half-space intersection and linear programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import optimize, spatial
+
+import pupper_analysis as pa
+from pupper_analysis.statics.polytope import find_vertices
+from tests.support.engines import addresses, mujoco_at, with_efforts
+from tests.support.legged import biped
+from tests.support.states import random_state
+from tests.support.variants import load, stand_of
+
+
+def mujoco_torques(config: pa.Configuration, foot: str, force: np.ndarray) -> dict[str, float]:
+    """Motor torques (N m) under gravity and an external force on the lowest point of a foot."""
+    robot, model = config.robot, config.robot.mj_model
+    data = mujoco_at(robot, config.qpos)
+    body, _ = robot.contact_places[foot]
+    rows = np.zeros((3, model.nv))
+    mujoco.mj_jac(model, data, rows, None, config.contact_points()[foot], body)
+    torques = (data.qfrc_bias - data.qfrc_passive - rows.T @ force)[addresses(robot)[1]]
+    return dict(zip(robot.joint_names, torques[robot.nv - robot.nu :], strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "original", "long-leg"])
+def test_vertices_load_three_motors_to_their_limits_in_mujoco(name: str) -> None:
+    robot = load(name)
+    limits = dict(zip(robot.joint_names, robot.effort_limits, strict=True))
+    for seed in range(5):
+        config = pa.Configuration(robot, random_state(robot, seed)[0])
+        foot = robot.contact_points[seed % 4]
+        polytope = pa.statics.force_polytope(config, foot)
+        assert polytope.vertices is not None
+        assert len(polytope.vertices) == 8
+        np.testing.assert_allclose(polytope.point, config.contact_points()[foot], atol=1e-12)
+        for vertex in polytope.vertices:
+            torques = mujoco_torques(config, foot, vertex)
+            shares = [abs(torques[joint]) / limits[joint] for joint in polytope.joints]
+            np.testing.assert_allclose(shares, 1.0, rtol=1e-9)
+
+
+def test_largest_push_is_the_first_limit_in_mujoco() -> None:
+    """The push grows until the torque of one motor of the leg, as MuJoCo computes it, is 100 %."""
+    robot = load("v3")
+    config = pa.Configuration(robot, stand_of("v3").qpos)
+    for direction in np.random.default_rng(0).normal(size=(10, 3)):
+        unit = direction / np.linalg.norm(direction)
+        polytope = pa.statics.force_polytope(config, "FR")
+        push = polytope.largest_push(direction)
+        torques = mujoco_torques(config, "FR", -push * unit)
+        shares = {
+            joint: abs(torques[joint]) / limit
+            for joint, limit in zip(polytope.joints, polytope.limits, strict=True)
+        }
+        assert max(shares.values()) == pytest.approx(1.0, rel=1e-9)
+        assert max(shares, key=lambda joint: shares[joint]) == polytope.limiting_joint(-unit)
+
+
+@pytest.mark.slow
+def test_vertices_equal_the_intersection_of_half_spaces() -> None:
+    """Redundant limbs with random faces: SciPy's Qhull, and a linear program per direction."""
+    random = np.random.default_rng(1)
+    for count in (3, 4, 7):
+        for _ in range(10):
+            rows, room = random.normal(size=(count, 3)), random.uniform(0.5, 5.0, 2 * count)
+            faces = np.concatenate([rows, -rows])
+            mine = find_vertices(rows, room)
+            assert mine is not None
+            halves = np.column_stack([faces, -room])
+            theirs = spatial.HalfspaceIntersection(halves, np.zeros(3)).intersections
+            mine_hull, their_hull = spatial.ConvexHull(mine), spatial.ConvexHull(theirs)
+            assert mine_hull.volume == pytest.approx(their_hull.volume, rel=1e-9)
+            assert len(mine) == len(np.unique(theirs.round(8), axis=0))
+            direction = random.normal(size=3)
+            bounds = [(None, None)] * 3
+            best = optimize.linprog(-direction, A_ub=faces, b_ub=room, bounds=bounds)
+            assert (mine @ direction).max() == pytest.approx(-best.fun, rel=1e-9)
+
+
+def test_motor_without_torque_makes_the_polytope_flat() -> None:
+    rows, room = np.eye(3), np.array([1.0, 2.0, 0.0, 1.0, 2.0, 0.0])
+    vertices = find_vertices(rows, room)
+    expected = [(x, y, 0) for x in (-1, 1) for y in (-2, 2)]
+    assert vertices is not None
+    np.testing.assert_allclose(sorted(vertices.tolist()), sorted(expected), atol=1e-15)
+
+
+def test_contradicting_and_unbounded_inequalities_have_no_vertices() -> None:
+    empty = find_vertices(
+        np.vstack([np.eye(3), np.eye(3)[:1]]), np.array([1, 1, 1, -3, 1, 1, 1, 4])
+    )
+    assert empty is not None
+    assert len(empty) == 0
+    assert find_vertices(np.eye(3)[:2], np.ones(4)) is None  # two motors
+    assert find_vertices(np.array([[1, 0, 0], [0, 1, 0], [1, 1, 1e-12]]), np.ones(6)) is None
+
+
+def test_sole_is_pushed_at_the_mean_of_its_contact_points(tmp_path: Path) -> None:
+    pair = biped(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
+    config = pa.Configuration(robot, robot.home)
+    foot = next(iter(robot.feet))
+    points = config.contact_points(robot.feet[foot])
+    assert len(points) == 4
+    polytope = pa.statics.force_polytope(config, foot)
+    np.testing.assert_allclose(polytope.point, np.mean(list(points.values()), axis=0), atol=1e-12)
+
+
+def test_unknown_limit_leaves_the_force_unknown() -> None:
+    unlimited = with_efforts(load("v3"), np.inf)
+    free = pa.statics.force_polytope(pa.Configuration(unlimited, stand_of("v3").qpos), "FR")
+    assert free.vertices is None
+    assert np.isnan(free.largest_push([0, 0, -1]))
+    assert free.limiting_joint([0, 0, 1]) is None
+
+
+def test_links_and_places_of_the_base_are_points_too() -> None:
+    robot = load("v3")
+    config = pa.Configuration(robot, stand_of("v3").qpos)
+    frame = robot.contact_frames["FR"]
+    at_link = pa.statics.force_polytope(config, frame)
+    np.testing.assert_allclose(at_link.point, config.frame_position(frame), atol=1e-12)
+    at_base = pa.statics.force_polytope(config, (0.0, 0.0, 0.1))
+    assert at_base.joints == ()
+    assert at_base.vertices is None  # the held base bears all forces
+    assert at_base.largest_push([1, 0, 0]) == np.inf
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 0], [1, 2], [0, 0, np.nan]])
+def test_direction_that_is_none_is_refused(direction: list[float]) -> None:
+    config = pa.Configuration(load("v3"), stand_of("v3").qpos)
+    polytope = pa.statics.force_polytope(config, "FR")
+    with pytest.raises(pa.ConfigurationError, match="direction"):
+        polytope.largest_push(direction)
+    with pytest.raises(pa.UnknownNameError):
+        pa.statics.force_polytope(config, "tail")
