@@ -182,10 +182,39 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
         model = pin.buildModelFromXML(to_text(tree.root), *base)
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
+    _correct_inertias(model, tree)
     for name in ("effortLimit", "velocityLimit"):
         limits = np.array(getattr(model, name))
         setattr(model, name, np.where(limits >= UNSTATED, np.inf, limits))
     return model
+
+
+def _correct_inertias(model: pin.Model, tree: UrdfTree) -> None:
+    """Recompute the inertias of a Pinocchio model in place if a link has a negative mass.
+
+    Pinocchio's sum of two inertias divides by the larger of their total mass and 5e-32 kg. For a
+    total mass of -1 kg, the CoM is then 1e30 m away.
+    """
+    inertias = {name: link.inertia for name, link in tree.links.items()}
+    if all(inertia is None or inertia.mass >= 0 for inertia in inertias.values()):
+        return
+    totals = np.zeros((model.njoints, _NUM_INERTIAL_PARAMETERS))
+    for name, inertia in inertias.items():
+        if inertia is not None:
+            frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+            moved = frame.placement.act(inertia)
+            totals[frame.parentJoint] += moved.toDynamicParameters()
+    for joint, (mass, *rest) in enumerate(totals.tolist()):
+        moment, (xx, xy, yy, xz, yz, zz) = np.array(rest[:3]), rest[3:]
+        com = moment / mass if mass else np.zeros(3)
+        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        steiner = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
+        model.inertias[joint] = make_inertia(mass, com, about_origin - steiner)
+
+
+_NUM_INERTIAL_PARAMETERS = 10
+"""Number of inertial parameters of a body, which add up for bodies that are fixed to each other:
+mass, mass times CoM (3), inertia about the origin (6)."""
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:

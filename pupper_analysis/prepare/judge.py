@@ -194,16 +194,27 @@ verdict depends on the assumptions in the notes."""
 
 
 def describe_given_masses(robot: Robot) -> Diagnostic | None:
-    """Describe the moving links whose mass is absent or zero in the URDF; None without any.
+    """Describe the links whose mass in the URDF is absent, zero or negative; None without any.
 
-    These masses are simulated with 1 g. MuJoCo refuses the URDF.
+    Moving links without a positive mass are simulated with 1 g; MuJoCo refuses the URDF. The
+    negative mass of a link that is fixed to another link is subtracted from the mass of the other
+    link; MuJoCo's import ignores the negative mass.
     """
     given = [
         note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
     ]
-    if not given:
+    moved = (note for note in robot.notes if note.code == "inertia-moved" and note.subject)
+    negative = [
+        note.subject.name
+        for note in moved
+        if note.subject and isinstance(mass := note.values["mass"], Quantity) and mass.value < 0
+    ]
+    if not given and not negative:
         return None
-    return diagnose("link-masses-unknown", links=given, count=len(given))
+    both = bool(given and negative)
+    return diagnose(
+        "link-masses-unknown", links=given, count=len(given), both=both, negative=negative
+    )
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:

@@ -294,7 +294,7 @@ class _Search:
         """Minimise the foot error, then solve as in `solve_program`: slower, more robust."""
         if not self.goal.com_is_free or self.reached:
             return None
-        closest = find_nearest(self.context, self.goal, qpos)
+        closest = find_nearest(self.context, self.goal, qpos, self.iterations)
         self.misses.append(closest.foot_error)
         if self.closest is None or closest.foot_error < self.closest.foot_error:
             self.closest = closest
@@ -370,15 +370,15 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     yield np.where(bounded, middle, 0.0)
 
 
-def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
+def find_nearest(context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0) -> Stand:
     """Minimise the distance of the feet from the targets, for an unreachable goal.
 
     The minimum is searched with the nonlinear program from the configuration ``qpos``, shape (nq,).
     Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors vanish, and end before
-    this minimum.
+    this minimum. ``iterations`` is the number of QPs so far.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
-    return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
+    return evaluate_stand(context.shapes, goal, feet.nearest(qpos), iterations)
 
 
 def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
@@ -401,7 +401,7 @@ def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stan
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
-    closest = find_nearest(context, goal, stand.qpos)
+    closest = find_nearest(context, goal, stand.qpos, stand.iterations)
     at = replace(goal, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
     point = SolverResult(closest.qpos, closest.foot_error, stand.iterations)
     at = relax_foot_orientation(robot, at, point)

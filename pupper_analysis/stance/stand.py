@@ -88,7 +88,7 @@ def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
-        closest = find_nearest(context, goal, stand.qpos)
+        closest = find_nearest(context, goal, stand.qpos, stand.iterations)
         stand = min(stand, closest, key=lambda failure: failure.foot_error)
     raise explain_refusal(context, goal, stand, explain=explain)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 
 # Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
 # joint, a reference angle, a static child, a rotated inertia.
@@ -68,3 +70,34 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
         mass = pin.crba(converted, pin_data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         np.testing.assert_allclose(mass[6:, 6:], full[6:, 6:], rtol=1e-11, atol=1e-14)
+
+
+def test_negative_masses_of_a_urdf_add_up_exactly() -> None:
+    """Reference: closed form, with a link of 0.5 kg and links of -0.75 kg and 0.1 kg fixed to it.
+
+    Pinocchio's own sum divides by 5e-32 kg if the total mass is negative.
+    """
+    inertia = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+
+    def link(name: str, mass: float, z: float) -> str:
+        inertial = f'<origin xyz="0 0 {z}"/><mass value="{mass}"/>{inertia}'
+        return f'<link name="{name}"><inertial>{inertial}</inertial></link>'
+
+    def joint(name: str, kind: str, parent: str, child: str, z: float) -> str:
+        ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/>'
+        limit = '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'
+
+    links = link("base", 1, 0) + link("arm", 0.5, 0.1) + link("tip", -0.75, 0.2)
+    joints = joint("turn", "revolute", "base", "arm", 0.3) + joint("a", "fixed", "arm", "tip", 0.1)
+    more = link("end", 0.1, 0.0) + joint("b", "fixed", "tip", "end", 0.4)
+    text = f'<robot name="arm">{links}{more}{joints}</robot>'
+    model = pinocchio_from_urdf(text, Path("arm.urdf"), floating=True)
+    arm = model.inertias[model.getJointId("turn")]
+    masses, places = np.array([0.5, -0.75, 0.1]), np.array([0.1, 0.3, 0.5])
+    com = float(masses @ places) / -0.15
+    around = 0.02 * 3 + float(masses @ (places - com) ** 2)
+    assert arm.mass == pytest.approx(-0.15, abs=1e-12)
+    np.testing.assert_allclose(arm.lever, (0, 0, com), atol=1e-9)
+    np.testing.assert_allclose(np.diag(arm.inertia), (around - 0.03, around, 0.06), atol=1e-9)
+    assert model.inertias[1].mass == 1.0

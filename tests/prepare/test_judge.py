@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.judge import list_file_remarks
+from pupper_analysis.prepare.judge import describe_given_masses, list_file_remarks
 from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.prepare.test_imported import four_legs, verdict_of
-from tests.support import features
+from tests.support import arm, features
 from tests.support.legged import edited_by, quadruped
 
 Slip = Callable[[str], str]
@@ -75,6 +75,26 @@ def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
         assert not verdict.passed
     else:
         assert "on files with defects (audit lists them): " in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", [0, 0.0001])
+def test_negative_mass_of_a_fixed_link_is_not_a_known_mass(tmp_path: Path, moment: float) -> None:
+    """MuJoCo 4.0.0 ignores such a mass on import, Pinocchio subtracts it: two different robots."""
+    inertia = f'<inertia ixx="{moment}" iyy="{moment}" izz="{moment}" ixy="0" ixz="0" iyz="0"/>'
+    tip = (
+        f'<link name="bar"><inertial><mass value="-0.1"/>{inertia}</inertial></link>'
+        '<joint name="bar" type="fixed"><parent link="fore"/><child link="bar"/></joint></robot>'
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm.URDF.replace("</robot>", tip))
+    robot = pa.load_robot(path, fixed_base=True)
+    remark = describe_given_masses(robot)
+    assert remark is not None
+    assert "negative mass of link bar" in str(remark)
+    verdict = pa.hold_posture(robot).verdict
+    assert verdict.code is VerdictCode.MASSES_UNKNOWN
+    assert not verdict.passed
 
 
 @pytest.mark.slow

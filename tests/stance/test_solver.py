@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,10 +59,40 @@ def test_the_error_is_that_of_the_configuration_if_all_steps_are_rejected(
     goal = make_goal(robot, pa.StandTask(height=robot.stand_height + 1e-6), {})
     stance_solver = SearchContext(robot).solver
     monkeypatch.setattr(solver, "_MAX_ITERATIONS", iterations)
-    monkeypatch.setattr(StanceSolver, "_take_full_steps", lambda _: None)
+    monkeypatch.setattr(StanceSolver, "_take_full_steps", lambda _: (None, 0))
     monkeypatch.setattr(StanceSolver, "_close_loops", lambda *_: False)
     result = stance_solver.solve_from_joints(goal, joints)
     expected = foot_error(robot, goal, result)
     assert 5e-7 < expected < math.inf
     assert result.foot_error == pytest.approx(expected, abs=1e-10)
     assert not result.converged
+
+
+class CountingSolver:
+    """QP solver of PlaCo that counts the calls of ``solve``."""
+
+    def __init__(self, solver: Any) -> None:
+        self.__dict__.update(solver=solver, count=0)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.solver, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.solver, name, value)
+
+    def solve(self, apply: bool) -> Any:
+        self.__dict__["count"] += 1
+        return self.solver.solve(apply)
+
+
+@pytest.mark.parametrize("height", [1.0, 1.4, 3.0])
+def test_iterations_include_full_steps_that_fail(height: float) -> None:
+    """Reference: number of calls of PlaCo's ``solve``. The legs reach the lowest height only."""
+    robot = load("v3")
+    stance_solver = SearchContext(robot).solver
+    goal = make_goal(robot, pa.StandTask(height=height * robot.stand_height), {})
+    stance_solver.solve_from_joints(goal, robot.home[7:])
+    counting = CountingSolver(stance_solver.tasks.solver)
+    stance_solver.tasks.solver = counting
+    result = stance_solver.solve_from_joints(goal, robot.home[7:])
+    assert result.iterations == counting.count

@@ -190,9 +190,12 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 
 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
-    """Return True if MuJoCo accepts an inertia: valid moments; or, without mass, zero inertia."""
+    """Return True if an inertia can be written to an MJCF.
+
+    Its mass is positive and its moments are valid; or both mass and moments are zero.
+    """
     if inertia.mass <= 0:
-        return not np.array(inertia.inertia).any()
+        return inertia.mass == 0 and not np.array(inertia.inertia).any()
     low, middle, high = np.linalg.eigvalsh(np.array(inertia.inertia))
     return bool(low > _MIN_INERTIA and low + middle >= high * (1 - _TRIANGLE_RTOL))
 

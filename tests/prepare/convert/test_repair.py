@@ -111,3 +111,13 @@ def test_nearest_inertia_of_a_mass_without_inertia_is_valid() -> None:
     inertia = pin.Inertia.Zero()
     inertia.mass, inertia.inertia = 0.5, np.diag(new)
     assert is_valid_inertia(inertia)
+
+
+@pytest.mark.parametrize(("mass", "valid"), [(0.0, True), (-0.1, False)])
+def test_only_a_mass_of_zero_needs_no_moments(mass: float, valid: bool) -> None:
+    """MuJoCo 4.0.0 refuses a moving body of negative mass."""
+    import pinocchio as pin
+
+    inertia = pin.Inertia.Zero()
+    inertia.mass = mass
+    assert is_valid_inertia(inertia) is valid
