@@ -216,8 +216,7 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the variants and files that words name.
 
     A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
-    the pair is one robot as well. A robot of a single word is returned once even if named twice. A
-    robot of two words, URDF and MJCF, is returned as often as named.
+    they are one robot as well. A robot is returned once even if it is named twice.
 
     Raises:
         VariantError: If a word names no robot.
@@ -228,7 +227,8 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
         if _guess_format(previous) == "urdf" and _guess_format(robot) == "mjcf":
             assert isinstance(previous, tuple)
             assert isinstance(robot, tuple)
-            robots[-1] = (*previous, *robot)
+            pair = (*previous, *robot)
+            robots[-1:] = [] if pair in robots else [pair]
         elif robot not in robots:
             robots.append(robot)
     if [_guess_format(robot) for robot in robots] == ["mjcf", "urdf"]:

@@ -387,7 +387,12 @@ class Robot(EngineModels):
 
     @property
     def base_height(self) -> float:
-        """Default height [m] of a free base: in the nominal stand, or in ``home`` without feet."""
+        """Default height [m] of a free base: in the nominal stand, or in ``home`` without feet.
+
+        0 for a fixed base.
+        """
+        if not self.floating:
+            return 0.0
         return self.stand_height if len(self.feet) > len(self.hands) else float(self.home[2])
 
     @property

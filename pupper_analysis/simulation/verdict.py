@@ -32,11 +32,11 @@ class VerdictCode(StrEnum):
     HOLDS_ON_ADDED_SERVOS = "holds on servos that were added"
     HOLDS_ALTERED = "holds as computed, and is not quite so as published"
     HOLDS_WITH_FEEDFORWARD = "holds with feed-forward alone"
+    LIMITS_UNKNOWN = "holds in simulation, on motors whose torque limit no file states"
+    MASSES_UNKNOWN = "holds in simulation, with the masses of links that the file does not state"
     IN_BALANCE = "in balance, and not simulated"
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
-    LIMITS_UNKNOWN = "holds in simulation, on motors whose torque limit no file states"
-    MASSES_UNKNOWN = "holds in simulation, with the masses of links that the file does not state"
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
@@ -218,10 +218,10 @@ def judge_stance(
         remarks: Other assumptions; a remark with severity error prevents that the stance passes.
     """
     code = _find_worst_code(fed, alone, servos, overloaded, own, published, remarks)
-    if unknown and code in PASSING_CODES:
-        code = VerdictCode.LIMITS_UNKNOWN
     if masses_unknown and code in PASSING_CODES:
         code = VerdictCode.MASSES_UNKNOWN
+    if unknown and code in PASSING_CODES:
+        code = VerdictCode.LIMITS_UNKNOWN
     return Verdict(
         code=code,
         asked=asked,

@@ -31,6 +31,8 @@ NOTHING = RobotOptions.taken_from({})
         (("robot_descriptions:go2_description",), ("robot_descriptions:go2_description",)),
         (("folder/robot",), ("folder/robot",)),
         (("v3", "v3"), "v3"),
+        (("a.urdf", "b.xml", "a.urdf", "b.xml"), ("a.urdf", "b.xml")),
+        (("a.urdf+b.xml", "a.urdf", "b.xml"), ("a.urdf", "b.xml")),
     ],
 )
 def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:

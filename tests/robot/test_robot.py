@@ -10,6 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.terrain import build_on_ground
+from tests.support.arm import arm
 from tests.support.engines import mujoco_at
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import load
@@ -134,3 +135,8 @@ def test_derived_values_are_computed_once_per_robot() -> None:
     assert other.once(mass_and, 1.0) == robot.total_mass + 1.0
     assert made == [robot, robot, other]
     assert not vars(pickle.loads(pickle.dumps(robot))).keys() & {"_cache"}
+
+
+def test_fixed_base_has_no_default_height() -> None:
+    """The home configuration of a fixed-base robot contains joint positions only."""
+    assert arm().base_height == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 import math
 from types import SimpleNamespace as Stub
 from typing import Any
@@ -160,6 +161,31 @@ def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
     assert said in format_verdict(verdict)
     if not passed:
         assert not format_verdict(verdict).startswith("HOLDS")
+
+
+UNKNOWNS: dict[str, tuple[dict[str, Any], VerdictCode]] = {
+    "limits": ({"unknown": True}, VerdictCode.LIMITS_UNKNOWN),
+    "masses": ({"masses_unknown": True}, VerdictCode.MASSES_UNKNOWN),
+}
+
+
+def test_verdict_of_two_conditions_is_no_better_than_that_of_each() -> None:
+    """Reference: the order of `VerdictCode`, from the best to the worst.
+
+    Excluded are pairs of conditions with one argument in common, and gains of the user: the run
+    from the keyframe is then not decisive.
+    """
+    order = list(VerdictCode)
+    cases = {name: case[:2] for name, case in CASES.items() if name != "given"} | UNKNOWNS
+    for (first, code), (second, other) in combinations(cases.values(), 2):
+        if not first.keys() & second.keys():
+            asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE}
+            asked |= first | second
+            verdict = judge_stance(
+                asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked
+            )
+            worst = max(order.index(code), order.index(other))
+            assert order.index(verdict.code) >= worst, (code, other, verdict.code)
 
 
 @pytest.mark.parametrize(

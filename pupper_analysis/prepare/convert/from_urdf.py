@@ -124,8 +124,8 @@ class MjcfXml:
 
     @property
     def used_meshes(self) -> set[str]:
-        """Names of the meshes of all geoms; "None" if a geom has no mesh."""
-        return {str(geom.get("mesh")) for geom in self.geoms}
+        """Names of the meshes of all geoms."""
+        return {mesh for geom in self.geoms if (mesh := geom.get("mesh")) is not None}
 
     def remove_visuals(self) -> None:
         """Remove the visual geoms."""

@@ -142,8 +142,9 @@ class StanceSearch:
         evaluations: Number of evaluated stances so far.
         space: Search space.
         payload: First-order payload; only with the objective payload.
-        scale: Magnitude of the initial objective [1, m or kg], the unit of levels; the nominal
-            stand height if the initial objective is zero.
+        scale: Magnitude of the initial objective [1, m or kg], the unit of levels. If the initial
+            objective is zero: 1 for utilisation, the nominal stand height for the margin, the mass
+            of the robot for the payload.
         nominal: Stance of the initial task.
         best: Best allowed stance so far, or ``nominal``.
         known: {coordinates: evaluated stance, or None if there is no stance}.
@@ -170,9 +171,16 @@ class StanceSearch:
             self.payload = SmallPayload(robot, self.point, stiffness)
         self.scale = 1.0
         first = self.stance(self.space.start, self.space.nominal)
-        self.scale = abs(first.level) or robot.stand_height
+        self.scale = abs(first.level) or self._default_scale
         self.nominal = self.best = self.stance(self.space.start, self.space.nominal)
         self.known: dict[tuple[float, ...], EvaluatedStance | None] = {}
+
+    @property
+    def _default_scale(self) -> float:
+        """Magnitude of the objective [1, m or kg] if its initial value is zero."""
+        if self.objective is Objective.PAYLOAD:
+            return self.robot.total_mass
+        return self.robot.stand_height if self.objective is Objective.MARGIN else 1.0
 
     def _check_effort_limits(self) -> None:
         """Raise a ConfigurationError if no motor has an effort limit, or if a limit is zero."""

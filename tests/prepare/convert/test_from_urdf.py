@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lxml import etree
+
 import pupper_analysis as pa
+from pupper_analysis.prepare.convert.from_urdf import MjcfXml
 from tests.support.robots import arm, urdf_text
 
 
@@ -20,3 +23,10 @@ def test_a_mimic_without_a_multiplier_turns_as_much(tmp_path: Path) -> None:
         texts.append(out.read_text())
     assert texts[0] == texts[1]
     assert "<equality>" in texts[0]
+
+
+def test_geoms_without_mesh_use_no_mesh() -> None:
+    """Not even a mesh that is named None."""
+    geoms = '<geom type="sphere" size="1"/><geom type="mesh" mesh="toe"/>'
+    root = etree.fromstring(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    assert MjcfXml(root).used_meshes == {"toe"}

@@ -177,6 +177,19 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("objective", list(Objective))
+def test_unit_of_levels_fits_the_objective_if_its_initial_value_is_zero(
+    objective: Objective, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: utilisation has no unit; scales of margin [m] and payload [kg] of v3."""
+    monkeypatch.setattr(StanceSearch, "stance", lambda *_: SimpleNamespace(level=0.0))
+    robot = load("v3")
+    unit = StanceSearch(robot, objective).scale
+    expected = {"utilisation": 1.0, "margin": robot.stand_height, "payload": robot.total_mass}
+    assert unit == expected[objective.value]
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
