@@ -216,7 +216,7 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the variants and files that words name.
 
     A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
-    they are one robot as well. A robot is returned once even if it is named twice.
+    the pair is one robot as well. A robot is returned once even if it is named twice.
 
     Raises:
         VariantError: If a word names no robot.

@@ -139,4 +139,4 @@ def test_derived_values_are_computed_once_per_robot() -> None:
 
 def test_fixed_base_has_no_default_height() -> None:
     """The home configuration of a fixed-base robot contains joint positions only."""
-    assert arm().base_height == 0.0
+    assert replace(arm(), home=np.ones(4)).base_height == 0.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 import math
+from itertools import combinations
 from types import SimpleNamespace as Stub
 from typing import Any
 
