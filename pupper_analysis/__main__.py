@@ -37,13 +37,13 @@ def main(command: str | None = None, *arguments: str) -> None:
         else:
             cli.run(cli.find_command(command), [*arguments, *sys.argv[1:]])
     except SystemExit as ended:
-        if isinstance(ended.code, int) and ended.code > SIGNALLED:
+        if isinstance(ended.code, int) and ended.code > MAX_UNSIGNALLED_STATUS:
             end_without_waiting(ended.code)
         raise
 
 
-SIGNALLED = 128
-"""Exit statuses above this value denote signals, by convention of Unix shells."""
+MAX_UNSIGNALLED_STATUS = 128
+"""Largest exit status that denotes no signal, by convention of Unix shells."""
 
 
 def end_without_waiting(status: int) -> None:

@@ -1,10 +1,10 @@
 """Discovery of tools and formats: our own by folder, tools of other distributions by entry point.
 
 A tool is a package that answers one question. The first line of the package docstring is the
-question, and ``HEADING`` selects the heading in ``--help``. ``command.py`` contains the command,
-``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that other
-packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery imports
-no tool; question and heading are read from the source text.
+question, and ``HELP_HEADING`` selects the heading in ``--help``. ``command.py`` contains the
+command, ``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that
+other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery
+imports no tool; question and heading are read from the source text.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
 reads the files (`models.readers`), and ``rules.toml`` contains audit rules for this format.
@@ -34,7 +34,7 @@ HELP_HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools
 last."""
 
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
-_HEADING_PATTERN = re.compile(r'^HEADING = "(.+)"$', re.MULTILINE)
+_HEADING_PATTERN = re.compile(r'^HELP_HEADING = "(.+)"$', re.MULTILINE)
 
 
 class Tool(NamedTuple):

@@ -1,4 +1,4 @@
 """Take robots from model files to a verified stand."""
 
-HEADING = "Design"
+HELP_HEADING = "Design"
 """Section of ``--help`` that lists this tool."""

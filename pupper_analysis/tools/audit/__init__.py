@@ -1,4 +1,4 @@
 """Find physical and practical errors in a URDF, MJCF or USD."""
 
-HEADING = "Files"
+HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
 """Search for the best stance."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

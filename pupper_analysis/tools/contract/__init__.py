@@ -6,7 +6,7 @@ its deployment, the motor drivers, and the model of the robot.
 
 from pupper_analysis.base.exports import make_lazy_exports
 
-HEADING = "Files"
+HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""
 
 __getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

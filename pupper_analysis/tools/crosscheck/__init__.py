@@ -1,4 +1,4 @@
 """Find what makes a URDF and an MJCF disagree."""
 
-HEADING = "Files"
+HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
 """Find what changed between two versions."""
 
-HEADING = "Files"
+HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

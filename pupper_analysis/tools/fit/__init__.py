@@ -6,7 +6,7 @@ and reports the parameters that the measurements do not determine.
 
 from pupper_analysis.base.exports import make_lazy_exports
 
-HEADING = "Real robot"
+HELP_HEADING = "Real robot"
 """Section of ``--help`` that lists this tool."""
 
 __getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

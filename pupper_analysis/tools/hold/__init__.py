@@ -5,7 +5,7 @@ Statics, simulation, payload and force limits of postures of robots with a fixed
 
 from pupper_analysis.base.exports import make_lazy_exports
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""
 
 __getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

@@ -3,5 +3,5 @@
 A server with a page per browser: sliders for a stance, a 3-D scene, and the loads of the stance.
 """
 
-HEADING = "Look"
+HELP_HEADING = "Look"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
 """Move to a stance, in balance all the way."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

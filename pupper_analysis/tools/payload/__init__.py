@@ -1,4 +1,4 @@
 """Find the largest payload of a stance, and the failure beyond this limit."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
 """Find the largest pushes from which a stand recovers."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

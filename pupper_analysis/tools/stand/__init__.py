@@ -1,4 +1,4 @@
 """Solve a stance, and verify the stance by simulation."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

@@ -6,7 +6,7 @@ stored so that an interrupted run resumes.
 
 from pupper_analysis.base.exports import make_lazy_exports
 
-HEADING = "Design"
+HELP_HEADING = "Design"
 """Section of ``--help`` that lists this tool."""
 
 __getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

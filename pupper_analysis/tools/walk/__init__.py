@@ -1,4 +1,4 @@
 """Find what a learnt policy demands of the motors during walking."""
 
-HEADING = "Real robot"
+HELP_HEADING = "Real robot"
 """Section of ``--help`` that lists this tool."""

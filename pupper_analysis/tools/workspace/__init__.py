@@ -1,4 +1,4 @@
 """Map how far the base goes, feet planted."""
 
-HEADING = "Stance"
+HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""
