@@ -123,7 +123,7 @@ class Finding(Result):
 
     @property
     def message(self) -> str:
-        """Message in one sentence, with the numbers."""
+        """Message in a single sentence, with the numbers."""
         return str(self.diagnostic)
 
     @property
@@ -168,11 +168,11 @@ class Audit(Tabular):
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Return points whose convex hull contains all shapes of some links, at zero joint angles.
+    """Return points with a convex hull that contains all shapes of some links, at zero angles.
 
     Args:
         bodies: Links.
-        frame: Link in whose frame the points are expressed.
+        frame: Link; the points are expressed in the frame of this link.
 
     Returns:
         Points, shape (n, 3) [m]; None if there are no shapes, or the size of a shape is not known,
@@ -183,11 +183,11 @@ def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
 
 
 def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Return points whose convex hull contains the shapes of some links, at zero joint angles.
+    """Return points with a convex hull that contains the shapes of some links, at zero angles.
 
     Args:
         bodies: Links with visual and collision shapes.
-        frame: Link in whose frame the points are expressed.
+        frame: Link; the points are expressed in the frame of this link.
 
     Returns:
         Points, shape (n, 3) [m], or None if no size is known; and whether the sizes of all shapes
@@ -205,7 +205,7 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
 
 
 def list_link_points(robot: RobotModel, body: Link) -> Array:
-    """Return the origin of a link, the origins of its frames and the origins of its child links.
+    """Return the origin of a link, and the origins of its frames and of its child links.
 
     Returns:
         Points, shape (n, 3) [m], in the frame of the link.

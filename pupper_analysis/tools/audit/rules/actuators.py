@@ -45,7 +45,7 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def servo(self) -> bool:
-        """Whether the actuator is a position servo: its force depends on the joint position."""
+        """True for a position servo: the force depends on the joint position."""
         return self.stiffness != 0
 
 
@@ -73,7 +73,7 @@ def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Actua
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators that exert no force, since their gain or gear ratio is 0."""
+    """Find actuators that exert no force, since the gain or gear ratio is 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
@@ -108,7 +108,7 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Smallest number of position servos for which a single drive of another kind is reported. Chosen.
+"""Smallest number of position servos to report a single drive of another kind. Chosen.
 """
 
 

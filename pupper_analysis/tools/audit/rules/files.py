@@ -22,7 +22,7 @@ from pupper_analysis.tools.audit.registry import rule
 
 @rule
 def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Report the error with which MuJoCo refuses to compile the file."""
+    """Report MuJoCo's error if the file does not compile."""
     if robot.refusal is not None:
         problem, place = robot.refusal
         yield CheckFinding("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
@@ -64,8 +64,8 @@ class _MissingMesh:
         name: File name, as written.
         owner: Link of a URDF, or mesh asset of an MJCF.
         place: File and line.
-        pointer: Whether the file is a pointer of Git LFS.
-        touches: Whether the mesh is used for collisions (URDF), or stops MuJoCo (MJCF).
+        pointer: True for a pointer of Git LFS.
+        touches: True if the mesh is used for collisions (URDF), or stops MuJoCo (MJCF).
     """
 
     name: str
@@ -110,7 +110,7 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def find_mesh_problem(path: Path) -> Diagnostic | None:
-    """Return the reason for which a file is not a valid mesh.
+    """Return the reason why a file is not a valid mesh.
 
     STL and OBJ files are parsed; a COLLADA file must contain the word ``COLLADA`` near the start.
     Other formats, and files larger than ``MAX_MESH_BYTES`` bytes, are checked by suffix only.
@@ -151,7 +151,7 @@ _MESH_SUFFIXES = (
 """Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads."""
 
 _PROLOGUE_BYTES = 4096
-"""Number of bytes in which the root element of a COLLADA file must begin. Chosen."""
+"""Number of bytes before which the root element of a COLLADA file must begin. Chosen."""
 
 
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:

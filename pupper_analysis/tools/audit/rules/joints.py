@@ -73,7 +73,7 @@ def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
 
 @rule
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find hinges whose axis contradicts the name of the joint: ``knee`` implies the y axis.
+    """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
     `infer_axis_from_name` derives the axis (x, y or z of the base frame) from the joint name. A
     finding is an axis at more than 60 degrees from it, in either direction, at zero joint angles. A
@@ -153,7 +153,7 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints without position limits (URDF type ``continuous``) whose file states limits."""
+    """Find joints without position limits (URDF type ``continuous``) with stated limits."""
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
         if joint.moves and math.isinf(joint.lower) and lower < upper:
@@ -195,9 +195,9 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find robots whose limited hinges, four or more, all have one symmetric range.
+    """Find robots with at least four limited hinges that all have the same symmetric range.
 
-    The range is a finding if its upper limit is at least 3.1 rad: it is probably a placeholder.
+    The range is a finding if the upper limit is at least 3.1 rad: it is probably a placeholder.
     """
     hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
     if len(hinges) < _MIN_HINGES:
@@ -296,7 +296,7 @@ MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 Chosen."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Smallest fraction of the knee range in which the foot comes below the hip, with which the joint
+"""Smallest fraction of the knee range in which the foot comes below the hip, for which the joint
 limits are not reported. Chosen, not tuned."""
 
 NUM_KNEE_ANGLES = 61
@@ -328,9 +328,9 @@ class Leg:
     def compute_reached_fraction(
         self, hip: tuple[float, float], knee: tuple[float, float]
     ) -> float:
-        """Compute the fraction of the knee range for which a hip angle puts the foot below the hip.
+        """Compute the fraction of the knee range with a hip angle that puts the foot below the hip.
 
-        Angles at which the leg is folded (foot closer to the hip than 20 % of the leg length) are
+        Angles with a folded leg (foot closer to the hip than 20 % of the leg length) are
         left out.
 
         Args:
@@ -367,7 +367,7 @@ def _project_across(vector: Array, axis: Array) -> Array:
 
 
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
-    """Yield limbs with leg-like names whose hip and knee axes are parallel and nearly horizontal.
+    """Yield limbs with leg-like names with parallel and nearly horizontal hip and knee axes.
 
     The shorter of thigh and shank must have at least 40 % of the length of the longer.
     """
@@ -425,7 +425,7 @@ _LEG_PATTERN = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", 
 
 @rule
 def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find knees whose range does not let the foot come below the hip.
+    """Find knees with a range that keeps the foot above the hip.
 
     A finding requires that the foot would come below the hip if the limits of the knee, or of the
     hip, had the opposite sign.

@@ -53,7 +53,7 @@ DEFAULT_DENSITY = 1000.0
 def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find links with a stated mass <= 0 [kg].
 
-    A mass of zero with an inertia of zero is accepted: it marks a link without mass.
+    A mass of zero with an inertia of zero is accepted: zeros mark a link without mass.
     """
     for body in robot.links.values():
         inertial = body.inertial
@@ -100,7 +100,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Mass of a link, relative to the mass that it carries, below which the mass is reported. Smaller
+"""Mass of a link, relative to the carried mass, below which the mass is reported. Smaller
 ratios indicate a wrong unit or a missing mass. Chosen, not tuned."""
 
 
@@ -155,9 +155,9 @@ def _compute_reach(robot: RobotModel, name: str) -> float:
 
 @rule
 def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find a robot whose weight, times the longest lever between two joints, exceeds all efforts.
+    """Find a robot of which weight times longest lever between two joints exceeds all efforts.
 
-    Robots are skipped if the effort of a hinge is unknown or 0.
+    Skipped are robots with fewer than two hinges, or with an effort that is unknown or 0.
     """
     hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE and joint.parent]
     efforts = [joint.effort for joint in hinges]
@@ -186,7 +186,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find visual geoms with default mass in bodies whose mass is computed from geoms."""
+    """Find visual geoms with default mass in bodies with mass computed from geoms."""
     compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
     for body in robot.file.spec.bodies:
@@ -265,9 +265,9 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 
 @rule
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find stated inertias whose smallest principal moment is negative or zero.
+    """Find stated inertias with a negative or zero principal moment.
 
-    Zero is a finding only for a moving link to which no other link is fixed. Rounding of the stated
+    Zero is a finding only for a moving link without fixed links. Rounding of the stated
     numbers is taken into account.
     """
     for body, inertial in _list_stated_inertials(robot):
@@ -286,7 +286,7 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find inertias whose largest moment exceeds the sum of the other moments.
+    """Find inertias with a largest moment that exceeds the sum of the other moments.
 
     The tolerance is the rounding error of the written digits, at least 1e-5 and at most 1 % of the
     largest moment. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
@@ -316,7 +316,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     Upper limit: m R^2, with R the largest distance of a point from the CoM, times 2 (shapes may be
     simplified), 8 if a mesh was not read, or 100 without shapes. R includes the joints and frames
-    of the link if a mesh was not read; without shapes it is the distance to the farthest of these,
+    of the link if a mesh was not read; without shapes R is the distance to the farthest of these,
     at least `MIN_REACH`. Lower limit: 1 % of the moment of a solid box around the shapes of the
     link, m (a^2 + b^2) / 12.
     """
@@ -391,7 +391,8 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 _MIN_REPEATED_LINKS = 2
-"""Smallest number of links with the same placeholder: one link may have the value by chance."""
+"""Smallest number of links with the same placeholder: a single link may have the value by
+chance."""
 
 
 def _is_round(value: float) -> bool:

@@ -129,7 +129,7 @@ def _find_displaced_bodies(
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield pairs of links whose positions, and those of the children, are mirror images."""
+    """Yield pairs of links with mirrored positions of links and children."""
     mirror = find_mirror_plane(robot)
     if mirror is None:
         return
@@ -146,7 +146,7 @@ def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link,
 def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
-    """Yield pairs of links in mirrored positions of which both have an inertial."""
+    """Yield pairs of links in mirrored positions, both with an inertial."""
     for mirror, first, second in _list_pairs_in_place(robot):
         if first.inertial is not None and second.inertial is not None:
             yield mirror, (first, first.inertial), (second, second.inertial)
@@ -218,7 +218,7 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find pairs of left and right links whose inertias are no mirror images.
+    """Find pairs of left and right links with inertias that are no mirror images.
 
     With the inertias I and I' about the CoMs in base axes at zero angles, and the reflection S, a
     finding is an entry of S I S - I' above 10 % of the largest entry. Pairs with different masses
@@ -354,7 +354,7 @@ to a tenth of their size: left and right meshes are cut differently. Chosen, not
 
 @rule
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find pairs of left and right links whose collision shapes are no mirror images.
+    """Find pairs of left and right links with collision shapes that are no mirror images.
 
     A finding is a link without shapes beside a link with shapes, or a difference between the
     bounding boxes along the base axes, at zero angles.
@@ -392,9 +392,9 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Compare the ground contact parameters of left and right links.
 
-    MuJoCo combines the parameters of each geom with those of the ground: condim, friction, solref,
-    solimp and margin. The combined values of both sides must be equal. If the file has no ground, a
-    ground with MuJoCo's defaults is assumed.
+    MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
+    solref, solimp and margin. The combined values of both sides must be equal. If the file has no
+    ground, a ground with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -450,7 +450,7 @@ def _list_contacts(
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
-    """Return a link and the links fixed to it with collision shapes only; others are left out."""
+    """Return a link and all links fixed to it that have collision shapes only."""
     parts = [
         replace(part, shapes=tuple(shape for shape in part.shapes if shape.collides))
         for part in robot.fixed_group(link.name)

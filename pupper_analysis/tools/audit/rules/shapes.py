@@ -152,8 +152,8 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_LINK_LENGTH = 0.03
-"""Smallest distance between two joints of a link [m] with which the position of its shapes is
-checked. Chosen, not tuned."""
+"""Smallest distance between two joints of a link [m] from which the position of the link's shapes
+is checked. Chosen, not tuned."""
 
 MIN_ALIGNMENT_COSINE = 0.966
 """Smallest cosine between the long axis of a shape and the line between two joints of a link, with
@@ -161,7 +161,7 @@ which the position of the shape is checked: 15 degrees. Chosen, not tuned."""
 
 
 def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
-    """Return the direction of the longest side, shape (3,), its half length and half width [m]."""
+    """Return the direction of the longest side, shape (3,), half length and half width [m]."""
     if shape.kind == "box":
         order = np.argsort(shape.size)
         direction: Array = shape.pose.rotation[:, order[2]]
@@ -235,15 +235,15 @@ The hull is the largest volume of a body with these shapes. Of 1500 published li
 15600: a wrist whose mesh omits attached parts."""
 
 UNREAD_MESH_FACTOR = 5.0
-"""Factor on `MAX_DENSITY` for a link of which a mesh was not read, since the known shapes may be
+"""Factor on `MAX_DENSITY` for a link with a mesh that was not read, since the known shapes may be
 smaller than the link. Chosen, not tuned."""
 
 MIN_DENSITY = 2.0
-"""Mass per volume of the convex hull of a link [kg/m^3] below which its density is reported. Air
+"""Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air
 has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Mass of a link, relative to the robot's mass, below which its density is not checked: the shapes
+"""Mass of a link, relative to the robot's mass, below which the density is not checked: the shapes
 of light links may be symbolic. Chosen, not tuned."""
 
 MIN_SHAPE_FRACTION = 0.5
@@ -251,11 +251,11 @@ MIN_SHAPE_FRACTION = 0.5
 density is not checked: the shapes may show a part of the link only. Chosen, not tuned."""
 
 MIN_EXTENT = 0.01
-"""Extent [m] of a link's shapes below which its density is not checked, and of all joints below
+"""Extent [m] of a link's shapes below which the density is not checked, and of all joints below
 which the size of shapes is not checked. Chosen, not tuned."""
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
-"""Extent of all joint positions of a robot [m] above and below which its size is reported as
+"""Extent of all joint positions of a robot [m] above and below which the size is reported as
 implausible, for example because of a wrong unit of length. Chosen, not tuned."""
 
 MAX_SHAPE_RATIO = 20.0
@@ -267,12 +267,12 @@ reported as too large. Measured: the largest ratio of 1500 published links is 2.
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    The mass is that of a root link or a moving link, and of all links fixed to it. Visual and
-    collision shapes, and the origins of the link, its frames and its children, define the hull.
+    The mass is the sum of a root link or moving link and all fixed links. Visual and
+    collision shapes, and the origins of the link, the frames and the children, define the hull.
     Plausible are 2 to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
-    (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links of which a mesh was not read.
+    (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
     """
     for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)

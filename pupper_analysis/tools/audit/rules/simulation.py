@@ -41,7 +41,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models in which the armature of all driven joints and motors is 0."""
+    """Find models with zero armature at all driven joints and motors."""
     if robot.mj_model is None:
         return
     model = robot.mj_model
@@ -57,7 +57,7 @@ def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find feet whose contact with the ground has no sliding friction.
+    """Find feet without sliding friction in the ground contact.
 
     Contact parameters are combined as in MuJoCo. Without ground in the file, MuJoCo's default
     ground is assumed: condim 1 of the foot is replaced by 3, unless the foot has a higher priority.

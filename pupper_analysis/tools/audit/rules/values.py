@@ -36,7 +36,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find sizes <= 0, and negative damping, friction, armature, stiffness and limits.
 
     A length of 0 is accepted for a cylinder (disc) and a capsule (ball). For MuJoCo's polynomials
-    the first coefficient is checked, which dominates at small speeds.
+    the first coefficient is checked, because this coefficient dominates at small speeds.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:

@@ -57,7 +57,7 @@ class Bridge(Protocol):
     """Connection to a robot, with joints in actuator order.
 
     Attributes:
-        ramps: Whether commands move the robot, so that commands are ramped and checked.
+        ramps: True if commands move the robot, and are therefore ramped and checked.
     """
 
     ramps: bool

@@ -55,7 +55,7 @@ _MAX_TRACKING_ERROR = 0.5
 servo without torque. Chosen, not tuned."""
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad] from which it is checked whether a joint follows. Chosen, not tuned."""
+"""Commanded travel [rad] from which the response of a joint is checked. Chosen, not tuned."""
 
 _MIN_TRAVEL_RATIO = 0.25
 """Ratio of measured to commanded travel below which a joint counts as not following, and the
@@ -103,7 +103,7 @@ class Recording(Result):
 
     @property
     def complete(self) -> bool:
-        """Whether no stand is missing."""
+        """True if no stand is missing."""
         return not self.left
 
 
@@ -132,9 +132,9 @@ def record_stands(
     Args:
         robot: Robot, with the values of the files.
         plan: File of ``write_plan``.
-        output: Output file. Stands with a name in this file are not recorded again.
+        output: Output file. Stands named in this file are not recorded again.
         bridge: Connection to the robot.
-        operator: Person who lifts the robot, and observes the feet that carry.
+        operator: Person who lifts the robot, and observes the loaded feet.
 
     Raises:
         ConfigurationError: If the output is the plan itself.
@@ -382,7 +382,7 @@ def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
 
 
 def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
-    """Return the CoM margin [m] of a robot whose carrying feet are on level ground."""
+    """Return the CoM margin [m] of a robot with the loaded feet on level ground."""
     config = Configuration(robot, robot.posed(command))
     points = [
         point

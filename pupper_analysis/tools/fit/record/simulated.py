@@ -27,7 +27,7 @@ MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0
 offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
-"""Encoder step of the simulated robot [rad], to which readings are rounded: 14 bits per turn.
+"""Encoder step of the simulated robot [rad], of rounded readings: 14 bits per turn.
 Chosen, not tuned."""
 
 _DROP_HEIGHT = 0.01
@@ -37,8 +37,8 @@ _MAX_FOOT_FRICTION = (1e-3, 2e-4)
 """Upper bounds of torsional and rolling friction [m], values of rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
-"""Load of a foot, as a fraction of the weight, below which a person sees it in the air. Chosen, not
-tuned."""
+"""Load of a foot, as a fraction of the weight, below which a person sees the foot in the air.
+Chosen, not tuned."""
 
 
 class SimulatedRobot:

@@ -72,7 +72,7 @@ class Terminal:
 
 
 class TypedBridge(WallClock):
-    """Bridge to a robot that a person commands by other means, and whose positions are typed.
+    """Bridge to a robot that a person commands by other means; the positions are typed.
 
     Args:
         robot: Robot.
