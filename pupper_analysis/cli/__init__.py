@@ -234,12 +234,12 @@ COMMAND_NAMES = tuple(own_tools())
     DEBUG_OPTION, is_flag=True, expose_value=False, help="Show the traceback of unexpected errors."
 )
 def group() -> None:
-    """Know that a robot's models are right, what its motors hold and how it can stand.
+    """Verify models of legged robots, and compute motor torques and stands.
 
     \b
     Examples:
       pupper-analysis stand go2.urdf                 or go2.xml, or both; v3 is our own
-      pupper-analysis crosscheck go2.urdf go2.xml    what makes them disagree
+      pupper-analysis crosscheck go2.urdf go2.xml    causes of disagreement
       pupper-analysis hold panda.urdf                an arm, with its base fixed
     """  # noqa: D301 - click reads the \b
 

@@ -74,14 +74,14 @@ def command(
     write_folder: Path | None,
     **stance: Any,
 ) -> None:
-    """Take robots from their model files to a verified stand.
+    """Compute and verify the nominal stand of robots from their model files.
 
     Each ROBOT is a variant of Pupper (original, long-leg, heavy, v3, v3-long-leg, v3-heavy; by
-    default all six), a URDF, an MJCF, or both: the URDF and then the MJCF. Define a variant of your
-    own with --base, --leg-scale and --torso-mass-scale.
+    default all six), a URDF, an MJCF, or both: the URDF and then the MJCF. Define other
+    variants with --base, --leg-scale and --torso-mass-scale.
 
-    The output is a verdict and two lines per robot, and a table that compares them. With -v,
-    everything is printed: the joints and the directions in which they turn, masses and CoM, the
+    The output is a verdict and two lines per robot, and a table that compares the robots. With -v,
+    everything is printed: the joints and their directions of rotation, masses and CoM, the
     stand (PlaCo), foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand
     and the gain sweep (MuJoCo), and the cross-check of URDF and MJCF.
 

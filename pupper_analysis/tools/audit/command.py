@@ -46,11 +46,11 @@ def command(
     report_path: Path | None,
     style: str,
 ) -> None:
-    """Find what is physically or practically wrong in one model file, URDF, MJCF or USD.
+    """Find physical errors and practical defects in a model file: URDF, MJCF or USD.
 
-    Impossible masses and inertias, legs that are not mirror images, shapes that do not reach their
+    Impossible masses and inertias, legs that are not mirror images, shapes that do not reach the
     joints, limits in degrees, servos of wrong sign, feet that start inside the floor, and more.
-    Each finding says where it is, why it matters, and what to do.
+    Each finding states the location, the consequence and the repair.
 
     \b
     Examples:
@@ -61,7 +61,7 @@ def command(
       pupper-analysis audit --list-rules
       xacro robot.urdf.xacro | pupper-analysis audit -
 
-    Exit status: 0 no finding as severe as --fail-on, 1 there is one, 2 bad input.
+    Exit status: 0 no finding as severe as --fail-on, 1 there is such a finding, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats

@@ -30,12 +30,12 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Search for the best stance: the base's pose and the place of each foot are free.
+    """Search for the best stance: the pose of the base and the position of each foot are free.
 
     OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
     polygon) or payload (largest, at --payload-at). The search starts from the given stance (as for
-    `stand`) and keeps its ground, swing feet and margins. It takes a few seconds. The result is
-    then printed and simulated as by `stand`.
+    `stand`) and keeps its ground, swing feet and margins. The search takes a few seconds. The
+    result is then printed and simulated as by `stand`.
 
     \b
     Examples:
@@ -44,7 +44,7 @@ def command(
       pupper-analysis best margin original --swing FL=2cm --com inside \\
         --self-clearance 4mm
 
-    Exit status: 0 it holds (and so does its payload), 1 it fails in simulation,
+    Exit status: 0 the stance (and its payload) holds, 1 the stance fails in simulation,
     2 the stance itself is out of reach or not holdable, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.best.best import study_best

@@ -42,16 +42,16 @@ def command(
     report_path: Path | None,
     style: str,
 ) -> None:
-    """Find where trainer, deployment and model disagree.
+    """Find disagreements between training configuration, deployment and model of a robot.
 
-    SOURCES are its model (URDF, MJCF or USD) and what states numbers of its joints: configurations
+    SOURCES are the model (URDF, MJCF or USD) and files with numbers of its joints: configurations
     of mjlab, Isaac Lab and legged_gym in Python, YAML of deployments and of ROS 2 controllers,
     policies with metadata (ONNX, RTNeural's JSON). Joint order, signs, default angles, action
     scales and offsets, gains, limits, armature, friction, rates and observations are compared; each
-    difference is shown with its line in both files and what it does.
+    difference is shown with its line in both files and its effect.
 
-    Nothing of a source is imported or run. Of a file with several configurations FILE:NAME takes
-    one. A folder is where modules are looked for, and its deployments of this robot are read.
+    No source is imported or run. FILE:NAME selects one of several configurations in a file.
+    A folder is searched for imported modules, and its deployments of this robot are read.
 
     \b
     Examples:
@@ -61,7 +61,7 @@ def command(
         policy.json -v
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
-    Exit status: 0 they agree, 1 they differ, 2 bad input.
+    Exit status: 0 the sources agree, 1 the sources differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.contract.contract import read_contract

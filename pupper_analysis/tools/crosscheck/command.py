@@ -53,7 +53,7 @@ def command(
     report_path: Path | None,
     style: str,
 ) -> None:
-    """Find which number in which file makes a robot's URDF and MJCF disagree.
+    """Find the numbers that make a robot's URDF and MJCF disagree.
 
     Both models are compared in both engines, and body by body. Each difference is shown with its
     line in both files and its effect on the dynamics, the most important first, and the list is
@@ -72,8 +72,8 @@ def command(
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
       xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
 
-    Exit status: 0 they agree within the tolerances (a tilted base counts with --strict alone),
-    1 they differ, 2 bad input.
+    Exit status: 0 the files agree within the tolerances (a tilted base counts with --strict alone),
+    1 the files differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.pupper.named_robots import is_variant, variant_model_files

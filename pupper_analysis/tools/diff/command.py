@@ -27,7 +27,7 @@ def command(
     style: str,
     everything: bool,
 ) -> None:
-    """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
+    """Show the changes of the robot between OLD and NEW: two URDFs, or two MJCFs.
 
     Each changed number is shown with its lines in both files and its effect on the dynamics, then
     the change in total mass and in the torques that hold the links in the air. Moved text, moved
@@ -40,7 +40,7 @@ def command(
       pupper-analysis diff v1.0:./robot.xml main:./robot.xml
       pupper-analysis diff robot.urdf longer.urdf --tolerance mass=1e-3
 
-    Exit status: 0 they are the same, 1 they are different, 2 bad input.
+    Exit status: 0 the robot is the same, 1 the robot has changed, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.diff.compare import diff_models

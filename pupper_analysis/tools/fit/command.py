@@ -171,7 +171,7 @@ def command(
     air).
     A log is of a robot that hangs or is bolted down: time, position.<joint>, command.<joint>.
 
-    Every number comes with its interval, and says whether the measurements determine it.
+    Every number has an interval. The output states whether the measurements determine the number.
 
     \b
     Examples:
@@ -181,7 +181,7 @@ def command(
       pupper-analysis fit v3 --stands stands.csv --prior kp=0 --report fit.html
       pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
 
-    Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
+    Exit status: 0 the model explains the measurements, 1 the model does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.fit.result import Fit
 

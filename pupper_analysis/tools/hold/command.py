@@ -57,17 +57,17 @@ def command(
     report_path: Path | None,
     **robot_options: object,
 ) -> None:
-    """Hold a posture with the base fixed: motor torques, sag, and whether it stays.
+    """Hold a posture with the base fixed: motor torques, sag, and simulation of the posture.
 
     For arms, hands, and any robot that is bolted down. Gravity torques are computed by Pinocchio
-    from the URDF and by MuJoCo from the MJCF, and held against the motors' limits; the sag of the
+    from the URDF and by MuJoCo from the MJCF, and compared with the motors' limits; the sag of the
     position servos is predicted at each joint and at the tool; then MuJoCo simulates 12 s with
     feed-forward and 12 s without, and nudges the robot. Also: the worst posture of each motor that
     a search finds; the payload at the tool, here and in the worst posture found; and the force at
     the tool that the motors withstand, each way.
 
-    The joints that --joints does not name are where a keyframe of the MJCF has them, or else in the
-    middle of their ranges. Servos are added where the MJCF has none, and a note says so.
+    Joints not named by --joints have the position in a keyframe of the MJCF, or else the middle of
+    their range. Joints without a servo in the MJCF get a servo, which a note reports.
 
     \b
     Examples:
@@ -77,7 +77,7 @@ def command(
       pupper-analysis hold hand.xml --keyframe open --tool thumb_tip \\
         --figure held.png
 
-    Exit status: 0 it holds, 1 it does not, 2 bad input.
+    Exit status: 0 the posture holds, 1 the posture does not hold, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.hold.hold import hold_posture
 

@@ -113,9 +113,9 @@ def command(
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
-    opens the page has its own session.
-    Only this machine can reach the page, unless --host is given: then anyone can who reaches
-    the port and has the printed address with its token. The page is served until Ctrl-C.
+    opens the page has a separate session.
+    Only this machine can reach the page. With --host, everybody can who reaches the port and has
+    the printed address with the token. The page is served until Ctrl-C.
 
     With --mujoco or --drop MuJoCo's own viewer opens instead.
 
@@ -129,7 +129,7 @@ def command(
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
 
-    Exit status: 0 it stands, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
+    Exit status: 0 the robot stands, 1 the robot does not stand, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")

@@ -37,11 +37,11 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Plan a path from the nominal stand to a stance, and simulate it.
+    """Plan a path from the nominal stand to a stance, and simulate the path.
 
-    The feet start where the stance has them; before one is lifted, the weight is shifted onto the
-    others. Every sample is a stand in dynamic balance, along a minimum-jerk law. Robot and stance
-    are given as for `stand`.
+    The feet start at their positions in the stance. Before a foot is lifted, the weight is shifted
+    onto the other feet. Every sample is a stand in dynamic balance, along a minimum-jerk law. Robot
+    and stance are given as for `stand`.
 
     \b
     Examples:
@@ -50,7 +50,7 @@ def command(
       pupper-analysis path original --height 14cm
       pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --json pitch.json
 
-    Exit status: 0 the robot follows the path, 1 it does not, 2 out of reach, not holdable or
+    Exit status: 0 the robot follows the path, 1 the robot does not, 2 out of reach, not holdable or
     bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.path.tracking import study_path

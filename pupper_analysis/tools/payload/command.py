@@ -35,7 +35,7 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Find the largest payload of a stance, and what fails beyond it.
+    """Find the largest payload of a stance, and the failure beyond this limit.
 
     The payload is a point mass at --payload-at, in addition to --payload: the largest mass
     with which `stand --payload` holds. Reach and contacts, motor torques and servo stiffness
@@ -45,7 +45,7 @@ def command(
 
     The effort limits in the files are taken as peak torques: the payload can be carried for
     moments. With --continuous the payload can be carried permanently; motors that no pattern
-    matches keep their peak torque.
+    matches keep the peak torque.
 
     \b
     Examples:

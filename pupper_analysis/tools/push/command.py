@@ -44,7 +44,7 @@ def command(
     Each ROBOT is a variant, a URDF, an MJCF, or both: the URDF and then the MJCF. By default the
     six variants are pushed (about three seconds each). Robot and
     stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
-    survives it if it is upright and at rest after 6 s and only its feet ever touched the
+    survives a push if it is upright and at rest after 6 s and only its feet touched the
     ground. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
     ground.
 

@@ -50,24 +50,24 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Solve a stance: joint angles, motor torques, and whether the robot stays upright in it.
+    """Solve a stance: joint angles and motor torques, verified by a simulation.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF; --base, --leg-scale
-    and --torso-mass-scale define other variants. Of one file the other model is made in memory.
-    Feet are detected; a floor, servos and a start pose are added where the files lack them, and
-    notes say so.
+    and --torso-mass-scale define other variants. If only one file is given, the other model is made
+    in memory. Feet are detected; a floor, servos and a start pose are added if the files lack
+    these, and notes report the additions.
 
-    Give lengths and angles with their unit: 20mm, 2cm, 5deg. A number without one is in m or rad;
-    one that cannot be meant is asked about.
+    Give lengths and angles with their unit: 20mm, 2cm, 5deg. A number without unit is in m or rad;
+    a length without unit that is probably in mm is refused.
 
-    A stance that is out of reach is refused, and the message says what is possible. A stance
+    A stance that is out of reach is refused, and the message states the possible values. A stance
     that is reached but cannot be held (the robot slides or tips) is reported as such. In
     simulation the legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
     ground.
 
-    Other commands take the same options of robot and stance: workspace (how far the base can move),
-    payload (how much it can carry), push (how hard it can be pushed), best (a better stance) and
-    path (how to get there).
+    Other commands take the same options of robot and stance: workspace (range of the base), payload
+    (largest payload), push (largest pushes), best (a better stance) and path (motion to the
+    stance).
 
     \b
     Examples:
@@ -81,7 +81,8 @@ def command(
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 20 --kd 0.5 --kp '*calf*=30'
 
-    Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
+    Exit status: 0 the stance holds, 1 the stance fails in simulation, 2 out of reach, not holdable
+    or bad input.
     """  # noqa: D301 - click reads the \b
     if explain:
         refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})

@@ -94,8 +94,8 @@ def command(
     """Measure the designs that a TOML file describes, on all cores.
 
     Results are stored in a folder, as Parquet. A study can be interrupted at any time and
-    resumes where it stopped; after the file is changed, only new designs are measured. A design
-    that fails is a row with the reason.
+    resumes at the last stored design; after a change of the file, only new designs are measured. A
+    design that fails is a row with the reason.
 
     \b
     Example of a file:

@@ -62,8 +62,8 @@ def command(
 ) -> None:
     """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
 
-    Only attributes whose numbers differ are written; comments, order and line ends stay as they
-    are. Without --take the differences are listed with their numbers and nothing is changed. Values
+    Only attributes whose numbers differ are written; comments, order and line ends are unchanged.
+    Without --take the differences are listed with both numbers and nothing is changed. Values
     that the other format cannot express, and orientations, are listed as not written.
 
     \b

@@ -76,11 +76,11 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Find what a learnt policy asks of the motors as it walks a robot.
+    """Simulate a robot that walks with a learnt policy, and compare its torques with motor limits.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. The robot is
-    simulated as its files have it, on servos with the policy's gains. What the policy observes and
-    commands is read from its file, and from a TOML beside it of the same name.
+    simulated as in its files, with servos that have the policy's gains. Observation and action of
+    the policy are read from the policy file, and from a TOML file of the same name beside it.
 
     \b
     Examples:
@@ -90,8 +90,8 @@ def command(
         --fit fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
 
-    Exit status: 0 every run tracks its command (with --fit, wherever the real robot may be; with
-    --orders, nothing walks better than what the policy states), 1 one does not, 2 bad input.
+    Exit status: 0 every run tracks the command (with --fit, within the intervals of the fit; with
+    --orders, no interpretation walks better than the stated one), 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if orders:
         refuse_idle("--orders", "asked", "seeds", "vary", "fitted")

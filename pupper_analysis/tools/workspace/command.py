@@ -20,7 +20,7 @@ def command(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Find how far the base can rise, shift, roll, pitch and yaw from a stance.
+    """Find the range in which the base can rise, shift, roll, pitch and yaw from a stance.
 
     The feet stay planted. Each direction is searched separately, up to the first pose that is out
     of reach. Robot and stance are given as for `stand`.

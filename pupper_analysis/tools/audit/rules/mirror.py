@@ -450,7 +450,7 @@ def _list_contacts(
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
-    """Return a link and all links fixed to it that have collision shapes only."""
+    """Return a link and the links fixed to it, reduced to those with collision shapes."""
     parts = [
         replace(part, shapes=tuple(shape for shape in part.shapes if shape.collides))
         for part in robot.fixed_group(link.name)
