@@ -202,7 +202,7 @@ def test_studies_and_reports_raise_for_wrong_arguments(junk: Any, tmp_path: Path
     ],
 )
 def test_values_raise_unless_an_array_of_real_numbers(given: Any, said: str) -> None:
-    """NumPy would take them, and drop what does not fit."""
+    """NumPy would convert such values, and drop for example an imaginary part."""
     robot, stand = load("v3"), stand_of("v3")
     calls: list[Callable[[], object]] = [
         lambda: pa.Configuration(robot, given),

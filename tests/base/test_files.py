@@ -303,7 +303,7 @@ def test_files_of_killed_runs_are_removed_by_the_next_run(tmp_path: Path) -> Non
 
 
 def test_hidden_files_are_removed_if_a_run_writes_nothing(tmp_path: Path) -> None:
-    """Its output is refused, the folder is one of results, or all is as it should be."""
+    """Cases: a refused output, and a folder of results; files of a running process remain."""
     (tmp_path / "out.json").write_text("mine")
     left = leave_hidden_file(tmp_path)
     with pytest.raises(OutputError):

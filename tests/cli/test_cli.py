@@ -150,8 +150,8 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
                 assert item.type == "file" or isinstance(other.type, click.Choice), name
 
 
-def test_commands_stand_under_headings(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each of ours under one that is there; of others what states none, under the last."""
+def test_help_lists_each_command_under_its_heading(capsys: pytest.CaptureFixture[str]) -> None:
+    """Our tools have a listed heading; tools of other distributions may omit it."""
     assert {one.heading for one in own_tools().values()} <= set(HELP_HEADINGS[:-1])
     with pytest.raises(SystemExit):
         cli.run(cli.group, ["--help"])

@@ -90,8 +90,8 @@ def test_coal_shape_distance_equals_the_support_function(kind: str) -> None:
         assert 2.0 - found.min_distance == pytest.approx(far, abs=1e-6)
 
 
-def test_mesh_support_is_that_of_its_convex_hull() -> None:
-    """MuJoCo's own where it touches, computed here where it does not: the same four corners."""
+def test_mesh_shape_is_its_convex_hull() -> None:
+    """MuJoCo has a hull of a colliding mesh only; the computed hull has the same corners."""
     touching = model_of("mesh")
     drawn = model_of("mesh")
     drawn.mesh_graphadr[0] = -1  # as of a mesh that touches nothing

@@ -37,7 +37,7 @@ def test_scaling_an_inertia_from_geoms_raises() -> None:
 )
 @pytest.mark.parametrize("products", [0.0, 0.001])
 def test_new_inertia_replaces_each_form_of_the_old_one(stated: str, products: float) -> None:
-    """What was stated, along whichever axes, is left nowhere: MuJoCo turned a new tensor by it."""
+    """Reference: inertia compiled by MuJoCo, which a remaining orientation would rotate."""
     tensor = np.array([[0.02, products, 0.0], [products, 0.03, 0.0], [0.0, 0.0, 0.04]])
     inertial = f'<inertial pos="1 1 1" mass="1" {stated}/>'
     body = f'<body name="a"><freejoint/>{inertial}</body>'

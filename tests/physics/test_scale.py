@@ -141,7 +141,7 @@ def test_dimensionless_results_do_not_depend_on_size(
 
 
 def test_sliding_rest_position_does_not_depend_on_mass() -> None:
-    """With 1e-3 N/m to hold it in its place it came to rest 0.6 um higher."""
+    """Reference: scaling law of statics. A penalty of 1e-3 N/m changed the height by 0.6 um."""
     losses = []
     for factor in (1.0, 0.02 / load("v3").total_mass):
         robot = resized(load("v3"), 1.0, factor)
@@ -152,7 +152,7 @@ def test_sliding_rest_position_does_not_depend_on_mass() -> None:
 
 @pytest.mark.slow
 def test_verdict_changes_once_around_the_minimum_stiffness(tmp_path: Path) -> None:
-    """From below it falls, from there on it stands; once it was stands, unstable, stands."""
+    """The robot falls below the minimum and stands above; a verdict must not alternate."""
     drawn_one = drawn(14)
     drawn_one.motors, drawn_one.base = "position", "free"
     drawn_one.links = [link for link in drawn_one.links if link.name != "tail"]

@@ -59,8 +59,8 @@ FINGERS = 12
 
 
 @pytest.mark.slow
-def test_a_servo_that_leads_many_light_fingers_lets_the_robot_rest(tmp_path: Path) -> None:
-    """Romeo's, whose hands shook at 18 Hz: a servo's damping acts on its own joint first."""
+def test_gains_of_joints_with_coupled_fingers_do_not_oscillate(tmp_path: Path) -> None:
+    """Romeo's hands shook at 18 Hz: damping of a servo acts on its own joint first."""
     parts = []
     for number in range(FINGERS):
         parent = f"tip{number - 1}" if number % 3 else "base_link"

@@ -178,8 +178,8 @@ def test_angles_as_ctrl_of_torque_motors_are_the_named_cause(tmp_path: Path) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below", [0.0, 0.6])
-def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) -> None:
-    """The base's body is where it was; its frame, which nothing rests on, is elsewhere."""
+def test_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) -> None:
+    """The base body is at the same place; only its frame is moved below the ground."""
     pair = standing(tmp_path)
     text = pair.mjcf.read_text()
     text = re.sub(r'(<body name="\w+_hip" pos="\S+ \S+) \S+"', rf'\g<1> {below}"', text)
@@ -205,7 +205,7 @@ def test_robot_with_sleeping_enabled_is_judged(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_own_run_does_not_depend_on_the_welds_of_the_task(tmp_path: Path) -> None:
-    """A foot that is welded carries nothing; in the file it carries as the others do."""
+    """A welded foot has no contact force in the task, but collides in the published file."""
 
     def with_motors(text: str) -> str:
         text = re.sub(_CTRL, "", text)

@@ -120,7 +120,7 @@ def test_robot_that_slides_away_counts_as_collapsed(tmp_path: Path) -> None:
 
 
 def test_robot_that_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
-    """With its feet in the air: the height at which it lands is none that it keeps."""
+    """The robot starts above the ground and ends on its knees, at a CoM height of 0.195 m."""
     pair = standing(tmp_path)
     text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
     text = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0 -2.5"] * 4))

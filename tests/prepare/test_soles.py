@@ -68,7 +68,7 @@ def test_mesh_sole_gets_spheres_at_its_corners(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_spheres_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
-    """A Zeroth bot's sole has a corner 0.14 mm off the others: its foot tilted, by 1.9 %."""
+    """A corner of a Zeroth bot's sole is 0.14 mm off; unprojected, the foot tilts by 1.9 %."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
     numbers = VERTICES.findall(pair.mjcf.read_text())[0].split()
     random = np.random.default_rng(1)

@@ -92,7 +92,7 @@ def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_robot_without_a_stand_has_servos(tmp_path: Path) -> None:
-    """Who knows a height for it needs no gains of their own."""
+    """A nominal stand is out of reach, since a box reaches deeper than the feet."""
     files = quadruped(tmp_path)
     deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
     rewritten(files.mjcf, ('<body name="FL_hip"', deep))

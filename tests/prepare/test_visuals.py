@@ -50,8 +50,8 @@ def test_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
         assert robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
 
 
-def test_the_published_model_has_the_geoms_of_the_robot_in_their_order(tmp_path: Path) -> None:
-    """What was kept from touching is found by its place among its body's geoms."""
+def test_published_model_has_geoms_in_the_order_of_the_robot(tmp_path: Path) -> None:
+    """Geoms without collisions are found by their index among the geoms of the body."""
     pair = quadruped(tmp_path)
     seen = '<geom type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
     text = re.sub(r"<geom[^>]*type=\"plane\"[^>]*/>", "", pair.mjcf.read_text())

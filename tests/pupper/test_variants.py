@@ -87,7 +87,10 @@ def test_a_spec_names_itself() -> None:
 
 
 def test_files_read_for_a_variant_are_recorded_in_each_run() -> None:
-    """None of them is written over, also where what was derived of them is kept."""
+    """Also in the second run, which uses the cached base model.
+
+    No output may replace such a file.
+    """
     for _ in range(2):
         with ensure_run() as run:
             pa.load_variant("v3-heavy")

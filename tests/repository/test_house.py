@@ -32,7 +32,7 @@ def imported(tree: ast.Module) -> Iterator[str]:
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    """Of one room, too; a package's own `__init__` may import what is in it."""
+    """Checked for all modules; a package's `__init__` may import its own modules."""
     graph = {}
     for path, tree in trees().items():
         name = f"pupper_analysis/{path}".removesuffix(".py").removesuffix("/__init__")

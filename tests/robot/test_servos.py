@@ -254,7 +254,7 @@ def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
 
 
 def test_force_ranges_are_narrowed_at_each_end_alone() -> None:
-    """An effort of -5 to 20 N m beside a forcerange of -10 to 10 allows -5 to 10 N m."""
+    """An effort of -5 to 20 N m and a forcerange of -10 to 10 N m leave -5 to 10 N m."""
     from pupper_analysis.robot.servos import _narrow_force_ranges
 
     model = mujoco.MjModel.from_xml_string(

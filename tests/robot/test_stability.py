@@ -106,8 +106,11 @@ def test_servo_beyond_its_discrete_stability_limit_shakes(kd: float, integrator:
         assert mode.frequency == pytest.approx(1 / (2 * step))
 
 
-def test_own_differences_are_mujocos() -> None:
-    """For RK4, which ``mjd_transitionFD`` has not: of another integrator they are the same."""
+def test_finite_difference_step_equals_mjd_transition_fd() -> None:
+    """Used for RK4, which ``mjd_transitionFD`` does not support.
+
+    Compared for another integrator.
+    """
     from pupper_analysis.robot.stability import _difference_steps
 
     robot = load("v3")
@@ -281,7 +284,7 @@ def test_stability_at_a_joint_limit_is_judged_on_both_sides() -> None:
 def test_mode_shakes_if_it_oscillates_faster_than_it_grows(
     frequency: float, time_constant: float, shakes: bool
 ) -> None:
-    """Faster than once in 12 s, and by more than a radian of its phase while it grows by e."""
+    """Bounds: one oscillation in 12 s, and a phase of 1 rad within the time constant."""
     mode = Mode(0.01, frequency, -0.1, time_constant, 0.7 * time_constant, ("knee",))
     assert mode.shakes == shakes
     assert mode.grows_within(12.0) == (shakes or time_constant < 1)

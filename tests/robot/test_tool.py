@@ -17,7 +17,7 @@ from tests.support.variants import NAMES, load
 
 @pytest.mark.parametrize("frame", ["leg_front_l_2", "leg_back_r_3_foot_site"])
 def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame: str) -> None:
-    """By virtual work: it adds m |g| times the rate at which its point rises."""
+    """Reference: virtual work, m g times the vertical Jacobian of the point."""
     robot, mass, place = load("v3"), 0.3, np.array([0.01, -0.02, 0.03])
     loaded = with_payload(robot, mass, find_tool(robot, frame).moved(place))
     random = np.random.default_rng(4)

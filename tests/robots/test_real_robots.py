@@ -373,7 +373,7 @@ def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_stand_names_links_that_push_on_each_other() -> None:
-    """G1's hands are on its hips with elbows at 60 degrees, and nowhere near with them at 0."""
+    """G1's hands touch the hips with elbows at 60 degrees, and are far away at 0."""
     robot = pa.load_robot(file(LAB, "unitree_g1/xmls/g1.xml"))
     for elbow, pairs in ((0.0, set()), (np.radians(60), {"left", "right"})):
         stand = pa.solve_stand(robot, pa.StandTask(posture={"*elbow*": float(elbow)}))

@@ -146,8 +146,8 @@ def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
 
 
 @pytest.mark.slow
-def test_servos_too_weak_to_stand() -> None:
-    """It goes down on its thighs, level, and quite steady."""
+def test_resting_on_the_thighs_is_a_failure() -> None:
+    """With weak servos the base sinks level, and rests."""
     result = pa.verify_stand(
         load("v3-heavy"), stand_of("v3-heavy"), feedforward=False, kp=0.5, kd=0.1
     )
@@ -163,7 +163,7 @@ def test_servos_too_weak_to_stand() -> None:
 
 
 def test_fall_is_a_failure_of_the_verification() -> None:
-    """Upside down to start with: on its back it stays."""
+    """The robot starts upside down and stays on its back."""
     robot, stand = load("original"), stand_of("original")
     qpos = stand.qpos.copy()
     qpos[3:7] = 0, 1, 0, 0
@@ -298,8 +298,8 @@ def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> Non
     assert cells.height_deviation[1, 1] == pytest.approx(deviation, rel=1e-6)
 
 
-def test_sweep_marks_a_robot_that_falls_or_lies() -> None:
-    """On its thighs it lies steadier than it stands; ten times its weight throws it over."""
+def test_sweep_marks_falls_also_if_the_robot_rests() -> None:
+    """Lying on the thighs is a fall; so is a throw by a force of ten times the weight."""
     weak, stand = load("v3-heavy"), stand_of("v3-heavy")
     result = pa.simulation.sweep_gains(weak, stand, kp=[0.3, 20], kd=[0.5])
     np.testing.assert_array_equal(result.fell, [[True], [False]])

@@ -77,8 +77,8 @@ def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) 
     assert others, "no start led to a way to bend a leg"
 
 
-def test_a_whole_turn_is_no_other_branch() -> None:
-    """Knee and hip of a leg that turns all the way round: two choices each, and nothing more."""
+def test_whole_turns_are_not_separate_ik_branches() -> None:
+    """A leg with unlimited joints has two branches each of knee and hip, and no more."""
     bounded = load("original")
     urdf = bounded.description.urdf.replace('type="revolute"', 'type="continuous"')
     robot = build_robot(replace(bounded.description, urdf=urdf))

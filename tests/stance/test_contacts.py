@@ -80,7 +80,7 @@ def test_mujoco_holds_a_stand_on_a_roof() -> None:
 
 
 def test_foot_force_error_is_measured_along_the_normal_of_its_plane() -> None:
-    """Without feed-forward, where forces are others than predicted."""
+    """Simulated without feed-forward, where the forces differ from the prediction."""
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
     found = pa.verify_stand(robot, stand, feedforward=False)
@@ -294,8 +294,8 @@ def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) ->
 
 
 @pytest.mark.slow
-def test_soles_and_a_hand_have_each_their_own_ground(tmp_path: Path) -> None:
-    """Contact points are in one order in all that goes through them, the hand's behind."""
+def test_soles_and_hand_balance_on_separate_planes(tmp_path: Path) -> None:
+    """Reference: MuJoCo's torques and sag. Contact points have a common order, the hand last."""
     robot = pa.load_robot(*with_arm(biped(tmp_path), "", "pelvis"))
     contact = pa.Contact(pa.Plane((0, 0, TABLE), (0, 0, 1), 0.6), place=(0.45, 0.0, TABLE))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts={HAND: contact}))

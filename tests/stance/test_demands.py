@@ -72,7 +72,7 @@ def test_reset_of_one_demand_keeps_the_other_demands(demand: str) -> None:
 
 
 def test_reset_places_are_those_of_the_nominal_stand() -> None:
-    """Those of feet for where they stand by themselves, a com's for the middle of what carries."""
+    """Feet are reset to nominal positions, the CoM to the centre of the loaded feet."""
     robot = load("v3")
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
     placed = reset_to_nominal(robot, pa.StandTask(feet={"FL": (0.1, 0.1)}), ["feet"])
@@ -163,7 +163,7 @@ def test_round_outward_moves_away_from_the_request_by_little() -> None:
     ],
 )
 def test_limits_of_a_refusal_are_solvable_as_printed(name: str, task: pa.StandTask) -> None:
-    """Those of several demands together; those of stretched legs, found on the way from others."""
+    """Also limits of several demands together, and of stretched legs."""
     robot = load(name)
     with pytest.raises(pa.StanceUnreachableError) as refusal:
         pa.solve_stand(robot, task)

@@ -212,7 +212,7 @@ def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
 def test_search_terminates_if_it_returns_to_its_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each stand that was reached is tried once: those reached from them were tried for ever."""
+    """Each reached stand is tried once; a cycle of stands would be searched for ever."""
     pair = random_legged.written(random_legged.drawn(95000), tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     tried: list[object] = []

@@ -110,8 +110,8 @@ def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
         )
 
 
-def test_sag_between_planes_is_mujocos() -> None:
-    """Pinned feet on a gutter, where gravity presses them into their planes."""
+def test_sag_between_two_planes_equals_mujoco() -> None:
+    """Pinned feet in a gutter, in which gravity presses the feet against both planes."""
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=sideways(20, roof=False)))
     sag = pa.steady_state(robot, stand)

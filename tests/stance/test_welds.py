@@ -168,10 +168,10 @@ def test_welded_links_beside_pressing_feet_hold_in_simulation(task: pa.StandTask
 
 
 @pytest.mark.parametrize("place", [None, (0.42, 0.05, 0.5)])
-def test_hand_is_welded_at_the_given_place_or_at_home(
+def test_welded_hand_is_at_its_place_or_its_home_position(
     armed: pa.Robot, place: tuple[float, float, float] | None
 ) -> None:
-    """By default where it is at home."""
+    """References: hand position of the home configuration; weld force of `stand_statics`."""
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts={"hand": pa.Weld(place)}))
     found = proven(armed, stand)
     robot = stand.check(armed)
@@ -444,8 +444,8 @@ def test_payload_of_a_welded_arm_equals_the_fixed_base_result(arm: pa.Robot) -> 
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_a_bolted_arm_is_judged_and_shown_as_a_stand_is(arm: pa.Robot, *, alone: bool) -> None:
-    """Also where its base is all that is held."""
+def test_welded_arm_has_the_verdict_and_document_of_a_stand(arm: pa.Robot, *, alone: bool) -> None:
+    """Also if the weld of the base is the only contact."""
     bare = pa.StandTask(contacts=BOLTED, posture={"turn": 0.7, "bend": 0.5})
     found = study_stance(arm, bare if alone else on_table(arm))
     assert found.passed, found.verdict.code

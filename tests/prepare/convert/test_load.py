@@ -54,10 +54,10 @@ def bent(robot: pa.Robot) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", ["of_urdf", "of_mjcf"])
-def test_each_file_alone_is_the_robot_of_both(
+def test_conversion_of_each_file_equals_the_original_model(
     which: str, both: pa.Robot, request: pytest.FixtureRequest
 ) -> None:
-    """Both engines, by joint and foot: the made model has mass, com, inertia, axes and feet."""
+    """Mass, CoM, inertia, axes and feet are compared in both engines."""
     one: pa.Robot = request.getfixturevalue(which)
     assert one.total_mass == pytest.approx(both.total_mass, rel=1e-12)
     assert set(one.joint_names) == set(both.joint_names)
@@ -95,7 +95,7 @@ def test_converted_model_has_the_masses_of_the_other_engine(
 
 @pytest.mark.slow
 def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
-    """The URDF's numbers, and then the MJCF's, where they are of two robots."""
+    """Reference: total mass of the URDF alone, and of the MJCF alone."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)
     heavier = tmp_path / "heavier.urdf"
     weight = re.compile(r'mass value="[0-9.]+"')
@@ -171,7 +171,7 @@ damping="1"/><geom size="0.01" mass="0.1"/></body></body></body></worldbody>
 
 
 def test_tendon_servo_is_commanded_to_its_current_length(tmp_path: Path) -> None:
-    """Commanded 0, as it was, it closed the gripper that it was to hold open."""
+    """A command of 0 would close the gripper."""
     file = tmp_path / "gripper.xml"
     file.write_text(GRIPPER)
     arm = pa.load_robot(file)

@@ -39,7 +39,7 @@ def on_a_root(text: str, turn: Rotation) -> str:
 
 
 def test_mount_tilt_is_reported_for_a_pendulum_on_its_side(tmp_path: Path) -> None:
-    """As it lies it is tilted; turned about gravity it is not."""
+    """A rotation by 90 deg about y is a tilt; a rotation about gravity is none."""
     urdf, mjcf = urdf_text(pendulum(), ()), mjcf_text(pendulum(), (), free=False)
     lying = Rotation.from_euler("y", 90, degrees=True)
     comparison = compared(write(tmp_path, urdf, mounted(mjcf, lying)))

@@ -114,8 +114,8 @@ def test_offset_across_the_axis_is_reported_with_its_size(tmp_path: Path) -> Non
     assert comparison.complete
 
 
-def test_offset_along_the_axis_that_nothing_compensates_is_a_difference(tmp_path: Path) -> None:
-    """Nothing compensates for it: the whole leg is elsewhere."""
+def test_uncompensated_offset_along_the_axis_is_a_difference(tmp_path: Path) -> None:
+    """The whole leg is displaced, since no child joint moves back."""
     place = np.array(quadruped()["shank0"].position) + rotation_of(quadruped()["shank0"]).apply(
         [0, 0.01, 0]
     )

@@ -262,7 +262,7 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
 def test_gripper_of_one_file_alone_is_reported_as_a_part(tmp_path: Path, where: str) -> None:
-    """A hand is fixed to the rod, and carries two fingers."""
+    """A hand with two fingers is fixed to the rod in one file."""
     hand = light("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
     fingers = {
         f"finger{n}": light(f"finger{n}", "hand", kind="prismatic", position=(0.02, y, 0.0))

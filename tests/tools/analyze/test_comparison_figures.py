@@ -153,7 +153,7 @@ def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
 def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
     figures: list[Figure],
 ) -> None:
-    """Cells are drawn at (kd, kp); the numbers are those of the sweep, in millimetres."""
+    """Cells are at (kd, kp); reference: the numbers of the sweep, in mm."""
     analysis = analysis_of("v3")
     deviation = np.array([[1.5e-3, np.inf], [2e-5, 3e-3], [1e-9, 4e-4]])
     lasts = np.array([[True, False], [True, False], [True, True]])

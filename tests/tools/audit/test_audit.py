@@ -381,7 +381,7 @@ def test_individually_identified_motors_are_no_finding(
 
 
 def test_keyframe_without_commands_is_a_note(tmp_path: Path) -> None:
-    """It commands zeros, which is how many are published; where zeros are its pose, all is well."""
+    """Missing commands are zeros; no finding if the keyframe's joint positions are zero as well."""
     path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
     (finding,) = found(audit_model(path), "keyframe-ctrl")
     assert finding.severity is Severity.NOTE

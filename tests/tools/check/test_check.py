@@ -361,7 +361,7 @@ def test_every_part_of_an_identity_counts() -> None:
 
 
 def test_each_baseline_entry_matches_one_remark_of_equal_value() -> None:
-    """Each entry is for one remark of the same value."""
+    """A second remark with the same value is new; an entry without a remark is stale."""
     remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
     found, stale = mark_known_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
     assert [one.known for one in found] == [False, True, True, False]

@@ -112,7 +112,7 @@ def test_number_of_network_actions_is_compared_with_other_sources(
 def test_joints_of_other_names_are_matched_by_structure(
     tmp_path: Path, sources: dict[str, Path]
 ) -> None:
-    """A URDF with numbers for names is held against the MJCF, and what goes by its names."""
+    """The URDF's joints are named by numbers; sources that use these names are matched as well."""
     urdf, text = tmp_path / "numbered.urdf", URDF.read_text()
     names = {joint: f"m{number}" for number, joint in enumerate(JOINTS)}
     for joint, name in names.items():

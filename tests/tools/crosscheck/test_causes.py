@@ -146,7 +146,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
 
 
 def test_masses_derived_from_geoms_are_one_cause(tmp_path: Path) -> None:
-    """As in an MJCF of B2: its base states none, and its shapes weigh as water does."""
+    """As in an MJCF of B2, whose base has no inertial: its shapes have the density of water."""
     files = pair(tmp_path, quadruped())
     text, count = re.subn(
         r'(<body name="thigh[01]"[^>]*>(?:\s*<joint[^>]*/>)?)\s*<inertial[^>]*/>',
@@ -200,8 +200,8 @@ def offset_joint(text: str, joint: str, pos: str) -> str:
     return text.replace(f'<joint name="{joint}"', f'<joint pos="{pos}" name="{joint}"')
 
 
-def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
-    """The body stays; its com and its child have moved as seen from its joint alone."""
+def test_displaced_joint_axis_is_the_cause_of_moved_coms(tmp_path: Path) -> None:
+    """CoM and child are unmoved in the robot, but displaced in the frame of the moved joint."""
     text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))

@@ -128,7 +128,7 @@ def test_equal_factor_of_two_masses_is_a_decimal_point_error(
 
 @pytest.mark.slow
 def test_dropped_products_are_found_if_the_base_has_fixed_links(folder: Path) -> None:
-    """The fold of the base has products of its own, as its links have places."""
+    """Offsets of fixed links give the merged base products of inertia, also without own ones."""
     mjcf = {
         name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
         for name, part in geared().items()

@@ -156,8 +156,8 @@ def test_removed_joint_is_reported_and_the_rest_compared_at_zero(tmp_path: Path,
     assert set(others) <= {"joint", "motor"}
 
 
-def test_motors_of_other_kinds(tmp_path: Path) -> None:
-    """By the names of what they act on, whatever its number."""
+def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> None:
+    """An additional site, which shifts the ids, is no change of the motors."""
     extra = (
         '<tendon><fixed name="cable"><joint joint="hip0" coef="1"/></fixed></tendon>'
         '<actuator><motor name="winch" tendon="cable" gear="2"/>'
@@ -322,7 +322,7 @@ def test_a_revision_is_read_from_git(repository: Path, given: str) -> None:
 
 
 def test_revision_uses_its_own_includes_and_meshes(repository: Path) -> None:
-    """Not those of the working tree, which may be others or gone."""
+    """Not the files of the working tree, which are changed or deleted."""
     assert run(repository, "HEAD:./robot.xml", "robot.xml").returncode == 0
     (repository / "parts" / "floor.xml").unlink()
     assert run(repository, "HEAD:./robot.xml", "HEAD:robots/robot.xml").returncode == 0

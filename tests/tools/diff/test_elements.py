@@ -180,7 +180,7 @@ def test_friction_of_a_foot_without_friction_cone_is_reported(tmp_path: Path) ->
     "flag", ['angle="degree"', 'settotalmass="9"', 'eulerseq="zyx"', 'boundmass="0.3"']
 )
 def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str) -> None:
-    """It stands at its line; what it makes other has lines in which nothing has changed."""
+    """The line of the flag is reported first; lines with a changed meaning have equal text."""
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
     text = """<mujoco>
       <compiler angle="radian"/>

@@ -53,7 +53,7 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
 
 
 def test_bounded_parameter_stops_at_zero_and_others_stay_optimal() -> None:
-    """Friction would be -3; an offset that goes with it is the best one for friction of zero."""
+    """Unbounded, friction is -3. Reference: the optimum of the offset with zero friction."""
     given = table("friction", "offset")
     rows = np.array([[10.0, 6.0], [0.0, 5.0], [3.0, -4.0]])
     right = rows @ [-3.0, 2.0]

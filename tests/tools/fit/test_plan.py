@@ -130,7 +130,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
 def test_plan_keeps_margins_from_limits_and_other_links(
     variant: str,
 ) -> None:
-    """They keep off: joints by three widths of encoders' zeros, links by half of what is there."""
+    """Joints keep three standard deviations of the encoder offset; links half of the distance."""
     robot = load_variant(variant)
     priors = [parse_prior("offset=2deg"), parse_prior("com=5mm")]
     found = RandomStands(robot, np.random.default_rng(0), None, priors).draw_stands(6)

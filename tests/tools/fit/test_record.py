@@ -69,7 +69,7 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
-    """Its joints are where statics of the true robot has them; and no joint was led too fast."""
+    """Reference: virtual work of the perturbed robot's weight. Commands keep the speed limit."""
     path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
     found = record_stands(robot, plan, path, one, one)
     assert found.complete
@@ -241,7 +241,7 @@ with lock_file(Path(sys.argv[1]), temporary=True) as locked:
 def test_second_recording_into_one_file_is_refused_before_motion(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
-    """In this process, and while another process holds the lock; a killed one holds it no more."""
+    """In this process, and while another process holds the lock; not after that is killed."""
     path, link = tmp_path / "new" / "stands.csv", tmp_path / "link.csv"
     link.symlink_to(path)
     refusals: list[str] = []
@@ -287,7 +287,7 @@ def test_recording_waits_for_a_late_message(robot: Robot, plan: Path, tmp_path: 
 def test_recording_waits_for_rest_after_a_slip(
     robot: Robot, plan: Path, sound: Array, tmp_path: Path
 ) -> None:
-    """It is pushed while it is averaged: by 4 cm/s after 0.2 s joints are 10 mrad elsewhere."""
+    """A push of 4 cm/s during averaging would displace joints by 10 mrad after 0.2 s."""
     still, one = SimulatedRobot(robot, 3), Faulty(robot, 3)
     assert record_stands(robot, plan, tmp_path / "still", still, still).complete
     one.slip = 1.6

@@ -191,7 +191,7 @@ def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:
 
 
 def test_common_factor_of_all_forces_is_not_determined() -> None:
-    """Where nothing tells it, derivatives along what is known do not say that it is told."""
+    """A common factor on masses, gains and friction leaves a motion with servos unchanged."""
     robot = load("v3", fixed_base=True)
     names = ("leg_front_r_1", "leg_front_r_2", "leg_front_r_3")
     drive, bodies = model_with_servos(robot, 5.0, 0.0), MovingBodies(robot, robot.mj_model)

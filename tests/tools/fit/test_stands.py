@@ -313,7 +313,7 @@ def com(one: Robot) -> Array:
 def test_com_uncertainty_follows_from_one_parameter(
     robot: Robot, kind: str, subject: str, component: str, factor: str
 ) -> None:
-    """By differences: a robot in which that number alone is off by its standard deviation."""
+    """Reference: finite difference of the CoM, times the parameter's standard deviation."""
     off, body = 1e-5, dict(list_bodies(robot))[subject]
     inertia = robot.structure.model.inertias[body]
     stated = float(inertia.mass if kind == "mass" else inertia.lever[2])
@@ -348,7 +348,7 @@ def test_the_whole_com_is_that_of_the_planted_robot(
 def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
-    """Friction that carries a part of the known mass alone makes kp look a fifth too large."""
+    """Friction that carries a part of the known mass would make kp a fifth too large."""
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
     held = 0.8 * robot.joint_friction / kp * np.sign(with_mass.command - with_mass.position)
     on = with_mass.added[robot.base][:, :1] > 0

@@ -30,8 +30,8 @@ def test_torques_positions_and_sags_are_each_in_their_column() -> None:
         assert shown == pytest.approx(values.tolist(), abs=5e-5 if name == "torque" else 5e-3)
 
 
-def test_a_payload_that_mujoco_lets_fall_is_no_headline_alone() -> None:
-    """Beside the motors' limit, not only in its table, stands what the simulation made of it."""
+def test_payload_that_fails_in_mujoco_is_a_finding() -> None:
+    """The first lines contain the failed simulation, in addition to the limit of the motors."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     assert held.payload_trial is not None
     assert held.payload_trial.passed

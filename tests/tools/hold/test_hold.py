@@ -161,7 +161,7 @@ def test_torque_of_a_leading_joint_includes_its_follower(
 
 
 def test_held_robot_hangs_without_ground_contact() -> None:
-    """What it would stand on touches nothing, and its legs are held in the air."""
+    """The ground does not collide, and the legs hold their posture in the air."""
     robot = pa.load_variant("v3", fixed_base=True)
     stand = held_stand(robot, find_posture(robot))
     assert verify_stand(robot, stand, duration=3.0).passed

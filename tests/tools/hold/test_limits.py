@@ -167,8 +167,8 @@ def test_payload_limit_is_equal_in_both_engines() -> None:
     assert tool_payload(weak, posture, tool, held).mass == 0.0
 
 
-def test_forces_at_the_tool_are_the_polytopes() -> None:
-    """Its edge along directions by a linear programme, its nearest face by its vertices' hull."""
+def test_tool_forces_equal_the_force_polytope() -> None:
+    """References: linear program for the extents; convex hull of the vertices for the minimum."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     config = Configuration(robot, posture.qpos)

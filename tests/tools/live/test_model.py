@@ -190,8 +190,8 @@ def test_saved_stance_file_gives_the_same_stand(tmp_path: Path) -> None:
     assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
 
-def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
-    """What the page saves for --stance it reads again; what no slider has is refused."""
+def test_page_starts_with_a_stance_file(tmp_path: Path) -> None:
+    """A file saved by the page is read again; a requirement without a slider is refused."""
     file = tmp_path / "stance.toml"
     file.write_text(write_stance_file(RICH))
     begun = read_stance(file)

@@ -61,8 +61,8 @@ def test_balance_in_mujocos_terms(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 @pytest.mark.parametrize("speed", [0.0, 1e-4, 3.0])
-def test_dampers_and_dry_friction_are_mujocos(name: str, speed: float) -> None:
-    """Creeping, where dry friction is regularised, and turning, where it is the friction loss."""
+def test_damping_and_dry_friction_equal_mujoco(name: str, speed: float) -> None:
+    """At low speed, where dry friction is regularised, and at high speed, where it is constant."""
     robot, stand = load(name), stand_of(name)
     qvel, qacc = motion(name)
     qvel, qacc = speed * qvel, (speed + 1e-3) * qacc

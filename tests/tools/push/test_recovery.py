@@ -167,8 +167,8 @@ def test_bad_requests_are_refused(arguments: dict[str, Any], field: str) -> None
         pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1, 0.0, {"RR": 0.01})),
     ],
 )
-def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
-    """On three legs it tips early where the fourth is missing, which then catches it."""
+def test_push_recovery_on_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
+    """On three legs the recovered impulse exceeds the tipping impulse: the lifted foot lands."""
     robot = load("original")
     stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     result = push_recovery(robot, stand, directions=8, resolution=0.1)
@@ -224,7 +224,7 @@ def test_early_termination_does_not_change_the_outcome(name: str) -> None:
 
 
 def test_push_outcome_depends_on_the_final_state() -> None:
-    """Half a second in which it stands, and a last state in which it leans, or is low."""
+    """Half a second of standing, followed by a tilted or a low last state, is no recovery."""
     options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
     known = SimpleNamespace(stays=True, failures=())
     robot, stand = load("v3"), stand_of("v3")

@@ -96,8 +96,8 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 
 
 @pytest.mark.slow
-def test_the_front_is_drawn_and_in_a_table() -> None:
-    """Each design of it by its two objectives, and by its number in the study."""
+def test_pareto_front_is_plotted_and_listed() -> None:
+    """Each design with both objectives and its number in the study."""
     found = outcome()
     document = study_document(found)
     (plot,) = (one for one in document.blocks if isinstance(one, LinePlot))

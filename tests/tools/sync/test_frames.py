@@ -144,7 +144,7 @@ def test_positions_inside_a_frame_are_not_changed(tmp_path: Path) -> None:
 
 
 def test_body_of_an_offset_joint_is_not_changed(tmp_path: Path) -> None:
-    """Its body would be moved beneath its shapes."""
+    """A change of the joint position would move the body relative to its shapes."""
     text = mjcf_text(ROBOT).replace('<joint name="hip2"', '<joint name="hip2" pos="0 0.01 -0.02"')
     files = write(tmp_path, urdf_text(ROBOT), text)
     result = pa.sync_models(*files, take="urdf")

@@ -121,7 +121,7 @@ def test_degrees_of_the_file_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_directional_attributes_are_not_changed(tmp_path: Path) -> None:
-    """And what depends on none is written, where it was chosen by itself."""
+    """Rotations and axes stay; a mass, which has no direction, is written if selected."""
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
     text = files.mjcf.read_text()
     files.mjcf.write_text(
@@ -477,7 +477,10 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("done", [False, True], ids=["to do", "nothing to do"])
 def test_leftovers_of_a_killed_sync_are_removed(tmp_path: Path, done: bool) -> None:
-    """Killed after its rename, before its clean-up: run again it has nothing to write."""
+    """The process is killed after its rename and before its clean-up.
+
+    A second run writes nothing.
+    """
     (tmp_path / "part").mkdir()
     files = pair(tmp_path, ROBOT if done else DIFFERENT)
     main = files.mjcf.read_text()

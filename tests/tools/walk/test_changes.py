@@ -270,8 +270,8 @@ def test_the_own_order_is_the_best(own: Orders, trot: Policy) -> None:
 
 
 @pytest.mark.slow
-def test_a_planted_order_is_found(trot: Policy) -> None:
-    """Front legs exchanged: what walks best exchanges them back."""
+def test_exchanged_front_legs_are_found_by_walking(trot: Policy) -> None:
+    """The best interpretation of a policy with exchanged front legs exchanges them back."""
     names = load("v3").joint_names
     order = [3, 4, 5, 0, 1, 2, *range(6, 12)]
     wrong = trot.with_contract(joints=names).contract.reorder_joints(order)
