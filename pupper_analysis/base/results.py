@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from importlib import import_module
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,6 +19,7 @@ from pupper_analysis.base.frozen import freeze
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
 
 def to_json(result: object) -> str:
@@ -107,6 +109,26 @@ class Result:
         from pupper_analysis.base.notebook import render_result
 
         return render_result(self)
+
+    def plot(self, robot: object = None) -> tuple[Axes, ...]:
+        """Draw the plots of the result with Matplotlib, in a new figure of ``pyplot``.
+
+        Notebooks show the figure below the cell. A stand is drawn as in its figure, a comparison
+        by the deviations of its quantities, other results by the plots of their pages.
+
+        Args:
+            robot: Robot of the result; necessary for a stand.
+
+        Returns:
+            Axes of the panels.
+
+        Raises:
+            ConfigurationError: If the result has no plot, or the robot is missing.
+        """
+        # By name, because ``present`` is a higher layer, which imports this module.
+        plots = import_module("pupper_analysis.present.plots")
+        axes: tuple[Axes, ...] = plots.plot_result(self, robot)
+        return axes
 
     def to_json(self) -> str:
         """Return the result as indented JSON."""

@@ -101,7 +101,7 @@ def make_document(result: Result, robot: Robot | None = None, name: str = "") ->
         robot: Robot of the result; None if not available.
         name: Title if the builder provides no title. Default: the name of the type.
     """
-    _load_builder(type(result))
+    load_builder(type(result))
     built = build_document(result, robot)
     if get_english(built.title):
         return built
@@ -144,7 +144,7 @@ def _make_title(documents: Sequence[Document]) -> Words:
     return text("kind-names", kind=kind, names=join_words(document.title for document in documents))
 
 
-def _load_builder(kind: type) -> None:
+def load_builder(kind: type) -> None:
     """Import the module of the builder for a type, if there is one.
 
     The package of the type and the parent packages are searched first, then the tools.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -92,6 +92,24 @@ def write_plots(
     """
     if not plots:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
+    save_figure(make_plots_figure(plots, title=title, names=names), path)
+
+
+def make_plots_figure(
+    plots: Sequence[Plot],
+    *,
+    title: Words | None = None,
+    names: Sequence[str] = (),
+    create: Callable[..., Figure] = Figure,
+) -> Figure:
+    """Draw plots as panels of a figure, at most two in a row.
+
+    Args:
+        plots: Plots, at least one.
+        title: Title of the figure. Default: the title of the first plot.
+        names: Title of each panel. Default: the titles of the plots, if there are several.
+        create: Creates the empty figure, as for ``make_page_figure``.
+    """
     drawings = [draw_svg(plot) for plot in plots]
     columns = min(len(plots), _NUM_COLUMNS)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
@@ -103,7 +121,10 @@ def write_plots(
     # A legend has a line for every two of its entries, which may be long.
     room = 0.35 + len(rows) * (0.15 * several + 0.06 * max(map(len, legends)))
     figure = make_page_figure(
-        get_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
+        get_english(title or plots[0].title),
+        across * sum(heights) + room,
+        layout="constrained",
+        create=create,
     )
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
     titles = names or [get_english(drawing.title) if several else "" for drawing in drawings]
@@ -115,7 +136,7 @@ def write_plots(
         if legend:
             axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2,
                         fontsize=size, frameon=False)  # fmt: skip
-    save_figure(figure, path)
+    return figure
 
 
 def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
@@ -187,7 +208,11 @@ def _make_handle(name: str, kind: str) -> Artist:
 
 
 def make_page_figure(
-    title: str, height: float, *, layout: Literal["constrained"] | None = None
+    title: str,
+    height: float,
+    *,
+    layout: Literal["constrained"] | None = None,
+    create: Callable[..., Figure] = Figure,
 ) -> Figure:
     """Create an empty figure with a title, as wide as a page.
 
@@ -195,8 +220,10 @@ def make_page_figure(
         title: Title.
         height: Height [inch].
         layout: Layout engine of Matplotlib.
+        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``: ``Figure``, or
+            ``pyplot.figure`` for a figure that notebooks show.
     """
-    figure = Figure(figsize=(PAGE_WIDTH, height), dpi=DPI, layout=layout)
+    figure = create(figsize=(PAGE_WIDTH, height), dpi=DPI, layout=layout)
     figure.suptitle(title, x=0.012, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False)
     return figure
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from pupper_analysis.robot.robot import Robot
 if TYPE_CHECKING:
     from pupper_analysis.stance.stand import Stand
     from pupper_analysis.statics.equilibrium import GravityCompensation
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -166,8 +167,26 @@ def write_pose_figure(
     Raises:
         OutputError: If the file cannot be written.
     """
+    drawing.save_figure(make_pose_figure(robot, stand, statics), path)
+
+
+def make_pose_figure(
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation,
+    create: Callable[..., Figure] = Figure,
+) -> Figure:
+    """Draw the two panels of ``write_pose_figure`` into a new figure.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        statics: Static equilibrium.
+        create: Creates the empty figure, as for ``drawing.make_page_figure``.
+    """
     lines, seen = draw_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    figure = drawing.make_page_figure(f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH)
+    title, height = f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH
+    figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top")
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
@@ -190,7 +209,7 @@ def write_pose_figure(
         ),
     ]
     drawing.add_legend(figure, handles)
-    drawing.save_figure(figure, path)
+    return figure
 
 
 def _draw_stand(

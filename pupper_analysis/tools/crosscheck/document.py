@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
@@ -15,10 +18,11 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import get_english, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
+from pupper_analysis.present.plots import draw_result, make_axes
 from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
@@ -31,6 +35,9 @@ from pupper_analysis.tools.crosscheck.crosscheck import (
     URDF_YOURDFPY,
     Comparison,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
@@ -322,6 +329,27 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
     """Make a cell with a relative deviation, marked if above the tolerance."""
     beyond = relative is not None and relative > tolerance
     return doc.number_cell(relative, ".1e", "bad" if beyond else "")
+
+
+@draw_result.register(Comparison)
+def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
+    """Draw the largest relative deviation of each quantity between models and between engines."""
+    check = comparison.check
+    every = dict.fromkeys(EDGE_NAMES.values())
+    sides = [
+        side for side in every if any(quantity.edges.get(side) for quantity in check.quantities)
+    ]
+    names = [get_english(word(quantity.name)) for quantity in check.quantities]
+    axes = make_axes(get_english(text("cross-check")), 0.16 * len(names) + 1.2)
+    for side, marker in zip(sides, itertools.cycle("osv^Dx")):
+        deviations = [quantity.edges.get(side) or math.nan for quantity in check.quantities]
+        axes.plot(deviations, names, marker, label=get_english(word(side)), alpha=0.8)
+    tolerance = f"tolerance {check.tolerance:g}"
+    axes.axvline(check.tolerance, color="black", ls="--", lw=1, label=tolerance)
+    axes.set(xscale="log", xlabel="largest relative deviation (1); zeros are left out")
+    axes.invert_yaxis()
+    axes.legend(fontsize="small")
+    return (axes,)
 
 
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
