@@ -42,7 +42,7 @@ def check_finite(name: str, value: object) -> float:
         value: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is no finite real number.
+        ConfigurationError: If the value is no finite real number, or a bool.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ConfigurationError(name, diagnose("no-number", value=reprlib.repr(value)))

@@ -154,7 +154,8 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turn the signals that end a process into an exception, and record the signal.
 
     If a library suppresses the exception, and the platform has interval timers, the exception is
-    raised again. A second signal ends the process at once.
+    raised again. A second signal ends the process at once. The signals are SIGINT, SIGTERM and
+    SIGHUP if they have the default handler; outside of the main thread, no signal is caught.
 
     Yields:
         State of the process.

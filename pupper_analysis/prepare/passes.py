@@ -446,7 +446,7 @@ def _add_motors(draft: Draft) -> PassOutput:
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return the function from a keyframe to the penetration at which the file stands."""
+    """Return a function from a keyframe to the penetration [m] of the standing file, or None."""
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
 

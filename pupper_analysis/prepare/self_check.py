@@ -428,7 +428,8 @@ def name_remaining_cause(
         published: Comparison with the published file.
 
     Returns:
-        Both runs, the failing run with a cause; if both fail, the run alone.
+        ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst run
+        deviates. The other result is unchanged.
     """
     if own is not None and own.fails:
         return replace(

@@ -66,7 +66,7 @@ of the opened loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
 """Mobility of joints that place feet, relative to other joints, while a loop is closed. The
-positions of the feet in the initial guess should change little."""
+positions of the feet in the initial guess should change little. Chosen, not tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),

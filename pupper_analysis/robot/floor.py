@@ -92,7 +92,7 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
 
 
 def _is_level_at_zero(floor: mujoco.MjsGeom) -> bool:
-    """Return True if a plane is level at z = 0 by own attributes in the world body."""
+    """Return True if a plane in the world body, outside of <frame>, is level at z = 0."""
     return bool(
         floor.parent.name == "world"
         and floor.frame is None

@@ -382,6 +382,8 @@ def _read_gains(
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Return gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
 
+    Gain and damping are at the joint [N m/rad, N m s/rad; N/m, N s/m].
+
     An actuator with a constant force, or with an integrated or delayed command, is no position
     servo: the ctrl is not a joint position.
     """

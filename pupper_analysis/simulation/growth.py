@@ -249,12 +249,13 @@ def _window_duration(mode: Mode) -> float:
 
 
 def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
-    """Return half the time of the last two doublings (s); None if there is no such growth.
+    """Return the doubling time (s): half the time of two successive doublings; None without growth.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).
         window: Length of a window (s).
-        lost: Whether the simulation diverged, so that any growth counts.
+        lost: Whether the simulation diverged, so that any growth counts; with few doublings, the
+            result is then the mean time of a doubling.
     """
     least = np.minimum.accumulate(maxima)
     grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * least)

@@ -280,7 +280,10 @@ def round_outward(
 
 
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
-    """Round a number away from the requested value; unchanged at the nominal value."""
+    """Round a number away from the requested value.
+
+    Unchanged at the nominal value, or if the rounded number would reach the nominal value.
+    """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
     if abs(number - requested) < _ROUNDING:

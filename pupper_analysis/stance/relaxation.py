@@ -165,7 +165,10 @@ class _Search:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Return each demand that suffices alone, or else a small set that suffices together."""
+        """Return each demand that suffices alone, or else a small set that suffices together.
+
+        Empty if no set of demands suffices.
+        """
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
         alone = [self._verify(self._relax_one(demand)) for demand in differing]

@@ -397,8 +397,9 @@ RELEASE_MARGIN = 0.06
 to first order."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Height loss by creep within ``HOLD_DURATION`` [base heights in the stand] that is not simulated.
-Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its ratio is 0.025."""
+"""Height loss by creep within ``HOLD_DURATION`` [base heights in the stand] below which creep
+is not integrated. Creep of original, 2 % above its smallest kp, ends the equilibrium after 5 s; its
+ratio is 0.025."""
 
 HIGHEST_KP = 2500.0
 """Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:

@@ -380,7 +380,7 @@ class RandomStates:
 
     @cached_property
     def qpos(self) -> Array:
-        """Positions, shape (n, nq): base pose if floating, then the joints [m, rad]."""
+        """Random positions with a fixed seed, shape (n, nq): base pose if floating, then joints."""
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
         lower = [joint.lower if np.isfinite(joint.lower) else -np.pi for joint in joints]

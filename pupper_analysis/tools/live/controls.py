@@ -415,12 +415,15 @@ class Control:
         return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
 
     def hint(self, language: str) -> str:
-        """Return the hint."""
+        """Return the explanation of the slider in a language."""
         arguments = {} if self.axis is None else {"axis": _AXIS_TERMS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, arguments, language)
 
     def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
-        """Return the component of a field's value that this slider shows, in page units."""
+        """Return the component of a field's value that this slider shows, in page units.
+
+        For a contact, this is the number of its plane, 0 without a plane.
+        """
         if isinstance(value, Contact | Weld):
             return 0.0 if value.plane is None else find_contact_factor(value) * value.plane.number
         if self.axis is None:

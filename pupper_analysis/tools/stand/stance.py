@@ -139,7 +139,8 @@ def study_stance(
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: the robot slides or tips.
         ConfigurationError: If the task, or another argument, is not valid for the robot.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
     settled, unsettled, min_kp = None, None, None

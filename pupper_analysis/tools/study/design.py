@@ -419,8 +419,8 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 def check_variable_range(name: str, low: float, high: float) -> None:
     """Check the smallest and largest value of a variable against the bounds of the variable.
 
-    Infinite bounds of a distribution are not checked here: each design is checked during
-    construction.
+    Not checked here, but when a design is built: infinite values of a distribution, and offsets
+    (`ADDITIVE_KINDS`), whose bounds depend on the robot.
 
     Raises:
         ConfigurationError: If a finite value is out of bounds.

@@ -303,7 +303,7 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Return a requested metric with the file path relative to a folder."""
+    """Return a requested metric; a relative path of its file is resolved against a folder."""
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
     return f"{name}:{folder / file}" if file and metric and metric.of_file else requested

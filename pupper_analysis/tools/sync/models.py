@@ -97,8 +97,8 @@ def sync_models(
     """Make a URDF and an MJCF of the same robot agree, by writing numbers of one into the other.
 
     Only attributes with different numbers are written; all other bytes are unchanged. Changes are
-    first verified on copies: a change that does not remove the difference is not written. Either
-    all chosen changes are written, in both files, or none.
+    first verified on copies: a change that does not remove the difference is not written. Without
+    ``partial``, either all chosen changes are written, in both files, or none.
 
     Args:
         urdf: Path of the URDF.

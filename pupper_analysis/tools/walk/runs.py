@@ -279,7 +279,7 @@ class Lockstep:
         )
 
     def advance(self, forces: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Simulate an action of the active runs.
+        """Simulate one action (control step) of the active runs.
 
         Args:
             forces: Forces on the bodies during the action, shape (n, 6 nbody); see

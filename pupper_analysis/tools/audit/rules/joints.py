@@ -369,7 +369,8 @@ def _project_across(vector: Array, axis: Array) -> Array:
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
     """Yield limbs with leg-like names with parallel and nearly horizontal hip and knee axes.
 
-    The shorter of thigh and shank must have at least 40 % of the length of the longer.
+    The shorter of thigh and shank must have more than 40 % of the length of the longer, both
+    projected perpendicular to the hip axis.
     """
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE:

@@ -53,7 +53,7 @@ class MirrorPlane:
         return matrix
 
     def reflect_point(self, point: Array) -> Array:
-        """Reflect a point, shape (3,) [m], in the base frame."""
+        """Reflect a point, shape (3,) [m], at the plane; expressed in the base frame."""
         image: Array = self.matrix @ point
         image[self.axis] += 2 * self.offset
         return image

@@ -122,7 +122,8 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find servo commands that do not belong to the pose of the keyframe.
 
     The accepted offset between command and joint is the effort limit divided by the stiffness, plus
-    1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted.
+    1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted. The severity is NOTE if the keyframe
+    has no ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
     """
     model = robot.mj_model
     if model is None:
