@@ -143,18 +143,21 @@ def evaluate_stability(
     return judge_stability(drive.model, data, settle=settle)
 
 
-def evaluate_spectrum(drive: Servos, state: Array, ctrl: Array) -> Stability:
+def evaluate_spectrum(
+    drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
+) -> Stability:
     """Compute the modes of MuJoCo's simulation step at a state under a constant command.
 
     Args:
         drive: MuJoCo model with servos.
         state: MuJoCo state, mjSTATE_FULLPHYSICS.
         ctrl: Command of the actuators.
+        settle: Time for which the state is simulated first [s].
     """
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl
-    return step_stability(drive.model, data)
+    return step_stability(drive.model, data, settle=settle)
 
 
 def judge_stability(

@@ -1,4 +1,8 @@
-"""Simulate a stand with the base nudged in twelve directions, and report the first failure."""
+"""Simulate a stand with the base nudged in twelve directions, and report the first failure.
+
+A simulation ends when its outcome is decided: at the first failure, or when the speeds and the
+spectrum of the step prove that the robot rests for the remaining time (`_NudgedRun.will_hold`).
+"""
 
 from __future__ import annotations
 
@@ -19,6 +23,7 @@ from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, creep_speeds
 from pupper_analysis.simulation.rollout import StandStart, check_stand, make_stand_start, roll_out
+from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -67,6 +72,27 @@ poses."""
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
 
+_CHECK_INTERVAL = 0.5
+"""Simulated time between two tests whether the outcome is decided [s], rounded to whole samples.
+Chosen, not tuned."""
+
+_MAX_REMAINING_MOTION = 1e-3
+"""Largest bound of the motion of each coordinate in the remaining time for a robot that rests [m,
+rad]. A hundredth of ``MAX_JOINT_DEVIATION``. Chosen, not tuned."""
+
+_SPEED_FACTOR = 1.5
+"""Factor of the largest measured speed in the bound of the remaining motion: an oscillation may be
+slower for a while. Chosen, not tuned."""
+
+_MAX_GROWTH_EXPONENT = 20.0
+"""Largest product of growth rate and remaining time of a mode whose motion is bounded: a factor of
+5e8. Chosen, not tuned."""
+
+_CLEARANCE_FACTOR = 2.0
+"""Distance by which a resting robot is lowered for the test that no other part reaches the ground,
+relative to the bound of the remaining motion: half for the base, half for the joints. Chosen, not
+tuned."""
+
 
 class Failure(StrEnum):
     """First cause of failure of a nudged stand, or of a stand whose payload grows."""
@@ -96,7 +122,9 @@ class NudgeTrial(Result):
         time: Simulated time of the failure (s); None without a failure.
         fell: Number of nudges that ended in a failure.
         nudges: Number of nudges.
-        duration: Simulated time of each nudge (s).
+        duration: Time after each nudge for which the outcome holds (s).
+        simulated: Simulated time of all nudges (s); less than ``nudges * duration`` if simulations
+            were decided earlier.
     """
 
     held: bool
@@ -106,6 +134,7 @@ class NudgeTrial(Result):
     fell: int
     nudges: int
     duration: float = field(metadata={"unit": "s"})
+    simulated: float = field(metadata={"unit": "s"})
 
 
 def simulate_nudges(
@@ -115,6 +144,7 @@ def simulate_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     duration: float = HOLD_DURATION,
+    until_failure: bool = False,
 ) -> NudgeTrial:
     """Simulate a stand whose base starts with a velocity, in each of twelve directions.
 
@@ -126,6 +156,10 @@ def simulate_nudges(
     only dry friction holds is detected by the spectrum and a larger nudge
     (``growth.confirm_growth``).
 
+    Each simulation ends at its first failure, or when the robot rests: the bound of its remaining
+    motion is below 1 mm or 1 mrad, this motion causes no failure, and no mode of the spectrum
+    leaves the state within ``HOLD_DURATION``.
+
     A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
     if the foot is back on the ground at the end.
 
@@ -134,7 +168,9 @@ def simulate_nudges(
         stand: The stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
-        duration: Simulated time [s], 2 to 600.
+        duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
+        until_failure: End all simulations once the earliest failure is known. ``fell`` is then a
+            lower bound.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
@@ -148,12 +184,23 @@ def simulate_nudges(
     starts = np.tile(held.start, (_HORIZONTAL_NUDGES + 4, 1))
     columns = 1 + model.nq + robot.mj_convention.qvel_index
     starts[:, columns] = make_nudge_velocities(robot, stand)
-    steps = max(2, round(duration / float(model.opt.timestep)))
-    workers = [mujoco.MjData(model) for _ in range(2)]
-    states = roll_out(model, workers, starts, np.tile(ctrl, (1, steps, 1)))
-    creeps = creep_speeds(robot, stand, held.prediction)
-    outcomes = [_find_first_failure(held, stand, rows, creeps) for rows in states]
-    failures = [outcome for outcome in outcomes if outcome is not None]
+    timestep = float(model.opt.timestep)
+    steps, stride = max(2, round(duration / timestep)), max(1, round(_SAMPLE_TIME / timestep))
+    interval = max(1, round(_CHECK_INTERVAL / _SAMPLE_TIME)) * stride
+    conditions = _FailureConditions(held, stand)
+    runs = [_NudgedRun(conditions, start) for start in starts]
+    workers, simulated = [mujoco.MjData(model) for _ in range(2)], 0
+    for begin in range(0, steps, interval):
+        running = [run for run in runs if not run.is_decided]
+        if not running or (until_failure and _is_earliest_known(runs)):
+            break
+        count = min(interval, steps - begin)
+        first = np.array([run.state for run in running])
+        rollouts = roll_out(model, workers, first, np.tile(ctrl, (1, count, 1)))
+        simulated += count * len(running)
+        for run, states in zip(running, rollouts, strict=True):
+            run.advance(states, stride, remaining=(steps - begin - count) * timestep)
+    failures = [run.failure for run in runs if run.failure is not None]
     time, failure, where = (
         min(failures, key=lambda event: event[0]) if failures else (None, None, ())
     )
@@ -163,8 +210,9 @@ def simulate_nudges(
         where=where,
         time=time,
         fell=len(failures),
-        nudges=len(states),
+        nudges=len(runs),
         duration=duration,
+        simulated=simulated * timestep,
     )
 
 
@@ -241,68 +289,236 @@ def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
     return speeds
 
 
-def _find_first_failure(
-    held: StandStart, stand: Stand, states: Array, creeps: dict[str, float]
-) -> tuple[float, Failure, tuple[str, ...]] | None:
-    """Return time [s], kind and elements of the first failure in a rollout; None without a failure.
+_Event = tuple[float, Failure, tuple[str, ...]]
+"""Failure in a simulation: time [s], kind, and motors, joints, feet or bodies."""
 
-    A motor may saturate for a moment after the nudge if the robot is not saturated at the end.
+
+class _FailureConditions:
+    """Conditions under which a nudged stand fails; the same for all nudges.
+
+    Args:
+        held: Initial state, with the servo commands.
+        stand: The stand.
+
+    Attributes:
+        growth_rate: Largest growth rate of a mode in the spectra evaluated so far [1/s].
     """
-    robot, model, ctrl = held.robot, held.drive.model, held.ctrl
-    timestep = float(model.opt.timestep)
-    if monitor.has_diverged(states, timestep):
-        return 0.0, Failure.BUCKLING, ()
-    sampler = monitor.ContactSampler(robot, model)
-    data = sampler.data
-    effort_bounds, names = robot.effort_ranges * (1 - 1e-9), np.array(robot.joint_names)
-    saturated: tuple[float, Failure, tuple[str, ...]] | None = None
-    recovered = True
-    lower, upper = _free_joint_limits(robot, stand)
-    initial_positions: dict[str, Array] = {}
-    normals = stand.lift_directions(robot)
-    carrying = set(robot.feet_with(stand.stance_feet))
-    forces = {
-        foot: float(held.prediction.contact_forces[foot] @ normals[foot])
-        for foot in stand.stance_feet
-    }
-    min_force = monitor.LIGHT_FOOT_LOAD * sum(forces.values())
-    light = {foot for foot, force in forces.items() if force < min_force}
-    lifted: tuple[float, Failure, tuple[str, ...]] | None = None
-    for state in states[:: max(1, round(_SAMPLE_TIME / timestep))]:
-        sample = sampler.sample(state, ctrl)
-        angles = data.qpos[robot.mj_convention.qpos_index[7:]]
-        torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-        saturated_joints = names[
-            (torques < effort_bounds[:, 0]) | (torques > effort_bounds[:, 1])
+
+    def __init__(self, held: StandStart, stand: Stand) -> None:
+        robot = held.robot
+        self.held, self.stand, self.robot = held, stand, robot
+        self.timestep = float(held.drive.model.opt.timestep)
+        self.sampler = monitor.ContactSampler(robot, held.drive.model)
+        self.creeps = creep_speeds(robot, stand, held.prediction)
+        self.efforts = robot.effort_ranges * (1 - 1e-9)
+        self.names = np.array(robot.joint_names)
+        self.lower, self.upper = _free_joint_limits(robot, stand)
+        self.normals = stand.lift_directions(robot)
+        self.carrying = set(robot.feet_with(stand.stance_feet))
+        forces = {
+            foot: float(held.prediction.contact_forces[foot] @ self.normals[foot])
+            for foot in stand.stance_feet
+        }
+        min_force = monitor.LIGHT_FOOT_LOAD * sum(forces.values())
+        self.light = {foot for foot, force in forces.items() if force < min_force}
+        self.growth_rate = 0.0
+
+    def bound_motion(self, speed: float, remaining: float) -> float:
+        """Return a bound of the motion in the remaining time [s] of coordinates with a speed.
+
+        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r with the largest growth rate r.
+        """
+        growth = self.growth_rate * remaining
+        if growth > _MAX_GROWTH_EXPONENT:
+            return math.inf
+        return (
+            _SPEED_FACTOR * speed * (math.expm1(growth) / self.growth_rate if growth else remaining)
+        )
+
+    def sample(self, state: Array) -> tuple[monitor.ContactSample, Array, Array]:
+        """Return the contacts, the joint positions and the motor torques at a state."""
+        sample = self.sampler.sample(state, self.held.ctrl)
+        data, convention = self.sampler.data, self.robot.mj_convention
+        return (
+            sample,
+            data.qpos[convention.qpos_index[7:]],
+            data.qfrc_actuator[convention.qvel_index[6:]],
+        )
+
+    def find_touching(self, sample: monitor.ContactSample) -> list[str]:
+        """Return the bodies and the feet in contact that must not touch the ground."""
+        return sorted(sample.bodies | (set(sample.forces) - self.carrying))
+
+
+class _NudgedRun:
+    """Evaluation of one nudged simulation, interval by interval.
+
+    Attributes:
+        state: Last simulated state, shape (size,).
+        failure: First failure; None without a failure so far.
+        saturated: First saturation of a motor; None without any. It is the failure if another
+            failure follows, or if a motor is saturated at the end.
+        is_decided: Whether the simulation needs no more steps.
+    """
+
+    def __init__(self, conditions: _FailureConditions, start: Array) -> None:
+        self._conditions = conditions
+        self.state, self.is_decided = start, False
+        self.failure: _Event | None = None
+        self.saturated: _Event | None = None
+        self._lifted: _Event | None = None
+        self._is_saturated = False
+        self._initial_positions: dict[str, Array] = {}
+        self._slips: dict[str, float] = {}
+
+    def advance(self, states: Array, stride: int, remaining: float) -> None:
+        """Evaluate the next states.
+
+        Args:
+            states: States after each step of an interval, shape (n, size).
+            stride: Number of steps between two states that are evaluated.
+            remaining: Time after these states [s]; 0 if they are the last ones.
+        """
+        conditions = self._conditions
+        successive, before = np.concatenate([self.state[None], states]), self._slips
+        self.state = states[-1]
+        if monitor.has_diverged(successive, conditions.timestep):
+            self.failure = 0.0, Failure.BUCKLING, ()
+        else:
+            for state in states[::stride]:
+                self.failure = self._find_failure(state)
+                if self.failure is not None:
+                    break
+        if self.failure is None and not remaining:
+            self.failure = self.saturated if self._is_saturated else self._lifted
+        self.is_decided = (
+            self.failure is not None
+            or not remaining
+            or self.will_hold(states, len(states) * conditions.timestep, before, remaining)
+        )
+
+    def _find_failure(self, state: Array) -> _Event | None:
+        """Return the failure at a state; None without a failure.
+
+        A motor may saturate for a moment after the nudge if the robot is not saturated at the end.
+        A light foot may lift for a moment if it is back at the end.
+        """
+        conditions = self._conditions
+        robot, stand, normals = conditions.robot, conditions.stand, conditions.normals
+        sample, angles, torques = conditions.sample(state)
+        saturated_joints = conditions.names[
+            (torques < conditions.efforts[:, 0]) | (torques > conditions.efforts[:, 1])
         ].tolist()
-        recovered = not saturated_joints
-        if saturated_joints and saturated is None:
-            saturated = sample.time, Failure.MOTOR, tuple(saturated_joints)
-        positions = monitor.foot_centres(robot, sampler.data)
-        initial_positions = initial_positions or positions
-        slips = {
-            foot: np.linalg.norm(
-                project_perpendicular(positions[foot] - initial_positions[foot], normals[foot])
+        self._is_saturated = bool(saturated_joints)
+        if saturated_joints and self.saturated is None:
+            self.saturated = sample.time, Failure.MOTOR, tuple(saturated_joints)
+        positions = monitor.foot_centres(robot, conditions.sampler.data)
+        initial = self._initial_positions = self._initial_positions or positions
+        self._slips = {
+            foot: float(
+                np.linalg.norm(
+                    project_perpendicular(positions[foot] - initial[foot], normals[foot])
+                )
             )
-            - min(creeps[foot], MAX_CREEP_SPEED) * sample.time
+            - min(conditions.creeps[foot], MAX_CREEP_SPEED) * sample.time
             for foot in stand.stance_feet
         }
         raised = [
             foot
             for foot in (() if robot.welds else stand.stance_feet)
             if robot.foot_of(foot) not in sample.forces
-            and (positions[foot] - initial_positions[foot]) @ normals[foot] > MAX_FOOT_LIFT
+            and (positions[foot] - initial[foot]) @ normals[foot] > MAX_FOOT_LIFT
         ]
-        # A light foot may lift for a moment; it must be back at the end.
-        lifted = (sample.time, Failure.TIPPING, tuple(raised)) if raised else None
+        self._lifted = (sample.time, Failure.TIPPING, tuple(raised)) if raised else None
+        deviations = np.abs(angles - stand.qpos[7:])
         failures = {
-            Failure.GROUND: sorted(sample.bodies | (set(sample.forces) - carrying)),
-            Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
-            Failure.TIPPING: [foot for foot in raised if foot not in light],
-            Failure.SLIDING: [foot for foot, slip in slips.items() if slip > MAX_FOOT_SLIP],
-            Failure.BUCKLING: names[np.abs(angles - stand.qpos[7:]) > MAX_JOINT_DEVIATION].tolist(),
+            Failure.GROUND: conditions.find_touching(sample),
+            Failure.JOINT: conditions.names[
+                (angles < conditions.lower) | (angles > conditions.upper)
+            ].tolist(),
+            Failure.TIPPING: [foot for foot in raised if foot not in conditions.light],
+            Failure.SLIDING: [foot for foot, slip in self._slips.items() if slip > MAX_FOOT_SLIP],
+            Failure.BUCKLING: conditions.names[deviations > MAX_JOINT_DEVIATION].tolist(),
         }
         for failure, where in failures.items():
             if where:
-                return saturated or (sample.time, failure, tuple(where))
-    return lifted if recovered else saturated
+                return self.saturated or (sample.time, failure, tuple(where))
+        return None
+
+    def will_hold(
+        self, states: Array, interval: float, slips: dict[str, float], remaining: float
+    ) -> bool:
+        """Return True if the robot rests, so that no failure follows in the remaining time.
+
+        The remaining motion of each coordinate is bounded from the largest speed of the last
+        interval and the largest growth rate of the spectrum at the last state, with and without
+        dry friction (`_FailureConditions.bound_motion`). The conditions of a failure are evaluated
+        with this motion.
+
+        Args:
+            states: States of the last interval, shape (n, size).
+            interval: Duration of the interval [s].
+            slips: {contact point: slip at the end of the interval before [m]}.
+            remaining: Remaining time [s].
+        """
+        conditions, drive = self._conditions, self._conditions.held.drive
+        model, robot, stand = drive.model, conditions.robot, conditions.stand
+        first = 1 + model.nq + model.nv
+        speed = float(np.abs(states[:, 1 + model.nq : first]).max(initial=0.0))
+        filtered = states[:, first : first + model.na]
+        if model.na:
+            speed = max(speed, float(np.abs(filtered[-1] - filtered[0]).max()) / interval)
+        if self._is_saturated or self._lifted or not slips:
+            return False
+        if conditions.bound_motion(speed, remaining) > _MAX_REMAINING_MOTION:
+            return False
+        spectrum = evaluate_spectrum(drive, self.state, conditions.held.ctrl, settle=0.0)
+        rates = [math.log1p(mode.growth) / conditions.timestep for mode in spectrum.unstable]
+        conditions.growth_rate = max(conditions.growth_rate, *rates, 0.0)
+        motion = conditions.bound_motion(speed, remaining)
+        if motion > _MAX_REMAINING_MOTION:
+            return False
+        sample, angles, torques = conditions.sample(self.state)
+        if not conditions.carrying <= set(sample.forces) and not robot.welds:
+            return False
+        torque_changes = drive.kp * motion + drive.kd * speed
+        slip_rates = {
+            foot: max(slip - slips[foot], 0.0) / interval for foot, slip in self._slips.items()
+        }
+        return not (
+            ((torques - torque_changes < conditions.efforts[:, 0]).any())
+            or ((torques + torque_changes > conditions.efforts[:, 1]).any())
+            or ((angles - motion < conditions.lower) | (angles + motion > conditions.upper)).any()
+            or (np.abs(angles - stand.qpos[7:]) + motion > MAX_JOINT_DEVIATION).any()
+            or any(
+                slip + conditions.bound_motion(slip_rates[foot], remaining) > MAX_FOOT_SLIP
+                for foot, slip in self._slips.items()
+            )
+            or self._reaches_ground(_CLEARANCE_FACTOR * motion)
+        )
+
+    def _reaches_ground(self, distance: float) -> bool:
+        """Return True if another part touches the ground with the base lowered by a distance [m].
+
+        The base is lowered along the normal of each stance foot.
+        """
+        conditions = self._conditions
+        columns = 1 + conditions.robot.mj_convention.qpos_index[:3]
+        for normal in np.unique(np.round(list(conditions.normals.values()), 6), axis=0):
+            lowered = self.state.copy()
+            lowered[columns] -= distance * normal
+            if conditions.find_touching(conditions.sample(lowered)[0]):
+                return True
+        return False
+
+
+def _is_earliest_known(runs: list[_NudgedRun]) -> bool:
+    """Return True if one run has failed, and no other run can still fail earlier.
+
+    A failure that follows a saturation has the time of the saturation.
+    """
+    times = [run.failure[0] for run in runs if run.failure is not None]
+    if not times:
+        return False
+    pending = [run.saturated[0] for run in runs if not run.is_decided and run.saturated]
+    return all(time >= min(times) for time in pending)

@@ -287,7 +287,7 @@ def loaded(*unknown: str) -> Any:
         "stance": none,
         "simulation": none,
     }
-    trial = Stub(mass=1.177, duration=12.0, failure=None)
+    trial = Stub(mass=1.177, duration=12.0, failure=None, nudges=12, simulated=38.0)
     return Stub(
         name="stub",
         passed=not unknown,

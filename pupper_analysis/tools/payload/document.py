@@ -157,7 +157,13 @@ def _describe_trial(trial: PayloadTrial) -> doc.Text:
     """Describe the nudged simulation of a payload."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
-        return text("simulated-with-mass", mass=mass, seconds=seconds)
+        return text(
+            "simulated-with-mass",
+            mass=mass,
+            seconds=seconds,
+            simulated=f"{trial.simulated:.3g}",
+            count=trial.nudges,
+        )
     return text(
         "simulated-with-mass-on-it-seconds",
         mass=mass,

@@ -23,7 +23,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortCode
-from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.judge import judge_simulation, judge_stand
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.joints import free_joints
 from pupper_analysis.robot.robot import Robot, lend
@@ -41,6 +41,7 @@ from pupper_analysis.simulation.verdict import (
     VerdictCode,
     find_overloaded_motors,
 )
+from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -69,6 +70,7 @@ def simulate_payload(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     duration: float = HOLD_DURATION,
+    until_failure: bool = False,
 ) -> PayloadTrial:
     """Simulate a stance with a payload, nudged as in ``simulate_nudges``.
 
@@ -82,7 +84,8 @@ def simulate_payload(
         point: Place of the payload, as in ``with_payload``.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
-        duration: Simulated time [s], at least 2.
+        duration: Time after each nudge for which the outcome is decided [s], at least 2.
+        until_failure: End all simulations once the earliest failure is known.
 
     Returns:
         The outcome of the simulations.
@@ -96,7 +99,9 @@ def simulate_payload(
         NotSettlingError: If the penetration depths of the loaded feet do not converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
-    trial = simulate_nudges(loaded, stand, kp=kp, kd=kd, duration=duration)
+    trial = simulate_nudges(
+        loaded, stand, kp=kp, kd=kd, duration=duration, until_failure=until_failure
+    )
     return PayloadTrial(**vars(trial), mass=float(mass))
 
 
@@ -124,6 +129,11 @@ BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances of the bounds of stance, motors and servos. The first tolerance applies to
 the smallest bound, except if the servos set this bound. The second tolerance is relative to the
 first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
+
+_FIRST_DISTANCE_RATIO = 0.98
+"""First mass below the static limit that is simulated: its distance from the limit, relative to
+``SIMULATION_RTOL`` of the limit. Below 1 / (1 + ``SIMULATION_RTOL``), so that the interval above
+this mass needs no bisection."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass, relative to the robot's mass. Chosen, not tuned."""
@@ -312,14 +322,34 @@ def payload_limit(
         verdict = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
         return replace(verdict, asked=Question.CARRIES)
 
+    def judge_with_feedforward(mass: float) -> Verdict:
+        """Judge the stance with a mass [kg], without the simulation of position commands alone.
+
+        That simulation does not decide whether a verdict passes.
+        """
+        loaded = with_payload(robot, mass, place)
+        stand = solve_stand(loaded, task)
+        held = solve_stand_as_simulated(loaded, stand)
+        return judge_simulation(
+            loaded,
+            stand,
+            verify_stand(loaded, held, kp=kp, kd=kd),
+            statics=stand_statics(loaded, held),
+            trial=simulate_nudged(mass),
+            kp=kp,
+            kd=kd,
+        )
+
     @cache
     def simulate_nudged(mass: float) -> PayloadTrial:
-        """Simulate the stance with a mass [kg]."""
-        return simulate_payload(robot, task, mass, place, kp=kp, kd=kd)
+        """Simulate the stance with a mass [kg], until the first failure is known."""
+        return simulate_payload(robot, task, mass, place, kp=kp, kd=kd, until_failure=True)
 
     simulation = Bound(math.inf, Failure.NOTHING, ())
     if 0 < mass_limit < math.inf:
-        simulation = _bisect_simulation_bound(mass_limit, judge_payload, simulate_nudged)
+        simulation = _bisect_simulation_bound(
+            mass_limit, judge_payload, judge_with_feedforward, simulate_nudged
+        )
     bounds["simulation"] = simulation
     if simulation.mass < mass_limit:
         binding, mass_limit = "simulation", simulation.mass
@@ -372,6 +402,7 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 def _bisect_simulation_bound(
     static_limit: float,
     judge_payload: Callable[[float], Verdict],
+    judge_with_feedforward: Callable[[float], Verdict],
     simulate_nudged: Callable[[float], PayloadTrial],
 ) -> Bound:
     """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
@@ -379,16 +410,28 @@ def _bisect_simulation_bound(
     The bound is infinite if ``static_limit`` [kg] holds, and 0 if the stance fails without payload.
     Static bounds apply to an undisturbed stand. Only a simulation shows a foot that lifts, a sole
     that pivots or a motor that saturates after a nudge, and errors of the files.
+
+    The bound is usually just below the static limit. The distance below this limit therefore grows
+    from ``SIMULATION_RTOL``, doubled after each failure, until a mass holds; then the interval is
+    bisected.
+
+    Args:
+        static_limit: Smallest static bound [kg].
+        judge_payload: Function that judges a mass [kg]; used for the static limit and for 0.
+        judge_with_feedforward: Function that judges a mass without the simulation of position
+            commands alone; used for the other masses.
+        simulate_nudged: Function that simulates a mass with nudges.
     """
 
     def find_cause(mass: float) -> FailureCause:
         """Return the failure with ``VERIFIED_FRACTION`` of a mass [kg]."""
+        judge = judge_payload if mass == static_limit else judge_with_feedforward
         trial = simulate_nudged(VERIFIED_FRACTION * mass)
         if trial.failure is not None:
             return trial.failure, trial.where
         return (
             None
-            if _holds_in_simulation(judge_payload(VERIFIED_FRACTION * mass))
+            if _holds_in_simulation(judge(VERIFIED_FRACTION * mass))
             else (Failure.SIMULATED, ())
         )
 
@@ -397,8 +440,13 @@ def _bisect_simulation_bound(
         return Bound(math.inf, Failure.NOTHING, ())
     if not _holds_in_simulation(judge_payload(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
+    high, distance = static_limit, _FIRST_DISTANCE_RATIO * SIMULATION_RTOL * static_limit
+    low = high - distance
+    while low > 0.0 and (low_cause := find_cause(low)) is not None:
+        high, cause, distance = low, low_cause, 2 * distance
+        low = high - distance
     return _bisect_mass(
-        find_cause, 0.0, static_limit, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
+        find_cause, max(low, 0.0), high, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
     )
 
 

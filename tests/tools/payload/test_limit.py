@@ -217,9 +217,10 @@ def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.in
         falls = mass > nudged
         return SimpleNamespace(failure=Failure.TIPPING if falls else None, where=("FL",))
 
-    return payload._bisect_simulation_bound(
-        most, lambda mass: SimpleNamespace(passed=mass <= verdict, code=""), tried
-    )  # type: ignore[arg-type,return-value]
+    def judged(mass: float) -> Any:
+        return SimpleNamespace(passed=mass <= verdict, code="")
+
+    return payload._bisect_simulation_bound(most, judged, judged, tried)
 
 
 @pytest.mark.parametrize("most", [39.0, 9.0, 3.3])
@@ -234,6 +235,25 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     assert simulated(most).mass == math.inf
     nothing = simulated(most, verdict=-1.0)
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
+
+
+@pytest.mark.parametrize(("nudged", "most"), [(38.1, 2), (36.6, 5), (34.0, 7)])
+def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
+    nudged: float, most: int
+) -> None:
+    """Seven masses were simulated for Go2, whose bound is 1.6 % below the static limit of 68 kg."""
+    tried: list[float] = []
+
+    def fails(mass: float) -> Any:
+        tried.append(mass)
+        return SimpleNamespace(failure=Failure.TIPPING if mass > nudged else None, where=())
+
+    def judged(_: float) -> Any:
+        return SimpleNamespace(passed=True, code="")
+
+    limit = payload._bisect_simulation_bound(40.0, judged, judged, fails)
+    assert len(tried) <= most
+    assert nudged / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * limit.mass <= nudged
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -49,3 +50,45 @@ def test_creep_is_no_slide(impratio: float, failure: payload.Failure | None) -> 
     task = pa.StandTask(ground=pa.Ground(np.radians(15.0)))
     trial = simulate_payload(robot, task, 1.0, (0.0, 0.0, 0.05), duration=9)
     assert trial.failure is failure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass", [2.0, 6.4])
+def test_nudges_end_early_without_motion_in_the_remaining_time(
+    mass: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 6.4 kg modes of v3 double in 12 to 15 s. Reference: the nudges simulated for 12 s."""
+    ends: list[np.ndarray] = []
+
+    def watched(*arguments: Any) -> np.ndarray:
+        states = roll_out(*arguments)
+        ends.extend(states[:, -1])
+        return states
+
+    roll_out = payload.roll_out
+    monkeypatch.setattr(payload, "roll_out", watched)
+    robot = load("v3")
+    early = simulate_payload(robot, stand_of("v3"), mass)
+    decided, places = ends[-1], 1 + robot.mj_convention.qpos_index
+    monkeypatch.setattr(payload, "_MAX_REMAINING_MOTION", -1.0)
+    full = simulate_payload(robot, stand_of("v3"), mass)
+    assert full.simulated == pytest.approx(12 * 12.0)
+    assert early.simulated < full.simulated / 3
+    assert (early.held, early.fell, early.duration) == (full.held, full.fell, 12.0)
+    assert full.held
+    nearest = min(np.abs(end - decided)[places].max() for end in ends[-12:])
+    assert nearest < 1e-3
+
+
+@pytest.mark.slow
+def test_first_failure_is_equal_if_simulations_end_at_it() -> None:
+    """Reference: all twelve nudges simulated until each has failed or rests."""
+    robot, stand = load("v3"), stand_of("v3")
+    short, full = (
+        simulate_payload(robot, stand, 9.0, (0.0, 0.0, 0.3), until_failure=only)
+        for only in (True, False)
+    )
+    assert not full.held
+    assert (short.failure, short.where, short.time) == (full.failure, full.where, full.time)
+    assert short.simulated <= full.simulated
+    assert short.fell <= full.fell
