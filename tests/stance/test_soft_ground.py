@@ -72,3 +72,14 @@ def test_sole_with_lifted_corners_carries_the_same_force_and_moment() -> None:
         lifted += bool((found < -law.margin).any())
         np.testing.assert_allclose(load_of(found), load_of(given), atol=1e-10 * load_of(given)[0])
     assert lifted > 10
+
+
+def test_stand_is_rigid_if_the_legs_are_too_short_for_soft_ground() -> None:
+    """Legs that are straight on rigid ground do not reach down by the depth of the feet."""
+    robot = load("v3")
+    task = pa.StandTask(height=pa.stance.reachable_heights(robot).high - 1e-5)
+    stand = pa.solve_stand_as_simulated(robot, task)
+    assert set(stand.depths.values()) <= {0.0}
+    np.testing.assert_array_equal(stand.qpos, pa.solve_stand(robot, task).qpos)
+    with pytest.raises(pa.StanceUnreachableError):
+        solve_stand_on_soft_ground(robot, task, explain=False)

@@ -104,3 +104,70 @@ def test_flat_visual_mesh_is_converted_as_a_shell(tmp_path: Path) -> None:
     assert found.passed
     assert not [text for text in map(str, found.not_converted) if "mesh" in text]
     assert compiled(tmp_path / "arm.xml").nmesh == 1
+
+
+def published(folder: Path) -> Path:
+    """Write a URDF with a mesh in a folder beside its own, as packages publish them."""
+    for place in ("robot/urdf", "robot/meshes"):
+        (folder / place).mkdir(parents=True)
+    BOX.export(folder / "robot/meshes/box.stl")
+    shape = shape_of("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
+    path = folder / "robot/urdf/arm.urdf"
+    path.write_text(urdf_text(arm(), ()).replace("</link>", f"{shape}</link>", 1))
+    return path
+
+
+def test_mesh_is_found_after_the_common_folder_is_moved(tmp_path: Path) -> None:
+    urdf = published(tmp_path)
+    (tmp_path / "robot/mjcf").mkdir()
+    pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
+    (tmp_path / "robot").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1
+
+
+def test_linked_mesh_is_found_after_its_folder_is_moved(tmp_path: Path) -> None:
+    """The package contains symbolic links to a store, as colcon installs it."""
+    urdf = published(tmp_path)
+    (tmp_path / "store").mkdir()
+    (tmp_path / "robot/meshes/box.stl").rename(tmp_path / "store/1f3a.stl")
+    (tmp_path / "robot/meshes/box.stl").symlink_to(tmp_path / "store/1f3a.stl")
+    pa.convert_model(urdf, tmp_path / "robot/urdf/arm.xml")
+    (tmp_path / "robot").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/urdf/arm.xml").nmesh == 1
+
+
+def test_copied_mesh_is_found_after_the_new_folder_is_moved(tmp_path: Path) -> None:
+    urdf = published(tmp_path)
+    (tmp_path / "new").mkdir()
+    found = pa.convert_model(urdf, tmp_path / "new/arm.xml", copy_meshes=True)
+    written = ("arm_meshes/box.stl", "arm.xml")
+    assert found.written == tuple(str(tmp_path / "new" / name) for name in written)
+    (tmp_path / "robot").rename(tmp_path / "gone")
+    (tmp_path / "new").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/arm.xml").nmesh == 1
+
+
+def test_missing_collision_mesh_is_a_failure_and_a_missing_visual_mesh_is_not(
+    tmp_path: Path,
+) -> None:
+    for kind, codes in (("visual", []), ("collision", ["collision-meshes-lost"])):
+        found = with_shapes(tmp_path, shape_of(kind, '<mesh filename="gone.stl"/>', "0 0 0"))
+        assert [message.code for message in found.failures] == codes
+
+
+def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: Path) -> None:
+    """A box twice in a node, that node twice in a second and that twice in a third: 8 boxes."""
+    file = trimesh.exchange.dae.export_collada(BOX).decode()
+    shape = file[file.index("<instance_geometry") :].split('"')[1]
+    nodes = f'<node id="n0"><instance_geometry url="{shape}"/></node>'
+    for level in range(3):
+        twice = 2 * f'<instance_node url="#n{level}"/>'
+        nodes += f'<node id="n{level + 1}">{twice}</node>'
+    scene = '<node id="root"><instance_node url="#n3"/></node>'
+    (tmp_path / "eight.dae").write_text(
+        f"{file[: file.index('<library_visual_scenes')]}<library_nodes>{nodes}</library_nodes>"
+        f'<library_visual_scenes><visual_scene id="s">{scene}</visual_scene>'
+        '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
+    assert whole.volume == pytest.approx(8 * BOX.volume)

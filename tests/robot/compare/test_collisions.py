@@ -47,3 +47,20 @@ def test_another_radius_is_a_difference_of_each_foot(
         places = {"pupper_v3.urdf": files[0], "pupper_v3.xml": files[1]}
         assert "collision" in line_at(one.urdf_place, places)
         assert one.mjcf_place is not None
+
+
+def test_feet_without_contact_in_one_file_are_differences(tmp_path: Path) -> None:
+    """With ``conaffinity`` 0 MuJoCo tests no geom of the MJCF against the floor."""
+    files = edited(tmp_path, "mjcf/pupper_v3_shared.xml", 'conaffinity="1"', 'conaffinity="0"')
+    found = pa.compare_models(*files)
+    assert not found.agree
+    codes = [difference.diagnostic.code for difference in found.differences]
+    assert codes == ["foot-touches-in-one-file"] * 4
+
+
+def test_foot_excluded_from_the_world_is_a_difference(tmp_path: Path) -> None:
+    """Its contact bits are unchanged; MuJoCo lets the excluded body through the floor."""
+    exclude = '<contact><exclude body1="leg_front_l_3" body2="world"/></contact></mujoco>'
+    found = pa.compare_models(*edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
+    (difference,) = found.differences
+    assert difference.diagnostic.code == "foot-touches-in-one-file"

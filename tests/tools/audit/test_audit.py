@@ -483,6 +483,18 @@ def test_refusal_by_mujoco_is_the_only_finding(tmp_path: Path) -> None:
     assert [finding.rule for finding in result.findings] == ["mujoco-refuses"]
 
 
+def test_reference_to_a_missing_body_is_found_at_its_line(tmp_path: Path) -> None:
+    """A copy of the compiled spec lacks the wrong <exclude>, and would compile."""
+    wrong = '<contact>\n<exclude body1="base_link" body2="nix"/></contact>\n</mujoco>'
+    path = tmp_path / "model.xml"
+    path.write_text(OWN["mjcf"].read_text().replace("</mujoco>", wrong))
+    result = audit_model(path)
+    assert not result.passed
+    (finding,) = found(result, "mujoco-refuses")
+    assert "body 'nix' not found" in finding.message
+    assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
+
+
 def test_stated_inertias_of_an_mjcf_are_as_written(tmp_path: Path) -> None:
     """A thousand times too large, in a file that another one includes."""
     folder = shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
