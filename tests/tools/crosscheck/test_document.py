@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.robot.compare import mjcf_only as extras
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.crosscheck.document import (
     make_comparison_annotations,
 )
 from tests.support.printing import printed
 from tests.support.robots import (
+    Files,
+    all_changed,
     changed,
     compared,
     mjcf_text,
@@ -47,3 +50,40 @@ def test_unexplained_deviation_is_the_verdict(
     (remark,) = (r for r in make_comparison_annotations(comparison) if r.title == "agreement")
     assert remark.level == "error"
     assert "no difference explains" in remark.message
+
+
+def test_printed_verdict_is_the_largest_difference_and_groups_equal_differences(
+    tmp_path: Path,
+) -> None:
+    mjcf = changed(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
+    text = printed(compared(write_parts(tmp_path, quadruped(), mjcf)))
+    first = text.replace(" robot.urdf and robot.xml: ", ": ", 1).splitlines()[0]
+    assert first == "DISAGREE: link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
+    lines = text.splitlines()
+    group = next(index for index, line in enumerate(lines) if line.startswith("2."))
+    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in lines[group]
+    assert [line for line in lines[group:] if line.startswith("   likewise on 7 more: ")]
+    assert not any(line.startswith("3.") for line in lines)
+
+
+def test_annotations_have_the_given_path_and_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GitHub shows an annotation only at a path from the repository's root."""
+    (tmp_path / "models").mkdir()
+    mjcf = changed(quadruped(), "base", mass=7.5)
+    write_parts(tmp_path / "models", quadruped(), mjcf)
+    monkeypatch.chdir(tmp_path)
+    files = Files(Path("models/robot.urdf"), Path("models/robot.xml"))
+    (annotation,) = make_comparison_annotations(compared(files))
+    assert (annotation.level, annotation.title) == ("error", "mass of base")
+    assert annotation.place == "models/robot.urdf:5"
+    assert "robot.xml:7" in annotation.message
+
+
+def test_no_error_is_annotated_within_the_tolerance(tmp_path: Path) -> None:
+    """A mass of 6.3 kg instead of 6 kg, with a tolerance of 10 %."""
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
+    comparison = compared(files, tolerances=Tolerances().changed({"mass": 0.1}))
+    assert comparison.agree
+    assert not [note for note in make_comparison_annotations(comparison) if note.level == "error"]
