@@ -207,15 +207,15 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("examples", "nudges"), [(10, 2), (60, 20)])
-def test_stability_verdicts_of_random_stands_agree_with_simulation(
-    examples: int, nudges: int
-) -> None:
-    """Of random stands, payloads and gains; each judgement is taken at its word."""
+def test_stability_verdicts_of_random_stands_agree_with_simulation() -> None:
+    """60 random stands with payloads and gains; the reference is a simulation after three nudges.
+
+    Any random nudge excites a growing mode; ``benchmarks/stability.py`` tries more nudges.
+    """
     module = benchmark("stability")
-    module.NUDGES = nudges
+    module.NUDGES = 3
     message = set()
-    for case in module.variants(examples):
+    for case in module.variants(60):
         found, _ = module.judged(case)
         leaving = found.modes_growing_within() if found.at_rest else ()
         if not found.at_rest:

@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
 from pupper_analysis.tools.fit.measurements import bags
 from pupper_analysis.tools.fit.measurements.log import read_log
 
 STATE, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 JOINTS = ("knee", "hip")
 TIME = 0.005 * np.arange(240)
 POSITION = np.column_stack([0.4 * np.sin(5 * TIME), 0.1 + 0.3 * np.sin(7 * TIME)])
@@ -26,6 +28,13 @@ EFFORT = np.column_stack([2 * np.cos(5 * TIME), 3 * np.cos(7 * TIME)])
 STARTED, LATE = 1_700_000_000, 0.002  # s: of stamps; by so much recording is later
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+POINT = "trajectory_msgs/JointTrajectoryPoint"
+STORE.register(
+    get_types_from_msg(
+        f"std_msgs/Header header\nstring[] joint_names\n{POINT} reference\n{POINT} feedback",
+        CONTROLLER,
+    )
+)
 
 
 def stamp(moment: float) -> Any:
@@ -42,6 +51,17 @@ def state(names: Sequence[str], position: Any, effort: Any = (), moment: float =
 def array(values: Any) -> Any:
     layout = STORE.types["std_msgs/msg/MultiArrayLayout"]([], 0)
     return STORE.types[ARRAY](layout, np.array(values, dtype=float))
+
+
+def point(positions: Any) -> Any:
+    duration = STORE.types["builtin_interfaces/msg/Duration"](0, 0)
+    empty, values = np.zeros(0), np.array(positions, dtype=float)
+    kind = STORE.types["trajectory_msgs/msg/JointTrajectoryPoint"]
+    return kind(values, empty, empty, empty, duration)
+
+
+def trajectory(moment: float, *positions: Any) -> Any:
+    return STORE.types[TRAJECTORY](stamp(moment), list(JOINTS[::-1]), [*map(point, positions)])
 
 
 Message = tuple[str, str, float, Any]
@@ -146,6 +166,38 @@ def test_several_topics_require_a_choice(tmp_path: Path) -> None:
             read_log(path, topics=wrong)
 
 
+def test_command_of_a_trajectory_with_one_point_holds_until_the_next(tmp_path: Path) -> None:
+    """The message names the joints, in another order than the states."""
+    messages = [
+        ("/command", TRAJECTORY, now + LATE, trajectory(now, POSITION[row, ::-1]))
+        for row, now in enumerate(TIME.tolist())
+        if row % 4 == 0
+    ]
+    found = read_log(bag(tmp_path, [*states(), *messages]))
+    assert found.position == pytest.approx(POSITION)
+    assert found.command == pytest.approx(held())
+
+
+@pytest.mark.parametrize("driver", [False, True])
+def test_state_of_a_controller_contains_command_and_position(tmp_path: Path, driver: bool) -> None:
+    """With a driver's ``JointState``, the controller's own positions (here 9 rad) are not read."""
+    kind = STORE.types[CONTROLLER]
+    messages = [
+        ("/controller_state", CONTROLLER, now,
+         kind(stamp(now), list(JOINTS), point(POSITION[row] + 0.01),
+              point([9, 9] if driver else POSITION[row])))
+        for row, now in enumerate(TIME.tolist())
+    ]  # fmt: skip
+    found = read_log(bag(tmp_path, [*messages, *(states() if driver else ())]))
+    assert found.position == pytest.approx(POSITION)
+    assert found.command == pytest.approx(POSITION + 0.01)
+
+
+def _points(folder: Path) -> Path:
+    whole = trajectory(0.0, [0, 0], [1, 1])
+    return bag(folder, [*states(), ("/trajectory", TRAJECTORY, 0.0, whole)])
+
+
 def _backwards(folder: Path) -> Path:
     messages = states()
     messages.append(("/joint_states", STATE, 2.0, state(JOINTS, [0, 0], [1, 1], -30.0)))
@@ -171,6 +223,7 @@ def _pipe(folder: Path) -> Path:
     ("make", "code"),
     [
         (_backwards, "stamps-go-back"),
+        (_points, "trajectory-of-points"),
         (_of_nothing, "bag-without-states"),
         (_broken, "no-bag"),
         (lambda folder: _broken(folder, "empty.db3"), "no-bag"),

@@ -23,7 +23,15 @@ _MAX_STEP_BACK = 1.0
 ones mean that the clock was set. Chosen, not tuned."""
 
 _STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-_ROLE_TYPES = {"state": _STATE_TYPE, "command": _ARRAY_TYPE}
+_TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
+_CONTROLLER_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
+_ROLE_TYPES = {
+    "state": (_STATE_TYPE, _CONTROLLER_TYPE),
+    "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
+}
+_CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
+"""Fields of the state of a controller: the names since ROS 2 Humble, and the names before."""
+
 MAX_BAG_BYTES: Final = 2_000_000_000
 """Upper bound of the size of a file of a bag. Larger bags usually contain camera topics, which
 can be left out. Chosen, not tuned."""
@@ -72,22 +80,27 @@ def read_bag(
 
 
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
-    """Return {role: topic}: the requested topic, or the only topic of the type."""
+    """Return {role: topic}: the requested topic, or the only topic with a type of the role.
+
+    A ``JointState`` is preferred to the state of a controller, which may be late.
+    """
     topics: dict[str, str] = {}
     listing = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
     if wrong := [role for role in requested if role not in _ROLE_TYPES]:
         raise ConfigurationError("topic", diagnose("topic-without-role", role=wrong[0]))
-    for role, kind in _ROLE_TYPES.items():
-        matching = [topic for topic in types if types[topic] == kind]
+    for role, kinds in _ROLE_TYPES.items():
+        matching = [topic for topic in types if types[topic] in kinds]
         if role in requested:
             # Commands may be published as JointState as well.
-            if types.get(requested[role]) not in (kind, _STATE_TYPE):
+            if types.get(requested[role]) not in (*kinds, _STATE_TYPE):
                 named = requested[role]
                 finding = diagnose("topic-of-another-kind", topic=named, role=role, topics=listing)
                 raise ConfigurationError("topic", finding)
             matching = [requested[role]]
         elif role == "state":
-            matching = [topic for topic in matching if topic != requested.get("command")]
+            states = [topic for topic in matching if types[topic] == _STATE_TYPE]
+            states = [topic for topic in states if topic != requested.get("command")]
+            matching = states or [topic for topic in matching if types[topic] != _STATE_TYPE]
         if len(matching) > 1:
             raise MeasurementError("", diagnose("topics-of-one-kind", role=role, topics=matching))
         topics |= dict.fromkeys([role], matching[0]) if matching else {}
@@ -99,12 +112,9 @@ def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> di
 def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
     """Return {(kind, joint): rows of recording time [s], header time [s], value}, shape (n, 3)."""
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
-    kinds = {chosen[role]: kind for role, kind in (("command", "command"), ("state", "position"))
-             if role in chosen}  # fmt: skip
-    connections, size = (
-        [connection for connection in reader.connections if connection.topic in kinds],
-        0,
-    )
+    used = chosen.values()
+    connections = [connection for connection in reader.connections if connection.topic in used]
+    size = 0
     for connection, recorded, raw in reader.messages(connections=connections):
         size += len(raw)
         if size > MAX_MESSAGE_BYTES:
@@ -113,17 +123,34 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec in ROS 1
         nanoseconds = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
         moment = (stamp.sec + 1e-9 * nanoseconds if stamp else 0.0) or np.nan
-        names = getattr(message, "name", joints)
-        values = message.position if connection.msgtype == _STATE_TYPE else message.data
+        names = getattr(message, "name", getattr(message, "joint_names", joints))
         if not len(names):
             error = diagnose("joints-not-named", topic=connection.topic, type=connection.msgtype)
             raise MeasurementError("", error)
-        if len(values) not in (0, len(names)):
-            raise MeasurementError("", diagnose("message-of-other-joints", topic=connection.topic))
-        for joint, value in zip(names, values, strict=False):
-            row = (1e-9 * recorded, moment, float(value))
-            series.setdefault((kinds[connection.topic], joint), []).append(row)
+        for role in [role for role, topic in chosen.items() if topic == connection.topic]:
+            values = _read_positions(message, connection, role)
+            if len(values) not in (0, len(names)):
+                error = diagnose("message-of-other-joints", topic=connection.topic)
+                raise MeasurementError("", error)
+            kind = "command" if role == "command" else "position"
+            for joint, value in zip(names, values, strict=False):
+                row = (1e-9 * recorded, moment, float(value))
+                series.setdefault((kind, joint), []).append(row)
     return {key: np.array(rows) for key, rows in series.items()}
+
+
+def _read_positions(message: Any, connection: Any, role: str) -> Sequence[float]:
+    """Return the joint positions of a message in a role [rad, m]; empty if it has none."""
+    if connection.msgtype == _STATE_TYPE:
+        return message.position  # type: ignore[no-any-return]
+    if connection.msgtype == _ARRAY_TYPE:
+        return message.data  # type: ignore[no-any-return]
+    if connection.msgtype == _TRAJECTORY_TYPE:
+        if len(message.points) != 1:
+            raise MeasurementError("", diagnose("trajectory-of-points", topic=connection.topic))
+        return message.points[0].positions  # type: ignore[no-any-return]
+    fields = [name for name in _CONTROLLER_FIELDS[role] if hasattr(message, name)]
+    return next((found for name in fields if len(found := getattr(message, name).positions)), ())
 
 
 def _resample_to_common_clock(

@@ -176,10 +176,12 @@ def read_log(
     ``time [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
 
     In a bag, states are ``sensor_msgs/JointState`` messages; commands are
-    ``std_msgs/Float64MultiArray`` messages, or a second ``JointState`` topic that is named. Times
-    are those of the headers, or of recording if any message lacks a header time. The log has the
-    sample times of the joint with the most samples: positions of other joints are interpolated
-    unless samples are missing, and a command holds until the next.
+    ``std_msgs/Float64MultiArray`` messages, ``trajectory_msgs/JointTrajectory`` messages with one
+    point, or a second ``JointState`` topic that is named. A
+    ``control_msgs/JointTrajectoryControllerState`` contains both. Times are those of the headers,
+    or of recording if any message lacks a header time. The log has the sample times of the joint
+    with the most samples: positions of other joints are interpolated unless samples are missing,
+    and a command holds until the next.
 
     Args:
         path: File, or folder of a ROS 2 bag.
