@@ -132,6 +132,8 @@ class Shape:
         collides: Whether the shape can collide.
         read: Function that returns the mesh, or the hull for collisions, in the frame of the shape;
             None if unknown.
+        read_volume: Function that returns the volume [m^3] of a mesh; None if unknown, or if the
+            surface is not closed.
     """
 
     name: str
@@ -140,11 +142,31 @@ class Shape:
     size: tuple[float, ...]
     collides: bool
     read: Callable[[], Mesh | None] = lambda: None
+    read_volume: Callable[[], float | None] = lambda: None
 
     @cached_property
     def mesh(self) -> Mesh | None:
         """Mesh of the shape, read once. As in MuJoCo, only the convex hull matters."""
         return self.read()
+
+    def compute_volume(self) -> float | None:
+        """Compute the volume of the solid shape [m^3]; None if unknown (open mesh, plane)."""
+        size = self.size
+        match self.kind:
+            case "sphere":
+                return 4 / 3 * math.pi * size[0] ** 3
+            case "box":
+                return 8 * math.prod(size)
+            case "ellipsoid":
+                return 4 / 3 * math.pi * math.prod(size)
+            case "cylinder":
+                return 2 * math.pi * size[0] ** 2 * size[1]
+            case "capsule":
+                return math.pi * size[0] ** 2 * (2 * size[1] + 4 / 3 * size[0])
+            case "mesh":
+                return self.read_volume()
+            case _:
+                return None
 
     def placed_in(self, pose: Pose) -> Shape:
         """Express the shape in the outer frame of the body.

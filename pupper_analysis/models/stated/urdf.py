@@ -141,8 +141,10 @@ def _make_shape(
             size = (_read_number(tag, "radius", 0.0), _read_number(tag, "length", 0.0) / 2)
         case _:
             size = ()
-    read = partial(_read_mesh, file, tag) if kind == "mesh" else lambda: None
-    return Shape(name, kind, pose, size, collides, read)
+    if kind != "mesh":
+        return Shape(name, kind, pose, size, collides)
+    read, read_volume = partial(_read_mesh, file, tag), partial(_read_volume, file, tag)
+    return Shape(name, kind, pose, size, collides, read, read_volume)
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
@@ -152,12 +154,23 @@ def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
     return None if hull is None else Mesh(hull.vertices * scale, hull.faces)
 
 
-def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL or OBJ file; None if the file cannot be read.
+def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
+    path = file.resolve_mesh(tag.get("filename", ""))
+    if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
+        return None
+    volume = read_mesh_volume(path, path.stat().st_mtime_ns)
+    scale = parse_numbers(tag.get("scale"), "1 1 1")
+    return None if volume is None else volume * abs(math.prod(scale))
 
-    Other formats, such as COLLADA, contain units and poses and are not supported.
-    """
-    if path.suffix.lower() not in (".stl", ".obj"):
+
+MESH_SUFFIXES = (".stl", ".obj")
+"""Endings of the mesh files that are read. Other formats, such as COLLADA, contain units and poses
+and are not supported."""
+
+
+def mesh_hull(path: Path) -> Mesh | None:
+    """Return the convex hull of an STL or OBJ file; None if the file cannot be read."""
+    if path.suffix.lower() not in MESH_SUFFIXES:
         return None
     result = read_mesh_file(path, path.stat().st_mtime_ns)
     return None if isinstance(result, Diagnostic) else result
@@ -190,3 +203,23 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     if faces.min() < 0 or faces.max() >= len(points):
         return diagnose("mesh-vertex-unknown", vertex=int(faces.max()) + 1, vertices=len(points))
     return Mesh(points, faces).hull()
+
+
+@lru_cache(maxsize=256)
+def read_mesh_volume(path: Path, _changed: int) -> float | None:
+    """Return the volume enclosed by a mesh file; None if its surface is not closed, or unreadable.
+
+    Args:
+        path: The file.
+        _changed: Modification time [ns]; only a part of the cache key.
+
+    Returns:
+        Volume in the cube of the file's unit of length.
+    """
+    import trimesh  # slow to import; yourdfpy depends on it
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=True, skip_materials=True)
+        return abs(float(mesh.volume)) if mesh.is_volume else None
+    except Exception:  # parsers raise various exceptions for broken meshes; a rule names those
+        return None

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import shutil
 from itertools import product
+from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from lxml import etree
 
 import pupper_analysis as pa
@@ -63,6 +65,17 @@ FL_CALF, FR_CALF, FL_FOOT, FR_FOOT = (
 )
 FL_HAA, FR_HFE = '<joint name="FL_HAA"', '<joint name="FR_HFE"'
 OTHER = 'contype="2" conaffinity="2"'
+# Volumes of the drawn shapes [m^3] in closed form. A capsule is a cylinder and two whole spheres.
+SOLID_VOLUMES = {"base_link": 0.2 * 0.11 * 0.05} | {
+    f"{leg}_{part}": volume
+    for leg in LEGS
+    for part, volume in (
+        ("hip", 4 / 3 * pi * 0.026**3),
+        ("thigh", pi * 0.013**2 * 0.08 + 2 * 4 / 3 * pi * 0.013**3),
+        ("calf", pi * 0.011**2 * 0.11 + 2 * 4 / 3 * pi * 0.011**3),
+        ("foot", 4 / 3 * pi * 0.018**3),
+    )
+}
 KEY, FEET = '<key name="home"', '<default class="foot">'
 FL_HFE = '<joint name="FL_HFE"'
 
@@ -182,6 +195,9 @@ SLIPS: list[tuple[Any, ...]] = [
     ("inertial-placeholder", "urdf link FL_hip", "<mass",
      *((f'<link name="{leg}_{part}">', '<mass value="[^"]*"', '<mass value="1"')
        for leg, part in product(LEGS, ("hip", "thigh", "calf")))),
+    ("one-density", "urdf link base_link", "<mass",
+     *((f'<link name="{name}">', '<mass value="[^"]*"', f'<mass value="{7860 * volume}"')
+       for name, volume in SOLID_VOLUMES.items())),
     ("servos-compete", "mjcf position two", "",
      ("", "</actuator>", '<position name="two" joint="FL_HAA" kp="60"/></actuator>')),
     ("forcerange-above-joint", "mjcf general FL_HAA", "",
@@ -264,6 +280,91 @@ def test_planted_fault_is_found_at_its_line(
     assert message.sources == (Source(str(path), finding.line),)
     assert message.text("zh")
     assert case.format in rule.formats
+
+
+@pytest.mark.parametrize(
+    ("wrong_links", "is_found"), [((), True), (("hip",), True), (("hip", "calf"), False)]
+)
+def test_one_density_is_found_in_three_of_four_links_and_through_closed_meshes(
+    wrong_links: tuple[str, ...], is_found: bool, tmp_path: Path
+) -> None:
+    """Masses are volumes times 1001 kg/m^3; the hip is a closed mesh of 2 x 3 x 4 cm in mm.
+
+    The four copies of each link count once: 5 links are compared, of which 4 are 80 %, 3 are 60 %.
+    """
+    trimesh.creation.box((20, 30, 40)).export(tmp_path / "hip.stl")
+    tree = etree.fromstring(OWN["urdf"].read_bytes())
+    for link in tree.iterfind("link"):
+        name = str(link.get("name"))
+        if name not in SOLID_VOLUMES:
+            continue
+        volume = SOLID_VOLUMES[name]
+        if name.endswith("hip"):
+            (geometry,) = link.iterfind("visual/geometry")
+            geometry[:] = [etree.Element("mesh", filename="hip.stl", scale="0.001 0.001 0.001")]
+            volume = 0.02 * 0.03 * 0.04
+        is_wrong = name.split("_")[-1] in wrong_links
+        link.find("inertial/mass").set("value", f"{(1.05 if is_wrong else 1.0) * 1001 * volume}")
+    path = tmp_path / "dog.urdf"
+    path.write_bytes(etree.tostring(tree))
+    findings = found(audit_model(path), "one-density")
+    assert bool(findings) == is_found
+    if findings:
+        density = findings[0].diagnostic.values["density"]
+        assert isinstance(density, Quantity)
+        assert density.value == pytest.approx(1001, rel=1e-6)
+        assert findings[0].diagnostic.values["compared"] == 5
+
+
+@pytest.mark.parametrize("off_diagonal", ["0", "1.4e-20"])
+def test_negative_moments_are_an_error_whatever_their_size(
+    off_diagonal: str, tmp_path: Path
+) -> None:
+    """iCub's r_hip_2 states -5.42e-20 kg m^2 about two axes, at 0.526 kg."""
+    tensor = (
+        f'<inertia ixx="-5.4e-20" ixy="0" ixz="{off_diagonal}" iyy="-5.4e-20" iyz="0" izz="0"/>'
+    )
+    path = written(tmp_path, "urdf", (Edit(FL_CALF, "<inertia [^>]*>", tensor),))
+    (finding,) = found(audit_model(path), "inertia-not-positive-definite", "link 'FL_calf'")
+    assert finding.severity is Severity.ERROR
+
+
+@pytest.mark.parametrize(
+    ("thigh_mass", "severity"), [("100", Severity.WARNING), ("1013", Severity.ERROR)]
+)
+def test_mass_beyond_motors_by_a_factor_of_ten_is_an_error(
+    thigh_mass: str, severity: Severity, tmp_path: Path
+) -> None:
+    """Four thighs of 1013 kg, as in a published A1 without its decimal point, and of 100 kg.
+
+    Twelve motors of 18 N m give 216 N m. At 80 mm, the longest lever between two joints, 402 kg
+    need 315 N m, and 4054 kg need 3180 N m.
+    """
+    edits = (
+        Edit(f'<link name="{leg}_thigh">', '<mass value="[^"]*"', f'<mass value="{thigh_mass}"')
+        for leg in LEGS
+    )
+    path = written(tmp_path, "urdf", tuple(edits))
+    (finding,) = found(audit_model(path), "mass-beyond-motors")
+    assert finding.severity is severity
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "severity"),
+    [
+        ("-154.5", "-52.5", Severity.ERROR),  # an A1's calf in degrees
+        ("-30", "20", Severity.WARNING),
+        ("-100", "100", Severity.WARNING),  # may be meant as no limit
+    ],
+)
+def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
+    lower: str, upper: str, severity: Severity, tmp_path: Path
+) -> None:
+    limits = f'lower="{lower}" upper="{upper}"'
+    edit = Edit('<joint name="FL_KFE"', 'lower="[^"]*" upper="[^"]*"', limits)
+    path = written(tmp_path, "urdf", (edit,))
+    (finding,) = found(audit_model(path), "limits-in-wrong-unit")
+    assert finding.severity is severity
 
 
 BROKEN = {

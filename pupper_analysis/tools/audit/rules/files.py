@@ -16,7 +16,7 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     UrdfModel,
 )
-from pupper_analysis.models.stated.urdf import MAX_MESH_BYTES, read_mesh_file
+from pupper_analysis.models.stated.urdf import MAX_MESH_BYTES, MESH_SUFFIXES, read_mesh_file
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -127,7 +127,7 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
         with path.open("rb") as file:
             start = file.read(_PROLOGUE_BYTES)
         return None if b"COLLADA" in start else diagnose("mesh-no-collada")
-    if ending not in (".stl", ".obj"):
+    if ending not in MESH_SUFFIXES:
         return None
     found = read_mesh_file(path, path.stat().st_mtime_ns)
     return found if isinstance(found, Diagnostic) else None

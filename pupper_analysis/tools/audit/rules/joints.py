@@ -12,6 +12,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import (
     Quantity,
+    Severity,
     Term,
     Vector,
     diagnose,
@@ -167,8 +168,9 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinge limits that appear to be in the wrong unit.
 
     Limits with a magnitude of 12 to 400 rad are probably degrees; 10 rad is a common way to specify
-    no limit. If the unit of the file is degrees, and no limit of at least three hinges is above
-    2 pi degrees, the limits are probably radians.
+    no limit. ERROR instead of WARNING for ten turns or more, unless the limits are symmetric, since
+    +-100 rad may specify no limit. If the unit of the file is degrees, and no limit of at least
+    three hinges is above 2 pi degrees, the limits are probably radians.
     """
     hinges = [
         j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
@@ -178,7 +180,9 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
         if 12 <= max(map(abs, limits)) <= 400:
             lower, upper = (Quantity(value, "rad") for value in limits)
             message = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
-            yield CheckFinding("joint", joint.name, message, "limit")
+            impossible = max(map(abs, limits)) >= 10 * 2 * math.pi and sum(limits) != 0
+            severity = Severity.ERROR if impossible else None
+            yield CheckFinding("joint", joint.name, message, "limit", severity=severity)
     if not robot.in_degrees or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
