@@ -34,7 +34,7 @@ class Provenance:
 
     Attributes:
         command: Command line, quoted for a shell; empty if the result was computed in Python.
-        asked: {option: value} of the options on the command line or in a file of options, for
+        request: {option: value} of the options on the command line or in a file of options, for
             example ``payload_at``. Numbers are in SI units, texts as typed.
         date: Time of writing (UTC, ISO 8601).
         versions: {library, ``python`` or ``machine``: version or processor type}.
@@ -42,7 +42,7 @@ class Provenance:
     """
 
     command: str
-    asked: dict[str, Any]
+    request: dict[str, Any]
     date: str
     versions: dict[str, str]
     files: dict[str, str]
@@ -79,7 +79,7 @@ def collect_provenance() -> Provenance:
             files[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return Provenance(
         command=shlex.join(run.command) if run else "",
-        asked=dict(run.asked) if run else {},
+        request=dict(run.request) if run else {},
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=dict(list_versions()),
         files=files,

@@ -33,7 +33,7 @@ class Run:
         outputs: {existing file: name under which the file will be written}.
         written: Files that the run has written; reading such files is permitted.
         command: Words of the command line; empty in Python.
-        asked: {option: value} of the command line or of a file of options.
+        request: {option: value} of the command line or of a file of options.
     """
 
     force: bool = False
@@ -41,7 +41,7 @@ class Run:
     outputs: dict[Identity, Path] = field(default_factory=dict)
     written: set[Identity] = field(default_factory=set)
     command: tuple[str, ...] = ()
-    asked: dict[str, Any] = field(default_factory=dict)
+    request: dict[str, Any] = field(default_factory=dict)
 
     def expect(self, path: Path) -> None:
         """Register an existing file as an output; a missing file is ignored.

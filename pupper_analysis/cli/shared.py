@@ -128,7 +128,7 @@ class Command(click.Command):
     def invoke(self, context: click.Context) -> Any:
         """Run the command if the results can be written."""
         run = context.with_resource(ensure_run())
-        run.asked = _collect_options(self, context)
+        run.request = _collect_options(self, context)
         take_parameter = context.params.get if self._has_force else context.params.pop
         run.force = bool(take_parameter("force", False))
         for name in _list_named_files(self, context):

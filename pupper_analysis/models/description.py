@@ -66,7 +66,7 @@ class Description:
     null_efforts: Mapping[str, EffortStatement] = field(default_factory=dict)
     converted: str = ""
 
-    def given(self, *additions: Addition) -> Description:
+    def with_additions(self, *additions: Addition) -> Description:
         """Return a copy whose MJCF has further additions, for example a floor or servos."""
         spec = self.mjcf.copy()
         apply_additions(additions, SpecTree(spec))

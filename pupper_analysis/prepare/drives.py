@@ -120,7 +120,7 @@ def add_position_servos(
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
         timestep = float(robot.description.mjcf.option.timestep) / parts
-        given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
+        given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
         copy_visual_option(given.mjcf, original.spec)
         return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=limits)
 
@@ -145,7 +145,9 @@ def add_position_servos(
     file = None if original.of_urdf else compile_published_model(original, robot)
 
     timestep = float(robot.mj_model.opt.timestep)
-    first_tried = robot.description.given(*make_missing_servos(robot, *candidates[0][1:], timestep))
+    first_tried = robot.description.with_additions(
+        *make_missing_servos(robot, *candidates[0][1:], timestep)
+    )
     trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=limits)
 
     results: dict[tuple[int, bool], bool] = {}
@@ -261,7 +263,7 @@ def _with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     """Add position servos to a robot with a fixed base, and return notes about these servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
-    given = robot.description.given(*make_missing_servos(robot, kp, kd, timestep))
+    given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
     stated = {limit.joint: limit for limit in robot.efforts}
     built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
     return _report_added_servos(robot, built, mjcf, kp, kd)

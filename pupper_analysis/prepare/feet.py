@@ -356,7 +356,7 @@ def with_feet(
         foot_geoms=geoms,
         made_frames=frozenset(made_frames),
     )
-    return described.given(*added)
+    return described.with_additions(*added)
 
 
 def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:

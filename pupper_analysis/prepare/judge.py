@@ -50,7 +50,7 @@ def judge_simulation(
     alone: Outcome | None = None,
     *,
     statics: GravityCompensation | None = None,
-    asked: Question = Question.STANDS,
+    question: Question = Question.STANDS,
     trial: NudgeTrial | None = None,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -63,7 +63,7 @@ def judge_simulation(
         fed: Simulation with feed-forward; for a payload or a path an ``Outcome``.
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
-        asked: Question that the verdict answers.
+        question: Question that the verdict answers.
         trial: Result of nudges from all sides. If None, a stand near a limit in ``statics`` is
             nudged here.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
@@ -117,12 +117,12 @@ def judge_simulation(
         fed,
         alone,
         servos,
-        asked=asked,
+        question=question,
         overloaded=overloaded,
         own=own,
         published=published,
         converted=robot.description.converted,
-        unknown=unknown is not None and (loaded_more or asked in LOAD_QUESTIONS),
+        unknown=unknown is not None and (loaded_more or question in LOAD_QUESTIONS),
         masses_unknown=masses is not None,
         remarks=remarks,
     )

@@ -350,7 +350,7 @@ def _level_ground(draft: Draft) -> PassOutput:
         adds_ground and not any(STIFF_FRICTION_OPTIONS.keys() & stated for stated in options)
     ):
         grip = list_urdf_ground_additions()[1]
-        described, messages = described.given(grip), [*messages, grip.reason]
+        described, messages = described.with_additions(grip), [*messages, grip.reason]
     return replace(draft, description=described), messages
 
 
@@ -471,7 +471,9 @@ def _stand_on_hulls(draft: Draft) -> PassOutput:
     own = draft.robot.description.foot_geoms
     kept = {foot.name for foot in draft.feet if foot in feet}
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
-    described = with_feet(draft.footless, feet, balls).given(DisabledContacts(message, soft))
+    described = with_feet(draft.footless, feet, balls).with_additions(
+        DisabledContacts(message, soft)
+    )
     sunk = start.compute_resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(
         build_robot(described), draft.keyframes, sunk, _make_rest_depth(draft)

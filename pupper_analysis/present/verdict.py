@@ -119,7 +119,7 @@ def get_verdict_key(verdict: Verdict) -> str:
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
         return "HOLDS with feed-forward"
-    return _VERDICT_WORDS[verdict.asked][0 if verdict.passed else 1]
+    return _VERDICT_WORDS[verdict.question][0 if verdict.passed else 1]
 
 
 def _disagrees(verdict: Verdict) -> bool:
@@ -305,7 +305,7 @@ def _make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     """State how the simulations of the computed stand ended, and with which servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
-    if fed is Ending.HOLDS and verdict.asked is not Question.STANDS:
+    if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
     elif fed is Ending.UNTRIED:
         message = diagnose("in-balance", within=not verdict.overloaded)

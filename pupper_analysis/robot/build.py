@@ -158,7 +158,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to the MJCF; keep nominal stand, notes and published file."""
-    description = robot.description.given(*additions)
+    description = robot.description.with_additions(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 
 

@@ -446,27 +446,27 @@ def with_options(
         ConfigurationError: If a name is unknown, ``impratio`` is not positive and finite, or
             ``timestep`` is out of range.
     """
-    asked: dict[str, Any] = {}
+    requested: dict[str, Any] = {}
     if integrator is not None:
-        asked["integrator"] = _find_option_value("integrator", integrator, INTEGRATOR_TYPES)
+        requested["integrator"] = _find_option_value("integrator", integrator, INTEGRATOR_TYPES)
     if cone is not None:
-        asked["cone"] = _find_option_value("cone", cone, CONE_TYPES)
+        requested["cone"] = _find_option_value("cone", cone, CONE_TYPES)
     if impratio is not None:
         if not 0 < impratio < math.inf:
             raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))
-        asked["impratio"] = float(impratio)
+        requested["impratio"] = float(impratio)
     if timestep is not None:
         least, most = TIMESTEP_RANGE
         if not least <= timestep <= most:
             low, high = Quantity(least, "s"), Quantity(most, "s")
             problem = diagnose("not-between", given=f"{timestep:g} s", low=low, high=high)
             raise ConfigurationError("timestep", problem)
-        asked["timestep"] = float(timestep)
-    if not asked:
+        requested["timestep"] = float(timestep)
+    if not requested:
         return robot
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
     for option in (spec.option, model.opt):
-        for name, value in asked.items():
+        for name, value in requested.items():
             setattr(option, name, value)
     published = robot.published
     if published is not None:
@@ -474,7 +474,7 @@ def with_options(
         loaded = (
             None if loaded is None else with_options(loaded, integrator, cone, impratio, timestep)
         )
-        options = {**dict(published.options), **asked}
+        options = {**dict(published.options), **requested}
         published = replace(published, options=tuple(options.items()), loaded=loaded)
     messages = robot.notes
     if timestep is not None:

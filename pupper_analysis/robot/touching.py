@@ -233,7 +233,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
             DisabledContacts(reason, (frame,))
         )  # ``terrain`` enables contact with the plane
         frames[name], geoms[name] = (frame, frame), (frame, radius)
-    given = replace(description, mjcf=mjcf.spec).given(*added)
+    given = replace(description, mjcf=mjcf.spec).with_additions(*added)
     built = rebuild_robot(
         robot,
         urdf=to_text(urdf.root),

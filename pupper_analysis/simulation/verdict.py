@@ -140,7 +140,7 @@ class Verdict(Result):
 
     Attributes:
         code: The worst verdict that applies.
-        asked: Question that the verdict answers.
+        question: Question that the verdict answers.
         passed: Whether the stance holds; the exit status of commands.
         seconds: Simulated time (s).
         with_feedforward: End of the simulation with gravity feed-forward, ctrl = q* + tau / kp.
@@ -166,7 +166,7 @@ class Verdict(Result):
     """
 
     code: VerdictCode
-    asked: Question
+    question: Question
     passed: bool
     seconds: float = field(metadata={"unit": "s"})
     with_feedforward: Ending
@@ -191,7 +191,7 @@ def judge_stance(
     alone: Outcome | None,
     servos: ServosUsed,
     *,
-    asked: Question = Question.STANDS,
+    question: Question = Question.STANDS,
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
@@ -206,7 +206,7 @@ def judge_stance(
         fed: Simulation with feed-forward.
         alone: Simulation without feed-forward; None if there is none.
         servos: Servos of the simulation.
-        asked: Question that the simulation answers.
+        question: Question that the simulation answers.
         overloaded: Motors above their effort limits.
         own: Simulation of the published file from the keyframe.
         published: Differences between the published MJCF and the simulated model.
@@ -224,7 +224,7 @@ def judge_stance(
         code = VerdictCode.LIMITS_UNKNOWN
     return Verdict(
         code=code,
-        asked=asked,
+        question=question,
         passed=code in PASSING_CODES,
         seconds=fed.duration,
         with_feedforward=describe_ending(fed),
@@ -269,7 +269,7 @@ def predict_verdict(
     doubling_time = _min_doubling_time(stability)
     return Verdict(
         code=VerdictCode.OVERLOADED if overloaded else code,
-        asked=Question.STANDS,
+        question=Question.STANDS,
         passed=False,
         seconds=0.0,
         with_feedforward=Ending.UNTRIED,

@@ -56,14 +56,14 @@ class Posture(Result):
             robot.
         source: Source of the joint positions that were not given.
         keyframe: Name of the keyframe; "" without a keyframe, or if the keyframe has no name.
-        given: Names of the given joints.
+        requested_joints: Names of the joints whose positions were requested.
     """
 
     joint_names: tuple[str, ...]
     qpos: Array = field(metadata={"unit": "rad"})
     source: PostureSource
     keyframe: str
-    given: tuple[str, ...]
+    requested_joints: tuple[str, ...]
 
 
 def check_held(robot: Robot) -> None:

@@ -74,13 +74,13 @@ class Relaxation:
     Attributes:
         task: Task with relaxed numbers.
         qpos: Configuration, shape (nq,).
-        given: {demand: sum of the relaxations of the demand's numbers} [stand heights, rad].
+        relaxations: {demand: sum of the relaxations of the demand's numbers} [stand heights, rad].
         violation: Largest violation of the other constraints [m, rad].
     """
 
     task: StandTask
     qpos: Array
-    given: dict[str, float]
+    relaxations: dict[str, float]
     violation: float
 
     @property
@@ -91,7 +91,7 @@ class Relaxation:
     @property
     def slack(self) -> float:
         """Sum of the relaxations of all demands [stand heights, rad mixed]."""
-        return sum(self.given.values())
+        return sum(self.relaxations.values())
 
 
 @dataclass(frozen=True, eq=False)

@@ -217,14 +217,16 @@ class _Search:
         """Remove demands that need no relaxation, beginning with the smallest relaxation."""
         if way is None:
             return None
-        given = {demand: slack for demand, slack in way.given.items() if slack > _MIN_RELAXATION}
+        given = {
+            demand: slack for demand, slack in way.relaxations.items() if slack > _MIN_RELAXATION
+        }
         for demand in sorted(given, key=given.__getitem__):
             rest = [
                 name
                 for name in given
-                if name != demand and way.given.get(name, 0.0) > _MIN_RELAXATION
+                if name != demand and way.relaxations.get(name, 0.0) > _MIN_RELAXATION
             ]
-            if way.given.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
+            if way.relaxations.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
                 way = self._find_smallest(rest, (way.qpos,)) or way
         return way
 
@@ -233,7 +235,9 @@ class _Search:
         if way is None:
             return None
         robot = self.context.robot
-        demands = tuple(demand for demand, slack in way.given.items() if slack > _MIN_RELAXATION)
+        demands = tuple(
+            demand for demand, slack in way.relaxations.items() if slack > _MIN_RELAXATION
+        )
         if not demands:
             return None
         for share in _EXTRA_RELAXATIONS:
@@ -255,7 +259,7 @@ class _Search:
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task
         while way.is_met:
-            demand = max(left, key=way.given.__getitem__)
+            demand = max(left, key=way.relaxations.__getitem__)
             left.remove(demand)
             there = relax_further(robot, way.task, requested, [demand], share)
             end = round_outward(robot, there, requested, [demand])

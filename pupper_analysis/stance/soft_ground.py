@@ -87,8 +87,8 @@ def solve_stand_on_soft_ground(
         task = task or StandTask()
         robot = touching(robot, task.contacts)
         stand = solve_stand(robot, task, explain=explain)
-    asked = stand.task
-    if asked.com == "inside":
+    requested_task = stand.task
+    if requested_task.com == "inside":
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
     laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}
@@ -108,7 +108,7 @@ def solve_stand_on_soft_ground(
             # The stiffness of loops increases with their opening, so steps would alternate.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
-            return attach_robot(stand.for_task(asked), owner)
+            return attach_robot(stand.for_task(requested_task), owner)
         least, stalled = min(least, change), stalled + 1 if change >= least else 0
         if stalled == _MAX_STALLED_ITERATIONS:
             break

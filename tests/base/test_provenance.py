@@ -25,7 +25,7 @@ def test_json_page_markdown_and_pictures_contain_their_provenance(tmp_path: Path
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "p.json").read_text())["provenance"]
     assert found["command"] == " ".join(("pupper-analysis", *words))
-    assert found["asked"] == {"directions": 3, "payload": 0.2, "format": "markdown"}
+    assert found["request"] == {"directions": 3, "payload": 0.2, "format": "markdown"}
     age = datetime.now(UTC) - datetime.fromisoformat(found["date"])
     assert timedelta() <= age < timedelta(minutes=5)
     assert found["versions"]["mujoco"] == mujoco.__version__

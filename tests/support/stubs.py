@@ -237,7 +237,7 @@ def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
-    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, asked=Question.LASTS)
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.LASTS)
     return Stub(
         name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict, **KNOWN
     )
@@ -305,7 +305,7 @@ def loaded(*unknown: str) -> Any:
         joint_torques=(1.0, 2.0),
         continuous=(),
         trial=trial,
-        verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Question.CARRIES),
+        verdict=judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.CARRIES),
     )
 
 
@@ -333,7 +333,7 @@ def there(**changes: Any) -> Any:
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
     verdict = judge_stance(
-        Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, asked=Question.TRACKED
+        Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, question=Question.TRACKED
     )
     return Stub(**fields, **{"verdict": verdict, **changes})
 

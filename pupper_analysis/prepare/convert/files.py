@@ -102,6 +102,6 @@ class FileSource:
             raise ConfigurationError(name, diagnose("robot-not-scaled", robot=self.loaded.name))
         return self.loaded
 
-    def asked(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the specification as plain data, as in the file of a study."""
         return self.files.plain()

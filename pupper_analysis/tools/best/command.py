@@ -23,7 +23,7 @@ from pupper_analysis.cli.stance_options import (
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     objective: str,
     words: tuple[str, ...],
     figure: Path | None,
@@ -50,12 +50,12 @@ def command(
     from pupper_analysis.tools.best.best import study_best
     from pupper_analysis.tools.best.search import Objective
 
-    task = asked.task()
-    robot = asked.robot(words, payload_sought=objective == "payload")
-    kp, kd = asked.gains(robot)
+    task = request.task()
+    robot = request.robot(words, payload_sought=objective == "payload")
+    kp, kd = request.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
-        result = study_best(robot, Objective(objective), task, asked.place, kp=kp, kd=kd)
-    asked.show(result, robot)
+        result = study_best(robot, Objective(objective), task, request.place, kp=kp, kd=kd)
+    request.show(result, robot)
     draw_stand(robot, result.stance.stand, result.stance.statics, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -264,7 +264,10 @@ def _describe_posture(hold: Hold) -> doc.Words:
         joint: format(Quantity(position, unit), "read:.4g")
         for joint, position, unit in zip(posture.joint_names, posture.qpos, hold.units, strict=True)
     }
-    parts = [text("joint-at", joint=joint, position=positions[joint]) for joint in posture.given]
+    parts = [
+        text("joint-at", joint=joint, position=positions[joint])
+        for joint in posture.requested_joints
+    ]
     given = join_words(parts) if parts else ""
     if posture.keyframe:
         description = text("posture-of-keyframe", keyframe=posture.keyframe, given=given)

@@ -30,7 +30,7 @@ from pupper_analysis.tools.path import kinds
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     words: tuple[str, ...],
     seconds: float,
     csv: Path | None,
@@ -55,12 +55,12 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.path.tracking import study_path
 
-    task = asked.task()
-    robot = asked.robot(words)
-    kp, kd = asked.gains(robot)
+    task = request.task()
+    robot = request.robot(words)
+    kp, kd = request.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)
-    asked.show(result, robot)
+    request.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)
         shared.confirm_written(csv)

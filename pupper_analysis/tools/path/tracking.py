@@ -314,7 +314,7 @@ def study_path(
             stand,
             ran,
             statics=stand_statics(robot, held),
-            asked=Question.TRACKED,
+            question=Question.TRACKED,
             kp=kp,
             kd=kd,
         ),

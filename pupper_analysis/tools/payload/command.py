@@ -29,7 +29,7 @@ from pupper_analysis.cli.stance_options import (
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     words: tuple[str, ...],
     continuous: tuple[str, ...],
     json_path: Path | None,
@@ -61,14 +61,14 @@ def command(
     from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.payload.limit import payload_limit
 
-    task = asked.task()
-    robot = asked.robot(words, payload_sought=True)
+    task = request.task()
+    robot = request.robot(words, payload_sought=True)
     continuous_efforts = parse_efforts(continuous, robot, "continuous")
     robot = with_efforts(robot, continuous_efforts)
-    kp, kd = asked.gains(robot)
+    kp, kd = request.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
-        result = payload_limit(robot, task, asked.place, kp=kp, kd=kd)
+        result = payload_limit(robot, task, request.place, kp=kp, kd=kd)
         result = replace(result, continuous=tuple(continuous_efforts))
-    asked.show(result, robot)
+    request.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -320,7 +320,7 @@ def payload_limit(
         loaded = with_payload(robot, mass, place)
         trial = simulate_nudged(mass) if mass else None
         verdict = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
-        return replace(verdict, asked=Question.CARRIES)
+        return replace(verdict, question=Question.CARRIES)
 
     def judge_with_feedforward(mass: float) -> Verdict:
         """Judge the stance with a mass [kg], without the simulation of position commands alone.

@@ -31,7 +31,7 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     words: tuple[str, ...],
     directions: int,
     resolution: float,
@@ -60,9 +60,9 @@ def command(
     from pupper_analysis.pupper.variants import VARIANTS
     from pupper_analysis.tools.push.recovery import study_pushes
 
-    task = asked.task()
-    robots = asked.robots(words, default=tuple(VARIANTS))
-    kp, kd = asked.gains(robots[0])
+    task = request.task()
+    robots = request.robots(words, default=tuple(VARIANTS))
+    kp, kd = request.gains(robots[0])
     with shared.show_progress(
         f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
     ):
@@ -74,7 +74,9 @@ def command(
             directions=directions,
             resolution=resolution,
         )
-    shared.show_results(results.items(), asked.style, robots=robots, everything=asked.everything)
+    shared.show_results(
+        results.items(), request.style, robots=robots, everything=request.everything
+    )
     if figure is not None:
         from pupper_analysis.tools.push.figures import push_figure
 

@@ -122,7 +122,7 @@ def study_pushes(
         )
         statics = stand_statics(robot, stand)
         verdict = judge_simulation(
-            robot, rigid_stand, verification, statics=statics, asked=Question.LASTS, kp=kp, kd=kd
+            robot, rigid_stand, verification, statics=statics, question=Question.LASTS, kp=kp, kd=kd
         )
         unknown_limits = unknown_push_limits(robot)
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED

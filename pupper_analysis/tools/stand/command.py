@@ -41,7 +41,7 @@ from pupper_analysis.prepare.convert.files import RobotFiles
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     words: tuple[str, ...],
     minimum_stiffness: bool,
     explain: bool,
@@ -86,16 +86,16 @@ def command(
     """  # noqa: D301 - click reads the \b
     if explain:
         refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})
-        _explain_preparation(asked, words, json_path)
+        _explain_preparation(request, words, json_path)
         return
     from pupper_analysis.tools.stand.stance import study_stance
 
-    task = asked.task()
-    robot = asked.robot(words)
-    kp, kd = asked.gains(robot)
+    task = request.task()
+    robot = request.robot(words)
+    kp, kd = request.gains(robot)
     with shared.show_progress("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
-    asked.show(result, robot)
+    request.show(result, robot)
     if csv is not None:
         result.to_csv(csv)
         shared.confirm_written(csv)
@@ -114,7 +114,7 @@ _EXPLAIN_PARAMETERS = {
 
 
 def _explain_preparation(
-    asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
+    request: RobotAndTask, words: tuple[str, ...], json_path: Path | None
 ) -> None:
     """Print the passes that prepare a robot from files; ``--explain``."""
     from pupper_analysis.models.mjcf import silence_mujoco
@@ -124,17 +124,17 @@ def _explain_preparation(
     from pupper_analysis.tools.stand.document import preparation_document
     from pupper_analysis.tools.stand.stance import explain_loading
 
-    files = asked.which.select_robot(words)
+    files = request.which.select_robot(words)
     if not isinstance(files, RobotFiles):
         raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
     options = files.options
     with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
-        request = LoadRequest(
+        load_request = LoadRequest(
             feet=parse_feet(options["feet"]) if "feet" in options else None,
             fixed_base=False,
             joints=options.get("joints"),
             keyframe=options.get("keyframe"),
-            as_is=asked.as_is,
+            as_is=request.as_is,
         )
         pair = read_pair(
             *files.models,
@@ -142,10 +142,10 @@ def _explain_preparation(
             body=options.get("body"),
             packages=options.get("packages"),
         )
-        preparation, robot = explain_loading(pair.urdf, pair.mjcf, request)
+        preparation, robot = explain_loading(pair.urdf, pair.mjcf, load_request)
         preparation = replace(preparation, notes=pair.mark(robot).notes)
     document = preparation_document(preparation)
     shared.show_report(
-        Report(document.title, (document,)), asked.style, everything=asked.everything
+        Report(document.title, (document,)), request.style, everything=request.everything
     )
     shared.finish_command(json_path, preparation, passed=True)

@@ -191,7 +191,7 @@ class Variants(ScalableVariant):
             described if self.whole else without_visuals(described), foot_depth=depth
         )
 
-    def asked(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the base and all scales of the variant as plain data."""
         return {"base": self.spec.base, **self.scales}
 

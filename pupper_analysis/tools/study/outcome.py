@@ -151,7 +151,7 @@ def study_outcome(
     objectives = check_objectives(study, minimise, maximise)
     spread_variables = list_spread_variables(table, variables)
     return StudyOutcome(
-        robot=_format_source(study.source.asked()),
+        robot=_format_source(study.source.to_dict()),
         converted=study.base.description.converted,
         rests_on=list_stand_assumptions(study.base),
         variables={name: variable.to_dict() for name, variable in study.variables.items()},

@@ -197,7 +197,7 @@ class Study:
         """Hash of robot, stand task, payload position, metrics and package versions."""
         parts = {
             "robot": hash_description(self.base.description),
-            "source": repr(self.source.asked()) if self.source.scales else "",
+            "source": repr(self.source.to_dict()) if self.source.scales else "",
             "stand": {item.name: repr(getattr(self.task, item.name)) for item in fields(self.task)},
             "point": self.point,
             "measures": sorted(fingerprint_metric(item) for item in self.metrics),
@@ -236,7 +236,7 @@ class Study:
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; `Study.of` is the inverse."""
         data: dict[str, Any] = {
-            "robot": self.source.asked(),
+            "robot": self.source.to_dict(),
             "vary": {name: item.to_dict() for name, item in self.variables.items()},
             "measure": [format_metric(item) for item in self.metrics],
             "seed": self.sampling.seed,

@@ -238,9 +238,9 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
         word = "walk-follows" if result.passed else "walk-follows-in-part"
     names = [_name_quantity(interval.quantity) for interval in outside]
     reasons = [text("walk-outside-of", names=join_words(names))] if outside else []
-    if len(result.seeds) < result.asked:
-        count = result.asked - len(result.seeds)
-        reasons.append(text("walk-unchanged-fails", count=count, asked=result.asked))
+    if len(result.seeds) < result.requested_seeds:
+        count = result.requested_seeds - len(result.seeds)
+        reasons.append(text("walk-unchanged-fails", count=count, asked=result.requested_seeds))
     return doc.Document(
         text("walk-intervals-title"),
         text("walk-of", robot=doc.Name(result.name), policy=doc.Name(result.policy)),

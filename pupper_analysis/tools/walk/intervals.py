@@ -197,7 +197,7 @@ class TrackedIntervals(Result):
         policy: File name of the policy.
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
             (rad/s), shape (3,).
-        asked: Number of requested seeds.
+        requested_seeds: Number of requested seeds.
         seeds: Seeds with which the unchanged robot tracks; the other seeds are not used.
         intervals: An interval per quantity, with all other quantities unchanged.
         rollouts: Number of simulated runs.
@@ -209,7 +209,7 @@ class TrackedIntervals(Result):
     mass: float = field(metadata={"unit": "kg"})
     policy: str
     command: Array = field(metadata={"unit": "m/s or rad/s"})
-    asked: int
+    requested_seeds: int
     seeds: tuple[int, ...]
     intervals: tuple[TrackedInterval, ...]
     rollouts: int
@@ -220,7 +220,7 @@ class TrackedIntervals(Result):
     @property
     def passed(self) -> bool:
         """True if the unchanged robot tracks with all seeds within all measured intervals."""
-        return len(self.seeds) == self.asked and all(
+        return len(self.seeds) == self.requested_seeds and all(
             interval.inside is not False for interval in self.intervals
         )
 
@@ -355,7 +355,7 @@ def tracked_intervals(
         mass=robot.total_mass,
         policy=policy.name,
         command=checked_command,
-        asked=seeds,
+        requested_seeds=seeds,
         seeds=tracking_seeds,
         intervals=tuple(intervals),
         rollouts=count,

@@ -15,7 +15,7 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance
 @shared.json_option
 @shared.report_option
 def command(
-    asked: RobotAndTask,
+    request: RobotAndTask,
     words: tuple[str, ...],
     json_path: Path | None,
     report_path: Path | None,
@@ -36,10 +36,10 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.stance.workspace import base_workspace
 
-    task = asked.task()
-    robot = asked.robot(words)
+    task = request.task()
+    robot = request.robot(words)
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
-    asked.show(result, robot)
+    request.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=True)

@@ -69,7 +69,7 @@ def test_joints_that_are_not_given_are_in_the_middle_or_the_keyframe(tmp_path: P
     found = find_posture(robot, {"*l*": 0.1, "elbow": 0.5})
     wanted = middle | {"shoulder": 0.1, "b_slide": 0.1, "elbow": 0.5}
     assert dict(zip(robot.joint_names, found.qpos, strict=True)) == pytest.approx(wanted)
-    assert set(found.given) == {"elbow", "b_slide", "shoulder"}
+    assert set(found.requested_joints) == {"elbow", "b_slide", "shoulder"}
 
     keys = '<keyframe><key name="home" qpos="0.1 -0.2 0.3 0.04"/><key name="out" qpos="9 0 1 0"/>'
     text = by_hand.MJCF.replace("</mujoco>", f"{keys}</keyframe></mujoco>")

@@ -22,7 +22,7 @@ def judged(robot: pa.Robot) -> Verdict:
 @pytest.mark.slow
 def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
-    assert verdict.asked is Question.TRACKED
+    assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.

@@ -235,7 +235,7 @@ def judged(robot: pa.Robot) -> Verdict:
 @pytest.mark.slow
 def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
-    assert verdict.asked is Question.TRACKED
+    assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
     # A short answer has it, too, though it is not against the verdict.
