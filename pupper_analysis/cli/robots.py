@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 Command = Callable[..., None]
 
 VARIANT_OPTIONS = (
-    click.option(
-        "--base", metavar="BASE", help="Base model of a variant of your own: skeleton or v3."
-    ),
+    click.option("--base", metavar="BASE", help="Base model of a scaled variant: skeleton or v3."),
     click.option(
         "--leg-scale",
         type=float,
@@ -59,10 +57,12 @@ DETECTION_OPTIONS = (
     click.option(
         "--take",
         type=click.Choice(["urdf", "mjcf"]),
-        help="Of a URDF and an MJCF that disagree, go on with this one alone.",
+        help="If a URDF and an MJCF disagree, load this file only.",
     ),
     click.option(
-        "--body", metavar="NAME", help="Root body of the robot, in an MJCF of several; e.g. base."
+        "--body",
+        metavar="NAME",
+        help=("Root body of the robot in an MJCF with several robots; e.g. base."),
     ),
     shared.package_option,
 )

@@ -190,8 +190,10 @@ stance_option = click.option(
     is_eager=True,  # before the options whose defaults it gives
     expose_value=False,
     callback=_load_defaults,
-    help="TOML file of such options, as the live page saves it; e.g. a line height = '12cm'. What "
-    "is typed goes first.",
+    help=(
+        "TOML file with stance options, as saved by the live page; e.g. a line height = '12cm'. "
+        "Typed options have precedence."
+    ),
 )
 
 

@@ -63,24 +63,26 @@ SERVO_OPTIONS = (
     click.option(
         "--integrator",
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
-        help="MuJoCo integrator, in place of the model's; e.g. implicitfast.",
+        help="MuJoCo integrator, instead of the model's; e.g. implicitfast.",
     ),
     click.option(
         "--timestep",
         type=shared.QuantityType("time"),
-        help="MuJoCo time step, in place of the model's; e.g. 0.5ms.",
+        help="MuJoCo time step, instead of the model's; e.g. 0.5ms.",
     ),
     click.option(
         "--cone",
         type=click.Choice(["elliptic", "pyramidal"]),
-        help="Form of MuJoCo's friction cones, in place of the model's.",
+        help="Form of MuJoCo's friction cones, instead of the model's.",
     ),
     click.option(
         "--impratio",
         type=float,
         metavar="X",
-        help="How much stiffer MuJoCo's friction is than its ground, in place of the model's: "
-        "feet creep the less; e.g. 100.",
+        help=(
+            "MuJoCo's ratio of friction to normal impedance, instead of the model's; feet creep "
+            "less with a larger ratio; e.g. 100."
+        ),
     ),
 )
 
@@ -88,8 +90,10 @@ EFFORT_OPTION = click.option(
     "--effort",
     multiple=True,
     metavar="[JOINTS=]NM",
-    help="What the motors of all joints that match a pattern can give, in place of what the files "
-    "state (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable.",
+    help=(
+        "Effort limit of the motors of all joints that match a pattern, instead of the limits in "
+        "the files (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable."
+    ),
 )
 
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)

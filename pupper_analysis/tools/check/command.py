@@ -18,12 +18,12 @@ from pupper_analysis.cli.modes import refuse_unused
 @click.option(
     "--update-baseline",
     is_flag=True,
-    help="Write all current findings to the baseline; from then on only new ones fail.",
+    help="Write all current findings to the baseline; afterwards only new findings fail.",
 )
 @click.option(
     "--since",
     metavar="REVISION",
-    help="Also tell what has changed since this revision of git, and what it does in MuJoCo.",
+    help="Also report the changes since this git revision, and their effect in MuJoCo.",
 )
 @click.option(
     "--init",

@@ -16,10 +16,13 @@ from pupper_analysis.cli import shared
     "pairs",
     multiple=True,
     metavar="NAME=JOINT",
-    help="A source's name of a joint, and the model's, where they are not matched. Repeatable.",
+    help="Name of a joint in a source and in the model, if the names are not matched. Repeatable.",
 )
 @click.option(
-    "--no-stand", "unstood", is_flag=True, help="Do not stand the robot in the default poses."
+    "--no-stand",
+    "unstood",
+    is_flag=True,
+    help=("Do not solve and simulate the stand in the default poses."),
 )
 @click.option(
     "--fail-on",

@@ -66,44 +66,56 @@ _MODE_OPTIONS = {
     "topics",
     multiple=True,
     metavar="ROLE=TOPIC",
-    help="Which topic of a bag tells the state or the command, where several do; e.g. "
-    "state=/joint_states. Repeatable.",
+    help=(
+        "Topic of a bag for the state or the command, if there are several; e.g. "
+        "state=/joint_states. Repeatable."
+    ),
 )
 @click.option(
     "--joints",
     metavar="NAME,...",
-    help="Joints of a bag's messages that name none, in their order.",
+    help="Joints in the order of a bag's messages, if the messages contain no names.",
 )
 @click.option(
     "--hold-out",
     multiple=True,
     metavar="SHARE|FILE",
-    help="What is predicted instead of fitted: a share of each log, at its end (0.2 by default), "
-    "or a log of another motion. Repeatable.",
+    help=(
+        "Measurements that are predicted instead of fitted: a fraction at the end of each log "
+        "(0.2 by default), or a log of another motion. Repeatable."
+    ),
 )
 @click.option(
     "--plan",
     "count",
     type=int,
     metavar="COUNT",
-    help="Choose the stands whose measurement determines most, and write them to -o.",
+    help="Choose the most informative stands, and write the plan to -o.",
 )
 @click.option(
     "--added",
     metavar="MASS",
-    help="Known mass to be put on for half of the stands: it tells what kp is. By default 15 % of "
-    "the robot's; 0kg plans none.",
+    help=(
+        "Known mass that is added for half of the stands and determines kp. By default 15 % of "
+        "the robot's mass; 0kg: none."
+    ),
 )
 @click.option(
     "--added-at",
     metavar="X,Y,Z",
-    help="Where it is put, in the base's frame, or LINK,X,Y,Z in a link's; by default on top.",
+    help=(
+        "Position of the known mass in the base frame, or LINK,X,Y,Z in a link frame; by default "
+        "on top of the base."
+    ),
 )
-@shared.file_option("--record", help="CSV of a plan: take its stands, a row of -o for each.")
+@shared.file_option("--record", help="CSV of a plan: record its stands, each as a row of -o.")
 @click.option(
     "--bridge",
     metavar="NAME",
-    help="The way to the robot: ros2, typed (by a person), or mujoco (one whose numbers are off).",
+    help=(
+        "Connection to the robot: ros2, typed (by a person), or mujoco (simulated, with perturbed "
+        "parameters)."
+    ),
 )
 @shared.output_option(
     "-o",
@@ -115,25 +127,30 @@ _MODE_OPTIONS = {
         if given["count"] is None
         else kinds.PLAN_KIND
     ),
-    help="Where to write the plan, or the stands that are recorded, as CSV; or the folder that "
-    "gets the corrected URDF and MJCF, fit.json, offsets.csv and samples.csv.",
+    help=(
+        "Output: CSV of the plan or of the recorded stands; or folder of the corrected URDF and "
+        "MJCF, fit.json, offsets.csv and samples.csv."
+    ),
 )
 @click.option(
     "--prior",
     "priors",
     multiple=True,
     metavar="KIND[:NAME]=WIDTH",
-    help="What is known before, as a standard deviation; e.g. mass=20%, com:base_link=5mm, "
-    "kp=0 (it is right). Repeatable.",
+    help=(
+        "Prior standard deviation of a parameter; e.g. mass=20%, com:base_link=5mm, kp=0 (kp is "
+        "exact). Repeatable."
+    ),
 )
 @click.option(
     "--anyway",
     is_flag=True,
-    help="Write a fit that does not explain, too: its intervals are widened by what is left.",
+    help=(
+        "Also write a fit that does not explain the measurements; the intervals are widened by "
+        "the residuals."
+    ),
 )
-@click.option(
-    "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
-)
+@click.option("--weight", metavar="MASS", help="Mass of the whole robot on a scale; e.g. 3.55kg.")
 @add_options(FILE_OPTIONS, VARIANT_OPTIONS, GAIN_OPTIONS)
 @shared.verbose_option
 @shared.text_format_option

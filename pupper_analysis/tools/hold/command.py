@@ -35,8 +35,10 @@ from pupper_analysis.cli.stance_options import (
 @click.option(
     "--tool",
     metavar="FRAME",
-    help="Where it carries: a link, site, body or geom; e.g. tool0. By default the end of the "
-    "longest chain of joints.",
+    help=(
+        "Point that carries loads: a link, site, body or geom; e.g. tool0. By default the end of "
+        "the longest chain of joints."
+    ),
 )
 @click.option(
     "--payload", type=shared.QuantityType("mass"), default=0.0, help="Mass at the tool; e.g. 2kg."

@@ -61,7 +61,7 @@ _OPTIONS_OF_MODE = {
 @click.option(
     "--stance",
     type=click.Path(path_type=Path),
-    help="TOML file of the page's initial stance, as it saves one; e.g. stance.toml.",
+    help="TOML file of the page's initial stance, as saved by the page; e.g. stance.toml.",
 )
 @click.option(
     "--language",
@@ -76,11 +76,16 @@ _OPTIONS_OF_MODE = {
     show_default=True,
     help="Address to serve on; e.g. 0.0.0.0 for all machines that can reach this one.",
 )
-@click.option("--port", type=int, help="Port to serve on. [default: any that is free]")
+@click.option("--port", type=int, help="Port to serve on. [default: any free port]")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; print the address.")
-@click.option("--mujoco", "viewer", is_flag=True, help="Open MuJoCo's own viewer, and no page.")
 @click.option(
-    "--drop", "dropped", is_flag=True, help="Drop it in MuJoCo's viewer, and report if it stands."
+    "--mujoco", "viewer", is_flag=True, help=("Open MuJoCo's own viewer instead of the page.")
+)
+@click.option(
+    "--drop",
+    "dropped",
+    is_flag=True,
+    help=("Drop the robot in MuJoCo's viewer, and report if the robot stands."),
 )
 @click.option(
     "--headless",
@@ -90,7 +95,10 @@ _OPTIONS_OF_MODE = {
 @click.option(
     "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
 )
-@shared.file_option("--policy", help="Let this policy walk it: command it, and push it.")
+@shared.file_option(
+    "--policy",
+    help=("Simulate the robot with this policy; the page commands and pushes the robot."),
+)
 @CONTRACT_OPTION
 @COMMAND_OPTION
 @pass_robot_options

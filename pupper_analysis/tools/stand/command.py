@@ -24,12 +24,14 @@ from pupper_analysis.prepare.convert.files import RobotFiles
 @shared.command("stand")
 @robot_argument
 @click.option(
-    "--minimum-stiffness", is_flag=True, help="Also find the kp below which no equilibrium is left."
+    "--minimum-stiffness",
+    is_flag=True,
+    help=("Also find the smallest kp with an equilibrium without feed-forward."),
 )
 @click.option(
     "--explain",
     is_flag=True,
-    help="Only list what is added to your files so that the robot can stand, pass by pass.",
+    help="Only list the additions to your files for a stand, by preparation pass.",
 )
 @robot_and_task
 @shared.output_option(

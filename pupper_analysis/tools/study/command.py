@@ -41,10 +41,12 @@ _STUDY_FOLDER = kinds.Folder(
     "folder",
     required=True,
     holds=_STUDY_FOLDER,
-    help="Folder of the results; a run that was interrupted is resumed.",
+    help="Folder of the results; an interrupted run is resumed.",
 )
 @click.option(
-    "--workers", type=click.IntRange(min=1), help="Number of processes. By default one per core."
+    "--workers",
+    type=click.IntRange(min=1),
+    help=("Number of processes. By default the number of cores."),
 )
 @click.option(
     "--minimise",
@@ -73,7 +75,7 @@ _STUDY_FOLDER = kinds.Folder(
     is_eager=True,
     expose_value=False,
     callback=_list_metrics,
-    help="List what can be measured, with units, and exit.",
+    help="List all metrics with units, and exit.",
 )
 @shared.report_option
 @shared.json_option

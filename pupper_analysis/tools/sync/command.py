@@ -23,15 +23,17 @@ from pupper_analysis.cli.shared import (
     "--take",
     multiple=True,
     metavar="SIDE[:WHICH]",
-    help="Take the values of urdf or mjcf: all of them, or those of WHICH: numbers in the list "
-    "(3, or 1,4-6), a kind (mass), a link or joint (link base, joint FL_hip) or one "
-    "difference (link base: mass). Repeatable; the most specific one counts.",
+    help=(
+        "Take the values of urdf or mjcf: all, or the differences WHICH: numbers in the list (3, "
+        "or 1,4-6), a kind (mass), a link or joint (link base, joint FL_hip) or a single "
+        "difference (link base: mass). Repeatable; the most specific option counts."
+    ),
 )
 @click.option("--dry-run", is_flag=True, help="Write nothing; only show what would change.")
 @click.option(
     "--partial",
     is_flag=True,
-    help="Write the values that can be written, even if some of the chosen ones cannot.",
+    help="Write all possible values, even if other chosen values cannot be written.",
 )
 @click.option("--backup", is_flag=True, help="Keep the old files as NAME.bak.")
 @click.option(

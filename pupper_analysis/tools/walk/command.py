@@ -36,24 +36,38 @@ if TYPE_CHECKING:
 @CONTRACT_OPTION
 @COMMAND_OPTION
 @click.option(
-    "--seeds", type=int, help="Runs, whose starts differ; by default 1, with --vary 3; e.g. 20."
+    "--seeds",
+    type=int,
+    help=("Number of runs with different initial states; by default 1, with --vary 3; e.g. 20."),
 )
 @click.option(
-    "--seconds", type=float, help="Of each run (s); by default 8, with --vary and --orders 5."
+    "--seconds",
+    type=float,
+    help=("Duration of each run (s); by default 8, with --vary and --orders 5."),
 )
 @click.option(
     "--vary",
     metavar="QUANTITY,...",
-    help="Find how far each may change before the command is no longer tracked: all, or some of "
-    "mass, com, friction, kp, kd, delay, strength, legs, payload, push-forward, push-left.",
+    help=(
+        "Find the interval of each quantity in which the command is tracked: all, or some of "
+        "mass, com, friction, kp, kd, delay, strength, legs, payload, push-forward, push-left."
+    ),
 )
 @shared.file_option(
-    "--fit", "fitted", help="With --vary: a fit's JSON; where it says that the real robot is."
+    "--fit",
+    "fitted",
+    help=(
+        "With --vary: JSON of a fit; its intervals of the real robot are compared with the "
+        "tracked intervals."
+    ),
 )
 @click.option(
     "--orders",
     is_flag=True,
-    help="Is it this robot's policy: rank orders and signs of its joints, scales and histories.",
+    help=(
+        "Check whether the policy belongs to the robot: rank joint orders, signs, scales and "
+        "histories."
+    ),
 )
 @shared.text_format_option
 @shared.verbose_option

@@ -32,7 +32,10 @@ if TYPE_CHECKING:
 
 CONTRACT_OPTION = shared.file_option(
     "--contract",
-    help="TOML of what the policy observes and commands; by default the one beside the policy.",
+    help=(
+        "TOML file of the observation and action of the policy; by default the file beside the "
+        "policy."
+    ),
 )
 COMMAND_OPTION = click.option(
     "--command",
@@ -74,8 +77,14 @@ def _add_policy_mode(name: str, command: Command) -> Command:
         ),
         CONTRACT_OPTION,
         COMMAND_OPTION,
-        click.option("--seeds", type=int, help="With --policy: starts that differ. [default: 3]"),
-        click.option("--seconds", type=float, help="With --policy: of a run (s). [default: 5]"),
+        click.option(
+            "--seeds",
+            type=int,
+            help=("With --policy: number of runs with different initial states. [default: 3]"),
+        ),
+        click.option(
+            "--seconds", type=float, help=("With --policy: duration of a run (s). [default: 5]")
+        ),
     )
     added: Any = click.command(**{})(add_options(options)(lambda: None)).params
     option_names = tuple(str(option.name) for option in added)
