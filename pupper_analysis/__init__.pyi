@@ -15,6 +15,7 @@ from .base.errors import NoStiffnessError as NoStiffnessError
 from .base.errors import NotSettlingError as NotSettlingError
 from .base.errors import NotStandingError as NotStandingError
 from .base.errors import OutputError as OutputError
+from .base.errors import PostureUnreachableError as PostureUnreachableError
 from .base.errors import PupperAnalysisError as PupperAnalysisError
 from .base.errors import StanceUnreachableError as StanceUnreachableError
 from .base.errors import StaticsInfeasibleError as StaticsInfeasibleError
@@ -41,6 +42,7 @@ from .stance.soft_ground import solve_stand_as_simulated as solve_stand_as_simul
 from .stance.stand import solve_stand as solve_stand
 from .stance.stand import solve_stands as solve_stands
 from .stance.task import StandTask as StandTask
+from .stance.whole_body import solve_posture as solve_posture
 from .statics.equilibrium import gravity_compensation as gravity_compensation
 from .tools import check as _check
 from .tools import convert as convert

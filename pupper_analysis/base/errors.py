@@ -228,6 +228,48 @@ class StanceUnreachableError(PupperAnalysisError):
         )
 
 
+class PostureUnreachableError(PupperAnalysisError):
+    """Tasks of a posture that no configuration within the joint limits was found to satisfy.
+
+    Attributes:
+        task: Task with the largest residual in the best configuration found.
+        residual: The residual of this task, in ``unit``.
+        unit: Unit of the residual: m or rad.
+        residuals: {task: residual [m, rad]} in the best configuration found.
+        at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
+        qpos: The best configuration found, shape (nq,).
+    """
+
+    def __init__(
+        self,
+        task: str,
+        residual: float,
+        unit: str,
+        residuals: Mapping[str, float],
+        at_limit: Mapping[str, float],
+        units: Mapping[str, str],
+        qpos: Any,
+    ) -> None:
+        self.task, self.residual, self.unit = task, residual, unit
+        self.residuals, self.at_limit, self.qpos = dict(residuals), dict(at_limit), qpos
+        joints = [
+            diagnose(
+                "posture-joint-at-limit",
+                subject=("joint", name),
+                limit=Quantity(limit, units[name]),
+            )
+            for name, limit in at_limit.items()
+        ]
+        super().__init__(
+            diagnose(
+                "posture-out-of-reach",
+                task=task,
+                residual=Quantity(residual, unit),
+                joints=joints,
+            )
+        )
+
+
 class Infeasibility(StrEnum):
     """Reason why no contact forces balance the robot."""
 

@@ -1,0 +1,353 @@
+"""Tasks of a whole-body posture: targets of frames, of the CoM and of joints.
+
+Each task has a residual, which is zero if the posture satisfies the task, and adds the task of the
+same name to a PlaCo solver. `WholeBody` provides the poses that a residual needs, so that residuals
+can be evaluated with the kinematics of either engine.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+import placo
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+_ROTATION_TOLERANCE = 1e-6
+"""Largest element of R^T R - 1 of a rotation matrix. Chosen: more than the rounding of matrices
+with seven digits."""
+
+
+class WholeBody(Protocol):
+    """Poses of a robot in the world frame, by the kinematics of one engine."""
+
+    def pose(self, frame: str) -> tuple[Array, Array]:
+        """Return rotation (3, 3) and position (3,) [m] of a link."""
+
+    def com(self) -> Array:
+        """Return the CoM (3,) [m]."""
+
+    def joint(self, name: str) -> float:
+        """Return the position [rad, m] of a joint."""
+
+
+Update = Callable[[WholeBody], None]
+"""Function that changes the target of a PlaCo task before an iteration."""
+
+
+class PlacoTask(NamedTuple):
+    """Task in a PlaCo solver.
+
+    Attributes:
+        task: PlaCo's task, with ``update`` and ``error_norm``.
+        update_target: Function that moves the target before an iteration; None if it is fixed.
+    """
+
+    task: Any
+    update_target: Update | None = None
+
+
+class PostureTask(ABC):
+    """Requirement of a posture.
+
+    Attributes:
+        unit: Unit of the residual.
+        required: Whether the residual must vanish. Otherwise the task selects among the postures
+            that satisfy the required tasks.
+    """
+
+    unit: ClassVar[str]
+    required = True
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links that the task refers to; none by default."""
+        return ()
+
+    @abstractmethod
+    def residual(self, body: WholeBody) -> float:
+        """Return the error of the task in its unit, at least 0."""
+
+    @abstractmethod
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add the task to a PlaCo solver, with a weight of the squared error."""
+
+
+@dataclass(frozen=True, eq=False)
+class PositionTask(PostureTask):
+    """Position of the origin of a link in the world frame.
+
+    Attributes:
+        frame: Name of the link.
+        position: Target (x, y, z) [m].
+        axes: World axes that count, for example "xy".
+    """
+
+    frame: str
+    position: ArrayLike
+    axes: str = "xyz"
+    unit: ClassVar[str] = "m"
+
+    def __post_init__(self) -> None:
+        _set(self, "position", _vector("position", self.position))
+        _check_axes(self.axes)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links that the task refers to."""
+        return (self.frame,)
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the distance [m] to the target along ``axes``."""
+        gap = body.pose(self.frame)[1] - np.asarray(self.position)
+        return float(np.linalg.norm(gap[_select(self.axes)]))
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's position task."""
+        task = solver.add_position_task(self.frame, self.position)
+        task.mask.set_axises(self.axes)
+        task.configure("position", "soft", weight)
+        return PlacoTask(task)
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationTask(PostureTask):
+    """Orientation of a link in the world frame.
+
+    Attributes:
+        frame: Name of the link.
+        rotation: Target, rotation matrix (3, 3) from link axes to world axes.
+    """
+
+    frame: str
+    rotation: ArrayLike
+    unit: ClassVar[str] = "rad"
+
+    def __post_init__(self) -> None:
+        _set(self, "rotation", _rotation(self.rotation))
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links that the task refers to."""
+        return (self.frame,)
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the angle [rad] between the orientation and the target."""
+        return _angle_of(np.asarray(self.rotation).T @ body.pose(self.frame)[0])
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's orientation task."""
+        task = solver.add_orientation_task(self.frame, self.rotation)
+        task.configure("orientation", "soft", weight)
+        return PlacoTask(task)
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePositionTask(PostureTask):
+    """Position of the origin of a link in the frame of another link.
+
+    Attributes:
+        frame: Name of the other link, whose axes are used.
+        target: Name of the link whose position is required.
+        position: Required position (x, y, z) [m] in the axes of ``frame``.
+    """
+
+    frame: str
+    target: str
+    position: ArrayLike
+    unit: ClassVar[str] = "m"
+
+    def __post_init__(self) -> None:
+        _set(self, "position", _vector("position", self.position))
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links that the task refers to."""
+        return (self.frame, self.target)
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the distance [m] to the required position."""
+        (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
+        return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's task of a relative position."""
+        task = solver.add_relative_position_task(self.frame, self.target, self.position)
+        task.configure("relative position", "soft", weight)
+        return PlacoTask(task)
+
+
+@dataclass(frozen=True, eq=False)
+class CoMTask(PostureTask):
+    """Position of the CoM in the world frame.
+
+    Attributes:
+        position: Target (x, y, z) [m].
+        axes: World axes that count, for example "xy".
+    """
+
+    position: ArrayLike
+    axes: str = "xyz"
+    unit: ClassVar[str] = "m"
+
+    def __post_init__(self) -> None:
+        _set(self, "position", _vector("position", self.position))
+        _check_axes(self.axes)
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the distance [m] of the CoM to the target along ``axes``."""
+        return float(np.linalg.norm((body.com() - np.asarray(self.position))[_select(self.axes)]))
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's CoM task."""
+        task = solver.add_com_task(self.position)
+        task.mask.set_axises(self.axes)
+        task.configure("com", "soft", weight)
+        return PlacoTask(task)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisAlignTask(PostureTask):
+    """Direction of an axis of a link: parallel to a vector, or towards a point (gaze).
+
+    Attributes:
+        frame: Name of the link.
+        axis: Axis (3,) in the axes of the link, for example the optical axis of a camera.
+        direction: Required direction (3,) in world axes; None with ``point``.
+        point: Point (3,) [m] in the world at which the axis points from the origin of the link;
+            None with ``direction``.
+    """
+
+    frame: str
+    axis: ArrayLike
+    direction: ArrayLike | None = None
+    point: ArrayLike | None = None
+    unit: ClassVar[str] = "rad"
+
+    def __post_init__(self) -> None:
+        _set(self, "axis", _direction("axis", self.axis))
+        if (self.direction is None) == (self.point is None):
+            raise ConfigurationError("direction", diagnose("direction-or-point"))
+        if self.direction is not None:
+            _set(self, "direction", _direction("direction", self.direction))
+        else:
+            _set(self, "point", _vector("point", self.point))
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links that the task refers to."""
+        return (self.frame,)
+
+    def _required(self, body: WholeBody) -> Array:
+        """Return the required direction (3,) of the axis in world axes, a unit vector."""
+        if self.point is None:
+            return np.asarray(self.direction)
+        line = np.asarray(self.point) - body.pose(self.frame)[1]
+        distance = float(np.linalg.norm(line))
+        unit: Array = line / distance if distance else np.array([0.0, 0.0, 1.0])
+        return unit
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the angle [rad] between the axis and its required direction."""
+        axis = body.pose(self.frame)[0] @ np.asarray(self.axis)
+        required = self._required(body)
+        return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's task of an aligned axis; a point is a moving target."""
+        direction = np.array([1.0, 0.0, 0.0]) if self.direction is None else self.direction
+        task = solver.add_axisalign_task(self.frame, self.axis, direction)
+        task.configure("axis", "soft", weight)
+        if self.point is None:
+            return PlacoTask(task)
+
+        def update(body: WholeBody) -> None:
+            task.targetAxis_world = self._required(body)
+
+        return PlacoTask(task, update)
+
+
+@dataclass(frozen=True, eq=False)
+class JointsTask(PostureTask):
+    """Joint positions: required, or preferred (regularisation of redundant joints).
+
+    Attributes:
+        positions: {joint: target [rad, m]}.
+        required: False for preferred positions: the posture with the smallest squared distances
+            among those that satisfy the required tasks.
+    """
+
+    positions: Mapping[str, float]
+    required: bool = True
+    unit: ClassVar[str] = "rad or m"
+
+    def residual(self, body: WholeBody) -> float:
+        """Return the largest distance [rad, m] of a joint to its target."""
+        gaps = [abs(body.joint(name) - target) for name, target in self.positions.items()]
+        return max(gaps, default=0.0)
+
+    def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
+        """Add PlaCo's task of joint positions."""
+        task = solver.add_joints_task()
+        task.set_joints(dict(self.positions))
+        task.configure("joints", "soft", weight)
+        return PlacoTask(task)
+
+
+def _set(task: object, name: str, value: Array) -> None:
+    value.setflags(write=False)
+    object.__setattr__(task, name, value)  # the dataclass is frozen
+
+
+def _vector(name: str, value: Any) -> Array:
+    """Return a vector (3,); ConfigurationError if it is none."""
+    vector = real_array(name, value)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ConfigurationError(name, diagnose("no-vector-of-three", given=repr(value)))
+    return np.array(vector)
+
+
+def _direction(name: str, value: Any) -> Array:
+    """Return a unit vector (3,); ConfigurationError if the vector is zero."""
+    vector = _vector(name, value)
+    if not vector.any():
+        raise ConfigurationError(name, diagnose("direction-not-a-vector", given=repr(value)))
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _rotation(value: Any) -> Array:
+    """Return a rotation matrix (3, 3); ConfigurationError if it is none."""
+    matrix = real_array("rotation", value)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ConfigurationError("rotation", diagnose("no-rotation", given=repr(value)))
+    error = np.abs(matrix.T @ matrix - np.eye(3)).max()
+    if error > _ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+        raise ConfigurationError("rotation", diagnose("no-rotation", given=repr(value)))
+    return np.array(matrix)
+
+
+def _check_axes(axes: str) -> None:
+    if not axes or set(axes) - set("xyz"):
+        known = ["x", "y", "z", "xy", "xz", "yz", "xyz"]
+        raise ConfigurationError("axes", diagnose("not-one-of", given=axes, known=known))
+
+
+def _select(axes: str) -> list[int]:
+    return ["xyz".index(axis) for axis in sorted(set(axes))]
+
+
+def _angle_of(rotation: Array) -> float:
+    """Return the angle [rad] of a rotation matrix, accurate also for small angles."""
+    skew = rotation - rotation.T
+    sine = np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
+    return float(np.arctan2(sine, (np.trace(rotation) - 1) / 2))

@@ -1,0 +1,201 @@
+"""Whole-body postures against closed forms, SciPy's optimiser, other stands, and MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import optimize
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from pupper_analysis.stance import (
+    AxisAlignTask,
+    CoMTask,
+    JointsTask,
+    OrientationTask,
+    PositionTask,
+    RelativePositionTask,
+)
+from pupper_analysis.stance.posture_tasks import PostureTask
+from tests.support import arm as by_hand
+from tests.support.engines import changed
+from tests.support.variants import load, stand_of
+
+ARM_ORDER = ("a_turn", "shoulder", "elbow", "b_slide")
+"""Arguments of the arm's closed forms."""
+
+
+def arm_angles(qpos: np.ndarray) -> np.ndarray:
+    """Joint positions in the order of the closed forms."""
+    positions = dict(zip(by_hand.ORDER, qpos, strict=True))
+    return np.array([positions[name] for name in ARM_ORDER])
+
+
+def test_arm_reaches_points_that_its_closed_form_confirms() -> None:
+    robot, random = by_hand.arm(), np.random.default_rng(0)
+    low, high = np.array([by_hand.RANGES[name] for name in ARM_ORDER]).T
+    for _ in range(10):
+        goal = by_hand.tip(*(random.uniform(low, high)))
+        posture = pa.solve_posture(robot, [PositionTask("tip", goal)])
+        angles = arm_angles(posture.qpos)
+        np.testing.assert_allclose(by_hand.tip(*angles), goal, atol=1e-6)
+        assert (angles >= low - 1e-9).all()
+        assert (angles <= high + 1e-9).all()
+        assert posture.mujoco_residuals.max() < 1e-6
+
+
+def test_preferred_joints_select_the_nearest_posture_of_a_redundant_arm() -> None:
+    """Three coordinates of four joints; SciPy minimises the distance on the closed form."""
+    robot = by_hand.arm()
+    goal = by_hand.tip(0.4, -0.9, 1.3, 0.1)
+    preferred = {"a_turn": 0.0, "shoulder": -0.7, "elbow": 1.0, "b_slide": 0.05}
+    middle = np.array([preferred[name] for name in ARM_ORDER])
+    best = optimize.minimize(
+        lambda angles: ((angles - middle) ** 2).sum(),
+        middle,
+        constraints={"type": "eq", "fun": lambda angles: by_hand.tip(*angles) - goal},
+        bounds=[by_hand.RANGES[name] for name in ARM_ORDER],
+        options={"ftol": 1e-14},
+    )
+    tasks = [PositionTask("tip", goal), JointsTask(preferred, required=False)]
+    posture = pa.solve_posture(robot, tasks)
+    np.testing.assert_allclose(arm_angles(posture.qpos), best.x, atol=2e-3)
+    assert posture.residuals[0] < 1e-9
+    assert posture.residuals[1] == pytest.approx(np.abs(best.x - middle).max(), abs=2e-3)
+
+
+def test_pose_of_the_base_and_feet_gives_the_joints_of_the_stand() -> None:
+    """Legs of three joints have one posture per branch: that of ``solve_stand``."""
+    robot, start = load("v3"), stand_of("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.115, pitch=0.05))
+    config = pa.Configuration(robot, stand.qpos)
+    tasks: list[PostureTask] = [
+        PositionTask(robot.base, stand.qpos[:3]),
+        OrientationTask(robot.base, config.base_rotation()),
+        *(
+            PositionTask(robot.contact_frames[foot], position)
+            for foot, position in config.foot_positions().items()
+        ),
+    ]
+    posture = pa.solve_posture(robot, tasks, start=start.qpos, contacts=[])
+    np.testing.assert_allclose(posture.qpos, stand.qpos, atol=1e-8)
+    assert posture.contacts == ()
+
+
+def test_com_moves_above_kept_feet_and_statics_apply() -> None:
+    robot, qpos = load("v3"), stand_of("v3").qpos
+    before = pa.Configuration(robot, qpos)
+    goal = before.center_of_mass() + np.array([0.015, -0.01, -0.01])
+    posture = pa.solve_posture(robot, [CoMTask(goal)], start=qpos)
+    after = pa.Configuration(robot, posture.qpos)
+    np.testing.assert_allclose(after.center_of_mass(), goal, atol=1e-9)
+    for foot, place in before.foot_positions().items():
+        np.testing.assert_allclose(after.foot_positions()[foot], place, atol=1e-9)
+    assert posture.mujoco_residuals.max() < 1e-9
+    assert posture.tasks == ("CoMTask", *(f"contact {foot}" for foot in robot.contact_points))
+    total = sum(pa.gravity_compensation(after).contact_forces.values(), np.zeros(3))
+    assert total[2] == pytest.approx(robot.weight)
+
+
+def test_axis_points_at_a_point_in_mujoco() -> None:
+    robot, qpos = load("v3"), stand_of("v3").qpos
+    point = np.array([0.8, 0.15, 0.05])
+    posture = pa.solve_posture(
+        robot, [AxisAlignTask("base_link", (2, 0, 0), point=point)], start=qpos
+    )
+    data = robot.placed(posture.qpos)
+    body = robot.mj_model.body(robot.mj_base).id
+    axis, line = data.xmat[body].reshape(3, 3)[:, 0], point - data.xpos[body]
+    assert np.linalg.norm(np.cross(axis, line)) < 1e-6
+    assert axis @ line > 0
+    tilted = (0.1, 0.0, 1.0)
+    up = pa.solve_posture(robot, [AxisAlignTask("base_link", (0, 0, 1), tilted)], start=qpos)
+    rotation = pa.Configuration(robot, up.qpos).base_rotation()
+    np.testing.assert_allclose(rotation[:, 2], tilted / np.linalg.norm(tilted), atol=1e-6)
+
+
+def test_relative_position_orientation_and_single_axes_hold_in_mujoco() -> None:
+    robot, qpos = load("v3"), stand_of("v3").qpos
+    frames = robot.contact_frames
+    turn = Rotation.from_euler("xyz", [0.05, -0.04, 0.1]).as_matrix()
+    tasks: list[PostureTask] = [
+        OrientationTask("base_link", turn),
+        PositionTask("base_link", (9.0, 9.0, 0.12), axes="z"),
+        RelativePositionTask("base_link", frames["FR"], (0.08, -0.1, -0.09)),
+    ]
+    others = [foot for foot in robot.contact_points if foot != "FR"]
+    posture = pa.solve_posture(robot, tasks, start=qpos, contacts=others)
+    data, model = robot.placed(posture.qpos), robot.mj_model
+    base = model.body(robot.mj_base).id
+    rotation = data.xmat[base].reshape(3, 3)
+    np.testing.assert_allclose(rotation, turn, atol=1e-6)
+    assert data.xpos[base][2] == pytest.approx(0.12, abs=1e-6)
+    body, place = robot.contact_places["FR"]
+    foot = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+    local = rotation.T @ (foot - data.xpos[base])
+    np.testing.assert_allclose(local, [0.08, -0.1, -0.09], atol=1e-6)
+
+
+def test_target_out_of_reach_names_task_residual_and_joints_at_limits() -> None:
+    """Along a ray from the shoulder, the residual is the distance less the longest reach."""
+    robot = by_hand.arm()
+    # The elbow bends by 0.2 rad at least, and the slide extends to 0.2 m.
+    fore = by_hand.FORE + by_hand.SLIDE + by_hand.RANGES["b_slide"][1]
+    reach = np.hypot(by_hand.UPPER + fore * np.cos(0.2), fore * np.sin(0.2))
+    with pytest.raises(pa.PostureUnreachableError, match="PositionTask tip") as caught:
+        pa.solve_posture(robot, [PositionTask("tip", (2.0, 0.0, 0.5))])
+    error = caught.value
+    assert error.residual == pytest.approx(2.0 - reach, abs=1e-6)
+    assert error.at_limit == {"elbow": 0.2, "b_slide": 0.2}
+    assert "b_slide" in str(error)
+    assert "b_slide (0.2 m)" in str(error)
+    np.testing.assert_allclose(arm_angles(error.qpos)[2:], 0.2, atol=1e-6)
+    with pytest.raises(pa.PostureUnreachableError, match="base_link") as lifted:
+        pa.solve_posture(load("v3"), [PositionTask("base_link", (0, 0, 1))])
+    assert lifted.value.residuals["contact FR"] < lifted.value.residual
+
+
+def test_joints_of_a_continuous_and_a_sliding_joint_are_reached(tiny: pa.Robot) -> None:
+    goal = dict(zip(tiny.joint_names, np.linspace(0.1, 0.3, tiny.nu), strict=True))
+    posture = pa.solve_posture(tiny, [JointsTask(goal)], contacts=[])
+    np.testing.assert_allclose(posture.qpos[-tiny.nu :], list(goal.values()), atol=1e-6)
+    assert posture.residuals.max() < 1e-6
+
+
+def test_invalid_tasks_are_refused() -> None:
+    robot = load("v3")
+    with pytest.raises(pa.ConfigurationError, match="at least one task"):
+        pa.solve_posture(robot, [])
+    with pytest.raises(pa.UnknownNameError, match="base_link"):
+        pa.solve_posture(robot, [PositionTask("tail", (0, 0, 0))])
+    with pytest.raises(pa.UnknownNameError, match="leg_front_r_1"):
+        pa.solve_posture(robot, [JointsTask({"tail": 0.0})])
+    with pytest.raises(pa.UnknownNameError):
+        pa.solve_posture(robot, [PositionTask("base_link", (0, 0, 0.1))], contacts=["tail"])
+    with pytest.raises(pa.ConfigurationError, match="rotation matrix"):
+        OrientationTask("base_link", 2 * np.eye(3))
+    with pytest.raises(pa.ConfigurationError, match="three finite numbers"):
+        PositionTask("base_link", (0, 0))
+    with pytest.raises(pa.ConfigurationError, match="not both"):
+        AxisAlignTask("base_link", (1, 0, 0), (1, 0, 0), (1, 0, 0))
+    with pytest.raises(pa.ConfigurationError, match="xz"):
+        CoMTask((0, 0, 0), axes="ab")
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        pa.solve_posture(by_hand.arm(), [PositionTask("tip", (0, 0, 0))], contacts=["tip"])
+    with pytest.raises(pa.ConfigurationError, match="tasks"):
+        pa.solve_posture(robot, ["reach"])  # type: ignore[list-item]
+
+
+def test_residuals_of_mujoco_show_that_the_mjcf_differs() -> None:
+    """The first link of a leg is displaced by 1 cm in the MJCF only."""
+    robot, qpos = load("v3"), stand_of("v3").qpos
+
+    def displace(model: mujoco.MjModel) -> None:
+        model.body_pos[model.jnt_bodyid[model.joint(robot.joint_names[1]).id]] += 0.01
+
+    posture = pa.solve_posture(
+        changed(robot, displace), [PositionTask("base_link", qpos[:3])], start=qpos
+    )
+    assert posture.residuals.max() < 1e-9
+    assert posture.mujoco_residuals.max() > 1e-5
