@@ -95,6 +95,10 @@ FORMAT_SUFFIXES: Final = frozenset(
 """Suffixes by which programs select a format: no other format is written under them."""
 
 
+TYPED_WORDS: Final = "pupper_analysis.typed_words"
+"""Key of ``click.Context.meta`` with the words that follow the name of the command."""
+
+
 class Command(click.Command):
     """Command that checks, before running, that all results may and can be written.
 
@@ -115,6 +119,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the options; for an unknown option, suggest options with all of its words."""
         _refuse_separate_units(ctx, args)
+        ctx.meta[TYPED_WORDS] = tuple(args)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -511,9 +516,16 @@ def show_report(report: Report, style: str = "text", *, everything: bool = False
         made = fold_lines("pupper_analysis", collect_provenance().lines())
         click.echo(f"{write_markdown(report)}\n{made}", nl=False)
     else:
+        from pupper_analysis.cli.next_step import complete_command
         from pupper_analysis.present.terminal import make_console, print_report
 
-        print_report(make_console(), report, everything=everything)
+        steps = [document.next_step for document in report.documents]
+        print_report(
+            make_console(),
+            report,
+            everything=everything,
+            next_command=complete_command(steps[0]) if len(steps) == 1 else "",
+        )
 
 
 def confirm_written(path: Path | str) -> None:

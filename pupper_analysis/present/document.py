@@ -435,8 +435,27 @@ Block = Table | Lines | FileFinding | Listing | Plot | View
 
 
 @dataclass(frozen=True)
+class NextStep:
+    """Command that the reader of a result runs next, without the robot.
+
+    The command line adds the robot and the options that both commands have.
+
+    Attributes:
+        command: Name of the command.
+        words: Further arguments and options, such as ``("--kp", "10")``.
+    """
+
+    command: str
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Document:
     """Content of a result.
+
+    The first three lines are the answer: the verdict with the requested number (the first failure
+    or finding), the limit or the cause (the second one), and the next command. Further failures and
+    findings are warnings that change the meaning of the verdict. All other statements are details.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.
@@ -446,11 +465,12 @@ class Document:
         verdict: Verdict in one or two words; None without a verdict.
         warned: True if the mark of the verdict is a warning instead of good or bad.
         failures: Reasons against the verdict.
-        findings: Key figures and the basis of the verdict.
+        findings: Requested number, limit or cause, and warnings.
         details: Further statements; a terminal prints them with -v only.
         brief: True if verdict and key figures are the answer. A terminal then prints tables with -v
             only.
         notes: Assumptions, findings and omissions.
+        next_step: Command to run next; None if the result suggests none.
     """
 
     kind: Words
@@ -464,6 +484,7 @@ class Document:
     notes: tuple[Words, ...] = ()
     details: tuple[Words, ...] = ()
     brief: bool = False
+    next_step: NextStep | None = None
 
     @property
     def mark(self) -> str:

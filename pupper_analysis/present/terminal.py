@@ -78,8 +78,10 @@ def make_console() -> Console:
     return SafeConsole(highlight=False, emoji=False, markup=False)
 
 
-def print_report(out: Console, report: Report, *, everything: bool = False) -> None:
-    """Print the documents of a report, and then the overview.
+def print_report(
+    out: Console, report: Report, *, everything: bool = False, next_command: str = ""
+) -> None:
+    """Print the documents of a report, and then its overview.
 
     If the report has an overview and ``everything`` is false, a summary takes the place of each
     document, and the last line names the option that prints the tables.
@@ -88,28 +90,35 @@ def print_report(out: Console, report: Report, *, everything: bool = False) -> N
         out: Console.
         report: Report.
         everything: Also print the blocks that the short view omits.
+        next_command: Command line to run after a report with one document; empty for none.
     """
     several = bool(report.overview) and not everything
     for document in report.documents:
         if several:
             print_summary(out, document)
         else:
-            print_document(out, document, everything=everything)
+            shown = next_command if len(report.documents) == 1 else ""
+            print_document(out, document, everything=everything, next_command=shown)
     for block in report.overview:
         _print_block(out, block, everything=everything)
     if several and any(document.blocks for document in report.documents):
         _print_line(out, Text("every table: -v", "dim"))
 
 
-def print_document(out: Console, document: Document, *, everything: bool = False) -> None:
+def print_document(
+    out: Console, document: Document, *, everything: bool = False, next_command: str = ""
+) -> None:
     """Print a document: verdict, key figures, blocks and notes.
 
     Args:
         out: Console.
         document: Document.
         everything: Also print the blocks that the short view omits.
+        next_command: Command line to run next, printed below the key figures; empty for none.
     """
     print_head(out, document, everything=everything)
+    if next_command:
+        _print_line(out, Text(f"  next: {_escape_line(next_command)}"), wrap=False)
     place = 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)

@@ -20,7 +20,15 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.present.document import Block, Document, Name, Text, Words, text
+from pupper_analysis.present.document import (
+    Block,
+    Document,
+    Name,
+    NextStep,
+    Text,
+    Words,
+    text,
+)
 from pupper_analysis.robot.as_published import (
     Cause,
     OwnCommands,
@@ -151,14 +159,19 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
     """Divide a verdict's lines into lines of the short answer and further lines.
 
     The short answer contains statements against the stand, warnings, assumptions, and the codes of
-    `_LEADING_CODES`, good or bad.
+    `_LEADING_CODES`, good or bad. A keyframe run that supports the stand is not part of it.
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
         clause.good
-        and clause.message.severity is not Severity.WARNING
-        and clause.message.group is not Group.ASSUMED
-        and clause.message.code not in _LEADING_CODES
+        and (
+            clause.message.code == _DETAIL_CODE
+            or (
+                clause.message.severity is not Severity.WARNING
+                and clause.message.group is not Group.ASSUMED
+                and clause.message.code not in _LEADING_CODES
+            )
+        )
         for clause in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
@@ -169,8 +182,11 @@ _MIN_STATED_CLEARANCE = 1e-3
 """Clearance at reset [m] above which the statement of a keyframe run contains the clearance.
 Chosen, not tuned."""
 
-_LEADING_CODES = ("servos-given", "own-run", "own-run-diverges")
-"""Codes of statements that are always part of the short answer."""
+_DETAIL_CODE = "own-run"
+"""Code of the keyframe run, which is part of the short answer only if it is against the stand."""
+
+_LEADING_CODES = ("servos-given",)
+"""Codes of statements that are always part of the short answer: servos that are not the file's."""
 
 
 class JudgedResult(Protocol):
@@ -199,23 +215,27 @@ def judged_document(
     failures: Iterable[Words] = (),
     word: Words | None = None,
     notes: Iterable[Words] = (),
+    next_step: NextStep | None = None,
 ) -> Document:
     """Create the document of a result whose answer is a verdict.
 
-    The short answer contains the verdict, the statements against it, the key figures and the
-    assumptions. A terminal prints the other statements and the tables with -v only.
+    The short answer contains the verdict with the requested number, the warnings and assumptions
+    that change its meaning, and the limit. A terminal prints the other statements and the tables
+    with -v only.
 
     Args:
         kind: Kind of result.
         judged: Result.
         blocks: Tables and plots.
-        answer: Key figures, about three lines.
+        answer: Requested number, and the limit or the cause.
         details: Further statements.
         failures: Reasons against the result, in addition to the reasons of the verdict.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
         notes: Assumptions, findings and omissions.
+        next_step: Command to run next.
     """
     first, more = split_verdict_lines(judged.verdict)
+    number, *limit = answer
     return Document(
         kind,
         Name(judged.name),
@@ -223,10 +243,11 @@ def judged_document(
         passed=judged.passed,
         verdict=word or verdict_word(judged.verdict),
         failures=(*(() if judged.passed else first), *failures),
-        findings=(*answer, *(first if judged.passed else ())),
+        findings=(number, *(first if judged.passed else ()), *limit),
         details=(*details, *more),
         brief=True,
         notes=tuple(notes),
+        next_step=next_step,
     )
 
 

@@ -263,7 +263,7 @@ def test_page_has_light_and_dark_themes_and_fits_a_phone(
     browser: Any, file: Path, scheme: str
 ) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
-    long = "CARRIES (at the stated peak torque, for moments)"
+    long = "CARRIES (short-term, at peak torque)"
     one.page.locator(".verdict .en").first.evaluate(f"one => one.textContent = {long!r}")
     wide = one.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide[0] <= wide[1]

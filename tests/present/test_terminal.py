@@ -69,3 +69,31 @@ def test_lines_are_wrapped_only_on_a_terminal() -> None:
     assert all(len(line) <= 80 for line in lines)
     assert all(line.startswith("  ") for line in lines[1:])
     assert " ".join(lines).count("word") == 40
+
+
+def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() -> None:
+    document = Document(
+        Name("stance"),
+        Name("robot"),
+        (table(2),),
+        passed=True,
+        verdict=Name("HOLDS"),
+        findings=(Name("largest load 1 N m"), Name("it settles 2 mm lower")),
+        details=(Name("height 3 mm"),),
+        brief=True,
+    )
+    answer = [
+        "HOLDS robot: largest load 1 N m",
+        "  it settles 2 mm lower",
+        "  next: pupper-analysis payload robot.urdf",
+    ]
+    short, full = io.StringIO(), io.StringIO()
+    for file, everything in ((short, False), (full, True)):
+        out = SafeConsole(file=file, width=80)
+        print_document(
+            out, document, everything=everything, next_command=answer[2].removeprefix("  next: ")
+        )
+    assert short.getvalue().splitlines() == [*answer, "with -v: Numbers"]
+    lines = full.getvalue().splitlines()
+    assert lines[:4] == [*answer[:2], "  height 3 mm", answer[2]]
+    assert any(line.startswith("joint_0") for line in lines)

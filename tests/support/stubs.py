@@ -343,6 +343,7 @@ def best() -> Any:
     found = Stub(
         objective=tool("best.search").Objective.MARGIN,
         payload=None,
+        stand=STAND,
         value=0.0456,
         nominal_value=0.0345,
         evaluations=321,

@@ -42,6 +42,7 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import qualify_verdict_word, split_verdict_lines
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
@@ -60,6 +61,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     """
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
+    load, height, *others = _make_key_figures(analysis)
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
         *_make_structure_blocks(analysis, robot),
@@ -84,11 +86,20 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         passed=analysis.verified,
         verdict=_make_verdict_word(analysis),
         failures=tuple(map(doc.diagnostic_text, analysis.failures)),
-        findings=(*_make_key_figures(analysis), *first, *_report_fall(analysis.sagging)),
-        details=tuple(more),
+        findings=(load, *_select_warnings(analysis, first), height),
+        details=(*others, *more),
         brief=True,
         notes=tuple(map(doc.diagnostic_text, analysis.notes)),
+        next_step=doc.NextStep("payload" if analysis.verified else "stand"),
     )
+
+
+def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
+    """Return the warnings, with the failure without feed-forward once."""
+    yield from first
+    alone = analysis.verdict.commands_alone
+    if alone in (None, Ending.HOLDS):
+        yield from _report_fall(analysis.sagging)
 
 
 def _make_verdict_word(analysis: Analysis) -> doc.Text:
@@ -104,16 +115,14 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     share = statics.motor_utilisation
     limited = not np.isnan(share).all()
     most = int(np.nanargmax(share if limited else np.abs(statics.joint_torques)))
-    peak = text(
+    yield text(
         "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
         ground=ground_word(analysis.stand.depths.values()),
-        torque=f"{statics.joint_torques[most]:+.3f}",
+        torque=f"{abs(statics.joint_torques[most]):.3f}",
+        share=f"{100 * share[most]:.1f}" if limited else "",
         joint=doc.Name(statics.joint_names[most]),
     )
-    if limited:
-        peak = text("peak-share-of-its-limit", peak=peak, share=f"{share[most]:.1%}")
-    yield peak
     yield text(
         "stands-height-mm-high",
         height=f"{1e3 * analysis.stand.qpos[2]:.1f}",

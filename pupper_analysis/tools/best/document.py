@@ -31,15 +31,19 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
-    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *stand_document.findings)
-    details = stand_document.details
+    # The largest motor load of the stance is a detail: the objective is the answer.
+    load, *others = stand_document.findings
+    coordinates, *more = stand_document.details
+    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others, coordinates)
+    details: tuple[doc.Words, ...] = (load, *more)
     failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
         loaded = make_document(study.best.payload)
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # Both documents describe the same stance: omit repeated lines.
-        messages += tuple(line for line in loaded.findings if line not in stand_document.findings)
-        details += tuple(line for line in loaded.details if line not in stand_document.details)
+        shown = (*stand_document.findings, *stand_document.details)
+        messages += tuple(line for line in loaded.findings if line not in shown)
+        details += tuple(line for line in loaded.details if line not in shown)
         failures += loaded.failures
         verdict = verdict if loaded.passed else loaded.verdict
     return replace(
@@ -51,7 +55,38 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         failures=failures,
         findings=messages,
         details=details,
+        next_step=_make_next_step(study),
     )
+
+
+def _make_next_step(study: BestStudy) -> doc.NextStep:
+    """Return the command that moves from the initial stance to the best one.
+
+    If the stance fails, or its task specifies absolute foot positions or the CoM, the command that
+    computes the range of the initial stance is returned instead.
+    """
+    task = study.best.stand.task
+    if not study.passed or task.feet or task.com is not None or task.height is None:
+        return doc.NextStep("workspace")
+    words = ["--height", _format_lengths(task.height)]
+    if task.offset is not None:
+        words += ["--offset", _format_lengths(*task.offset)]
+    for angle in ("roll", "pitch", "yaw"):
+        degrees = math.degrees(getattr(task, angle))
+        if abs(degrees) > _MIN_PRINTED_ANGLE:
+            words += [f"--{angle}", f"{degrees:.2f}deg"]
+    for foot, displacement in task.foot_offsets.items():
+        words += ["--move", f"{foot}={_format_lengths(*displacement)}"]
+    return doc.NextStep("path", tuple(words))
+
+
+def _format_lengths(*lengths: float) -> str:
+    """Format lengths [m] as typed on the command line, in mm."""
+    return ",".join(f"{1e3 * length:z.1f}mm" for length in lengths)
+
+
+_MIN_PRINTED_ANGLE = 0.005
+"""Smallest angle [deg] that the next command contains: half of the last printed digit."""
 
 
 def _make_search_line(best: BestStance) -> doc.Text:

@@ -49,9 +49,16 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         passed=contract.passed,
         verdict=agree if contract.passed else text("contract-differ"),
         warned=contract.passed and has_findings,
-        findings=(message,),
+        findings=(message, *_describe_first(contract)),
+        next_step=doc.NextStep("stand", (contract.model,)),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
+
+
+def _describe_first(contract: Contract) -> Iterable[doc.Words]:
+    """State the most severe disagreement, if there are any."""
+    if contract.findings:
+        yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
 
 
 def _list_blocks(contract: Contract) -> Iterable[doc.Block]:

@@ -30,8 +30,19 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         verdict=text(_verdict(conversion)),
         failures=tuple(map(doc.diagnostic_text, conversion.failures)),
         findings=tuple(_describe_checks(conversion)),
+        brief=True,
         notes=tuple(map(doc.diagnostic_text, conversion.notes)),
+        next_step=_select_next_step(conversion),
     )
+
+
+def _select_next_step(conversion: Conversion) -> doc.NextStep:
+    """Return the command that shows the cause, or the stand of the new file."""
+    if not conversion.agree:
+        return doc.NextStep("crosscheck", (conversion.source, conversion.output))
+    if not conversion.passed:
+        return doc.NextStep("audit", (conversion.source,))
+    return doc.NextStep("stand", (conversion.output,))
 
 
 def _verdict(conversion: Conversion) -> str:

@@ -169,6 +169,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         for engine in comparison.engines
     ]
     differ = text("same-robot-different-conventions") if same else text("disagree")
+    explained = tuple(_describe_explained(comparison))
     return doc.Document(
         text("cross-check"),
         text(
@@ -182,13 +183,29 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         warned=same and not agree,
         findings=(
             doc.diagnostic_text(comparison.first_to_mend),
-            text("1-difference")
-            if len(comparison.differences) == 1
-            else text("count-differences", count=len(comparison.differences)),
-            *_describe_explained(comparison),
+            _describe_extent(comparison),
+            *(() if comparison.complete else explained),
         ),
+        details=explained if comparison.complete else (),
+        brief=agree and not list_matching_notes(comparison),
         notes=tuple(notes),
+        next_step=doc.NextStep("stand" if agree else "sync"),
     )
+
+
+def _describe_extent(comparison: Comparison) -> doc.Text:
+    """State the number of differences; without differences, the largest relative deviation."""
+    count = len(comparison.differences)
+    if not count and comparison.agree:
+        check = comparison.check
+        worst = max(check.quantities, key=lambda quantity: quantity.relative)
+        return text(
+            "largest-deviation-of-quantities",
+            count=len(check.quantities),
+            relative=f"{worst.relative:.1e}",
+            quantity=word(worst.name),
+        )
+    return text("1-difference") if count == 1 else text("count-differences", count=count)
 
 
 def _format_file_name(path: str) -> doc.Name:
@@ -376,4 +393,5 @@ def _tabulate_quantities(comparison: Comparison) -> doc.Table:
         tuple(rows),
         (),
         (cite_page("explanation/models.md", "Why the list is complete"),),
+        detail=True,
     )

@@ -22,7 +22,7 @@ from pupper_analysis.present.documents.loads import (
 )
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.present.verdict import judged_document, qualify_verdict_word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
@@ -58,9 +58,79 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _make_force_table(hold),
             force_plot(hold.force),
         ),
-        (_describe_posture(hold), *_list_findings(hold)),
+        (_describe_worst_posture(hold), *_list_limits(hold), *_list_warnings(hold)),
+        details=(*_list_findings(hold),),
+        word=_select_verdict_word(hold),
         notes=robot_notes(robot),
+        next_step=_select_next_step(hold),
     )
+
+
+def _select_verdict_word(hold: Hold) -> doc.Text | None:
+    """Return the word for a posture that holds while another posture exceeds a motor limit."""
+    if hold.passed and _find_overloaded_motors(hold):
+        return qualify_verdict_word("holds-in-one-posture", hold.verdict.converted)
+    return None
+
+
+def _find_overloaded_motors(hold: Hold) -> list[str]:
+    """Return the joints whose motors exceed their limits in the worst posture found."""
+    return [
+        name
+        for name, share in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
+        if share > 1
+    ]
+
+
+def _select_next_step(hold: Hold) -> doc.NextStep:
+    """Return the command that simulates the payload of all postures, or that shows the cause.
+
+    A payload that is unknown, unlimited or zero, or a posture that fails, is a matter of the files:
+    they are audited.
+    """
+    payload = hold.payload.somewhere
+    if not hold.passed or not math.isfinite(payload) or payload <= 0:
+        return doc.NextStep("audit")
+    step = 10.0 ** (math.floor(math.log10(payload)) - 1)
+    rounded = math.floor(payload / step) * step
+    return doc.NextStep("hold", ("--payload", f"{hold.carried + rounded:.3g}kg"))
+
+
+def _describe_worst_posture(hold: Hold) -> doc.Words:
+    """State the motor with the largest utilisation over all postures found, and the payload there.
+
+    Without a known utilisation, the largest torque of a motor is stated; with unknown limits, the
+    payload is omitted.
+    """
+    worst = hold.worst
+    known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)
+    torques = np.abs(worst.joint_torques)
+    index = int(np.argmax(np.where(known, worst.utilisation, -1.0) if known.any() else torques))
+    share = float(worst.utilisation[index]) if known.any() else math.nan
+    payload = hold.payload.somewhere
+    return text(
+        "worst-posture-in-short",
+        torque=f"{torques[index]:.3g}",
+        unit="N" if hold.units[index] == "m" else "N m",
+        share=f"{100 * share:.3g}" if math.isfinite(share) else "",
+        joint=doc.Name(worst.joint_names[index]),
+        tool=doc.Name(hold.tool.name),
+        payload=_describe_limit(payload),
+    )
+
+
+def _describe_limit(payload: float) -> doc.Words:
+    """Return a mass with its unit; a word if it is unlimited or unknown."""
+    if math.isfinite(payload):
+        return doc.Name(f"{_format_limit(payload)} kg")
+    return text("limit-unknown") if math.isnan(payload) else text("no-tool-limit")
+
+
+def _list_limits(hold: Hold) -> Iterator[doc.Words]:
+    """State the posture of the verdict, and its motor with the largest utilisation."""
+    loads = tuple(hardest_motor(hold.statics, hold.limits))
+    posture = _describe_posture(hold)
+    yield text("posture-and-load", posture=posture, load=loads[0]) if loads else posture
 
 
 def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
@@ -304,8 +374,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
 
 
 def _list_findings(hold: Hold) -> Iterable[doc.Words]:
-    """List the findings: largest utilisation, sag, weak motors, payload and force limits."""
-    yield from hardest_motor(hold.statics, hold.limits)
+    """List the findings: largest utilisation, sag, payload and force limits."""
     if hold.tool_sag is not None:
         yield text(
             "tool-sags-by",
@@ -315,12 +384,19 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
         )
     elif hold.unsettled is not None:
         yield text("no-sag-predicted", why=doc.diagnostic_text(hold.unsettled))
-    weak = [
-        name
-        for name, share in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
-        if share > 1
-    ]
-    if weak:
+    if not hold.payload.unknown:
+        yield text(
+            "carries-and-withstands",
+            tool=doc.Name(hold.tool.name),
+            here=_format_limit(hold.payload.mass),
+            somewhere=_format_limit(hold.payload.somewhere),
+            force=_format_limit(hold.force.weakest),
+        )
+
+
+def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
+    """List the warnings: weak motors, unknown limits, soft servos, a payload that fails."""
+    if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")
     if hold.payload.unknown:
         yield _describe_unknown_limits(hold).with_mark("warn")
@@ -332,13 +408,6 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
             mass=f"{hold.payload.servos:.3g}",
             joint=hold.payload.servo,
         ).with_mark("warn")
-    yield text(
-        "carries-and-withstands",
-        tool=doc.Name(hold.tool.name),
-        here=_format_limit(hold.payload.mass),
-        somewhere=_format_limit(hold.payload.somewhere),
-        force=_format_limit(hold.force.weakest),
-    )
     if hold.payload_trial is not None and not hold.payload_trial.passed:
         yield from (words.with_mark("warn") for words in _describe_trial(hold))
 

@@ -25,7 +25,6 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
     answer = (
-        task_text(there.stand.task),
         text(
             "path-in-short",
             seconds=f"{path.time[-1]:.4g}",
@@ -58,7 +57,9 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
+        details=(task_text(there.stand.task),),
         notes=robot_notes(robot),
+        next_step=doc.NextStep("payload" if there.passed else "stand"),
     )
 
 

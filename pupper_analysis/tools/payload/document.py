@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import mass_text, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
@@ -36,8 +36,9 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         text("payload-title"),
         limit,
         (view_block(robot, limit.stand, None), payload_table(limit)),
-        (payload_text(limit), task_text(limit.stand.task)),
+        (payload_text(limit), *_describe_limit(limit)),
         details=(
+            task_text(limit.stand.task),
             *(trial_texts if limit.passed else ()),
             text(
                 "base-of-the-loaded-stand",
@@ -48,7 +49,27 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         failures=() if limit.passed else trial_texts,
         word=_select_verdict_word(limit),
         notes=robot_notes(robot),
+        next_step=_select_next_step(limit),
     )
+
+
+_NEXT_STEPS = {
+    "stance": NextStep("best", ("payload",)),
+    "motors": NextStep("best", ("payload",)),
+    "servos": NextStep("stand", ("--minimum-stiffness",)),
+    "simulation": NextStep("push"),
+}
+"""{bound that limits the payload: next command}."""
+
+
+def _select_next_step(limit: PayloadLimit) -> NextStep:
+    """Return the command that raises the limit, or the cause if no payload is carried."""
+    if limit.unknown_limits and limit.at_most > 0:
+        return NextStep("audit")
+    if not limit.passed or not limit.bounds:
+        return NextStep("stand")
+    smallest = min(limit.bounds, key=lambda name: limit.bounds[name].mass)
+    return _NEXT_STEPS.get(smallest, NextStep("push"))
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
@@ -67,7 +88,7 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """State the largest mass, the position, and the failure above.
+    """State the largest mass and its position.
 
     If torque limits of motors that carry the load are unknown, state these motors instead.
     """
@@ -79,8 +100,13 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         link=limit.link,
         mass=mass_text(limit.at_most),
         ground=ground_word(limit.stand.depths.values()),
-        failure=_describe_failure(limit.failure, limit.where),
     )
+
+
+def _describe_limit(limit: PayloadLimit) -> Iterable[doc.Words]:
+    """State the failure above the largest mass; nothing if torque limits are unknown."""
+    if not (limit.unknown_limits and limit.at_most > 0):
+        yield text("payload-limited", failure=_describe_failure(limit.failure, limit.where))
 
 
 def _unknown_text(limit: PayloadLimit) -> doc.Text:

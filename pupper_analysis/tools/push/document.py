@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text
+from pupper_analysis.present.document import NextStep, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document, compare_results
 from pupper_analysis.present.documents.standing import (
@@ -40,11 +40,22 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             _make_push_table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        (*_describe_weakest_push(pushed), task_text(pushed.stand.task)),
-        details=(ground_text(pushed.stand.depths.values()),),
+        (*_describe_weakest_push(pushed),),
+        details=(
+            task_text(pushed.stand.task),
+            ground_text(pushed.stand.depths.values()),
+        ),
         failures=(text("it-does-not-stand-so"),) if unpushed else (),
         notes=robot_notes(robot),
+        next_step=_select_next_step(pushed),
     )
+
+
+def _select_next_step(pushed: PushedStance) -> NextStep:
+    """Return the command that shows the cause, or a stance with a larger distance to tipping."""
+    if pushed.peak_torques is not None:
+        return NextStep("audit")
+    return NextStep("best", ("margin",)) if pushed.passed else NextStep("stand")
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
@@ -75,6 +86,9 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         impulse=f"{recovery.weakest_impulse:.2f}",
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
+    )
+    yield text(
+        "push-limited",
         failure=doc.diagnostic_text(recovery.weakest_failure),
         tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
     )

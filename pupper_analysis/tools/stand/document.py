@@ -8,7 +8,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
@@ -23,6 +23,7 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verdict import Ending, VerdictCode
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
 from pupper_analysis.tools.stand.stance import Preparation, Stance
@@ -105,10 +106,49 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         text("stance"),
         stance,
         blocks,
-        (task_text(stance.stand.task), *_list_findings(stance), *_warn_of_model_mismatch(run)),
-        details=_list_details(stance),
+        (
+            *_describe_peak_torque(stance),
+            *_warn_of_model_mismatch(run),
+            *_list_findings(stance),
+        ),
+        details=(task_text(stance.stand.task), *_list_details(stance)),
         notes=robot_notes(robot),
+        next_step=_select_next_step(stance),
     )
+
+
+_NEXT_STEPS = {
+    VerdictCode.HOLDS_WITH_FEEDFORWARD: NextStep("stand", ("--minimum-stiffness",)),
+    VerdictCode.IN_BALANCE: NextStep("best", ("margin",)),
+    VerdictCode.UNSTABLE: NextStep("best", ("margin",)),
+    VerdictCode.OVERLOADED: NextStep("best", ("utilisation",)),
+    VerdictCode.LIMITS_UNKNOWN: NextStep("audit"),
+    VerdictCode.MASSES_UNKNOWN: NextStep("audit"),
+    VerdictCode.LIMB_WITHOUT_FOOT: NextStep("stand", ("--explain",)),
+    VerdictCode.DIFFERS_AS_PUBLISHED: NextStep("crosscheck"),
+    VerdictCode.OWN_DRIVES_FAIL: NextStep("audit"),
+    VerdictCode.DISAGREES: NextStep("crosscheck"),
+    VerdictCode.FAILS: NextStep("best", ("margin",)),
+}
+"""{verdict code: next command}; for all other codes, the largest payload of the stance."""
+
+
+def _select_next_step(stance: Stance) -> NextStep:
+    """Return the command that follows a verdict: its cause, or the payload of a stance that holds.
+
+    Files that differ, or describe two robots, are compared. A robot of one file is audited instead.
+    """
+    verdict = stance.verdict
+    step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
+    mismatch = stance.verification.mujoco_residual > MAX_BALANCE_RESIDUAL
+    two_robots = any(failure.code == "files-of-two-robots" for failure in verdict.failures)
+    if mismatch or two_robots:
+        step = NextStep("crosscheck")
+    if step.command == "crosscheck" and verdict.converted:
+        step = NextStep("audit")
+    if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
+        step = NextStep("payload")
+    return step
 
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
@@ -119,33 +159,50 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
         )
 
 
+def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
+    """State the motor with the largest utilisation, its torque, and the height of the stance.
+
+    If the utilisation of no motor is known, or a motor has a limit of zero, the motor with the
+    largest torque is stated, without a utilisation.
+    """
+    statics = stance.statics
+    limited = np.isfinite(statics.motor_utilisation)
+    known = bool(limited.any()) and not np.isinf(statics.motor_utilisation).any()
+    torques = np.abs(statics.joint_torques)
+    peak = int(np.argmax(np.where(limited, statics.motor_utilisation, -1.0) if known else torques))
+    height = stance.stand.task.height
+    yield text(
+        "load-of-motors",
+        torque=f"{torques[peak]:.2f}",
+        share=f"{100 * float(statics.motor_utilisation[peak]):.0f}" if known else "",
+        joint=doc.Name(statics.joint_names[peak]),
+        height="" if height is None else f"{1e3 * height:.1f}",
+        ground=ground_word(stance.stand.depths.values()),
+    )
+
+
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """List the findings: peak utilisation, presses, behaviour without feed-forward, minimum kp."""
-    limited = np.isfinite(stance.statics.motor_utilisation)
-    if limited.any() and not np.isinf(stance.statics.motor_utilisation).any():
-        shares = np.where(limited, stance.statics.motor_utilisation, -1.0)
-        peak = int(np.argmax(shares))
-        share = f"{100 * float(shares[peak]):.0f}"
-        yield text(
-            "load-of-motors",
-            ground=ground_word(stance.stand.depths.values()),
-            share=share,
-            joint=doc.Name(stance.statics.joint_names[peak]),
-        )
-    for press in stance.presses:
-        yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
-    settled = stance.settled
-    if settled is not None and not settled.failures:
-        yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
-    if stance.unsettled is not None:
-        yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
-    if settled is not None and (settled.failures or settled.release_margin < RELEASE_MARGIN):
-        yield _describe_settled_state(stance, settled)
+    """List the limits: behaviour without gravity compensation, minimum kp, and presses of hands."""
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
             kp=f"{stance.minimum_stiffness:.2f}",
         )
+    settled = stance.settled
+    if stance.unsettled is not None:
+        yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
+    elif settled is not None and not _is_settled_state_detail(stance, settled):
+        yield _describe_settled_state(stance, settled)
+    elif settled is not None and not settled.failures:
+        yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
+    for press in stance.presses:
+        yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
+
+
+def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
+    """Return True if the predicted equilibrium is no warning, or repeats that of the verdict."""
+    lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
+    return lasting or stance.verdict.commands_alone not in (None, Ending.HOLDS)
 
 
 def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
@@ -172,6 +229,6 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
     """List the details: equilibrium without feed-forward, unless a finding, and the ground."""
     settled = stance.settled
-    if settled is not None and not settled.failures and settled.release_margin >= RELEASE_MARGIN:
+    if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
     yield ground_text(stance.stand.depths.values())

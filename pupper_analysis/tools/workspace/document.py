@@ -12,6 +12,14 @@ from pupper_analysis.present.documents.standing import quantity_columns, robot_n
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
+_ANGLES = ("roll", "pitch", "yaw")
+"""Directions that are angles."""
+
+
+def _select(ranges: dict[str, doc.Text], *, angles: bool) -> list[doc.Text]:
+    """Return the ranges of the angles, or those of the lengths."""
+    return [line for direction, line in ranges.items() if (direction in _ANGLES) is angles]
+
 
 @build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
@@ -20,16 +28,16 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     `build_document` calls this function for a `BaseWorkspace`.
     """
     rows: list[tuple[doc.Cell, ...]] = []
-    ranges = []
+    ranges = {}
     for direction, interval in workspace.intervals.items():
-        angle = direction in ("roll", "pitch", "yaw")
+        angle = direction in _ANGLES
         scale, unit = (math.degrees(1.0), "°") if angle else (1e3, "mm")
         low, high = (
             doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high)
         )
         rows.append((text(direction), low, high, doc.Name(unit)))
         ends = {"low": low.text, "high": high.text, "unit": unit}
-        ranges.append(text("range-of-direction", direction=text(direction), **ends))
+        ranges[direction] = text("range-of-direction", direction=text(direction), **ends)
     table = doc.Table(
         text("how-far-the-base"),
         quantity_columns(text("from"), text("to"), of="direction"),
@@ -41,9 +49,11 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         findings=(
-            task_text(workspace.start.task),
-            text("range-in-short", ranges=join_words(ranges)),
+            text("range-in-short", ranges=join_words(_select(ranges, angles=False))),
+            text("range-of-angles", ranges=join_words(_select(ranges, angles=True))),
         ),
+        details=(task_text(workspace.start.task),),
         brief=True,
         notes=robot_notes(robot),
+        next_step=doc.NextStep("best", ("margin",)),
     )

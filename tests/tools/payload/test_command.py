@@ -23,8 +23,8 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         assert status == 0, err
         found[option] = out.partition(" v3:")[0], json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
-    assert found["--continuous"][0] == "CARRIES (at continuous torque)"
-    assert found["--effort"][0] == "CARRIES (at the stated peak torque, for moments)"
+    assert found["--continuous"][0] == "CARRIES (permanently, at continuous torque)"
+    assert found["--effort"][0] == "CARRIES (short-term, at peak torque)"
 
 
 @pytest.mark.slow
@@ -40,7 +40,7 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     marks = {name: content[name] for name in ("generator", "provenance")}
     assert {**json.loads(limit.to_json()), **marks} == content
     assert content["trial"]["held"]
-    assert "payload at (10, 0, 80) mm" in out
+    assert "at (10, 0, 80) mm of" in out
     assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out
     assert "nudged: it stays up" in out
     status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")

@@ -1,0 +1,98 @@
+"""Command line of the next step that a result suggests."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import click
+
+from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath
+from pupper_analysis.present.document import NextStep
+
+_ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
+"""Names of the arguments of commands that specify a robot or its model files."""
+
+_OUTPUT_PARAMETERS = ("everything", "style", "force")
+"""Names of the options that select the form of the output. The next command does not get them."""
+
+
+def complete_command(step: NextStep | None) -> str:
+    """Return the command line of a next step, for the robot of the running command.
+
+    The line contains the typed robot, and the typed options that both commands have and that
+    specify no output. It is empty without a step, if no such command is installed, if the typed
+    files do not suffice for the next command, and if a typed file is standard input.
+
+    Args:
+        step: Next step.
+    """
+    context = click.get_current_context(silent=True)
+    if step is None or context is None:
+        return ""
+    root, typed = context.find_root(), context.meta.get(TYPED_WORDS, ())
+    group = root.command
+    target = group.get_command(root, step.command) if isinstance(group, click.Group) else None
+    if target is None or "-" in typed:
+        return ""
+    values, _, order = context.command.make_parser(context).parse_args(list(typed))
+    robot = [word for name in _ROBOT_ARGUMENTS for word in _list_values(values.get(name))]
+    taken = [one for one in target.params if one.name in _ROBOT_ARGUMENTS]
+    several = any(one.nargs == -1 for one in taken)
+    if len(robot) < sum(one.required for one in taken) or (taken and not (robot or several)):
+        return ""
+    if not several:
+        robot = robot[: len(taken)]
+    options = _list_common_options(order, values, target, step.words)
+    split = next(
+        (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
+    )
+    first, last = step.words[:split], step.words[split:]
+    return shlex.join([str(root.info_name), step.command, *first, *robot, *options, *last])
+
+
+def print_next_step(step: NextStep | None) -> None:
+    """Print the command line of a next step of a result without a document; see above."""
+    if line := complete_command(step):
+        click.echo(f"  next: {line}")
+
+
+def _list_values(value: object) -> list[str]:
+    """Return the typed values of a parameter as words; none if it was not typed."""
+    if isinstance(value, list | tuple):
+        return [str(one) for one in value]
+    return [value] if isinstance(value, str) else []
+
+
+def _list_common_options(
+    order: Sequence[click.Parameter],
+    values: Mapping[str, Any],
+    target: click.Command,
+    own: Sequence[str],
+) -> Iterator[str]:
+    """Yield the typed options that the next command has, too, with their values.
+
+    Args:
+        order: Typed parameters.
+        values: {name of a parameter: typed value}.
+        target: Next command.
+        own: Words of the next step. Options among them are omitted.
+    """
+    known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
+    for option in dict.fromkeys(order):
+        name = max(option.opts, key=len)
+        if (
+            not isinstance(option, click.Option)
+            or (option.name, *option.opts) not in known
+            or option.name in _OUTPUT_PARAMETERS
+            or isinstance(option.type, OutputPath)
+            or not set(option.opts).isdisjoint(own)
+        ):
+            continue
+        if option.is_flag:
+            yield name
+        else:
+            yield from (
+                word for value in _list_values(values[str(option.name)]) for word in (name, value)
+            )

@@ -1,0 +1,73 @@
+"""Next commands: each suggested line runs, for the robot that was typed."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import cli
+from pupper_analysis.cli.next_step import complete_command
+from pupper_analysis.cli.shared import TYPED_WORDS
+from pupper_analysis.present.document import NextStep
+from tests.support.repository import ROOT
+
+
+def complete(typed: str, step: NextStep | None) -> str:
+    """Returns the command line that follows a typed one."""
+    name, *words = shlex.split(typed)
+    root = click.Context(cli.group, info_name="pupper-analysis")
+    command = cli.find_command(name)
+    with click.Context(command, parent=root, info_name=name) as context:
+        context.meta[TYPED_WORDS] = tuple(words)
+        return complete_command(step)
+
+
+@pytest.mark.parametrize(
+    ("typed", "step", "expected"),
+    [
+        ("stand v3", NextStep("payload"), "payload v3"),
+        ("stand", NextStep("payload"), "payload"),
+        (
+            "stand --height 12cm 'a b.urdf' c.xml -v --json x.json --swing FL=2cm",
+            NextStep("payload"),
+            "payload 'a b.urdf' c.xml --height 12cm --swing FL=2cm",
+        ),
+        ("payload v3 --payload-at=0,0,8cm", NextStep("best", ("payload",)),
+         "best payload v3 --payload-at 0,0,8cm"),
+        ("stand v3 --height 12cm", NextStep("path", ("--height", "18mm")), "path v3 --height 18mm"),
+        ("stand a.urdf b.xml", NextStep("audit"), "audit a.urdf"),
+        ("stand a.urdf b.xml", NextStep("crosscheck"), "crosscheck a.urdf b.xml"),
+        ("crosscheck a.urdf b.xml --frame FL", NextStep("sync"), "sync a.urdf b.xml"),
+        ("best margin v3", NextStep("workspace"), "workspace v3"),
+        ("stand a.urdf", NextStep("sync"), ""),
+        ("stand -", NextStep("payload"), ""),
+        ("stand v3", NextStep("no-such-command"), ""),
+        ("contract a.xml policy.json", NextStep("audit"), ""),
+        ("stand v3", None, ""),
+    ],
+)  # fmt: skip
+def test_next_command_has_the_typed_robot_and_common_options(
+    typed: str, step: NextStep | None, expected: str
+) -> None:
+    assert complete(typed, step) == (expected and f"pupper-analysis {expected}")
+
+
+def test_next_steps_in_the_tools_name_commands_with_such_options() -> None:
+    """Reference: the options and arguments that click parses."""
+    pattern = re.compile(r"NextStep\(\"([\w-]+)\"(?:, \(((?:\"[^\"]+\",? ?)+)\))?")
+    found = [
+        (path, match)
+        for path in sorted(Path(ROOT, "pupper_analysis", "tools").rglob("*.py"))
+        for match in pattern.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert len(found) > 20
+    for path, match in found:
+        command = cli.group.get_command(None, match[1])
+        assert command is not None, (path, match[0])
+        options = {name for option in command.params for name in option.opts}
+        typed = set(re.findall(r"\"(--[\w-]+)\"", match[2] or ""))
+        assert typed <= options, (path, match[0])
