@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
@@ -125,6 +126,14 @@ class InputError(PupperAnalysisError):
         )
 
 
+MAX_LISTED_NAMES = 16
+"""Largest number of valid names that the message about an unknown name lists completely: the joints
+of a quadruped with four joints per leg. Chosen, not tuned."""
+
+NUM_CLOSE_NAMES = 5
+"""Number of the most similar names that the message lists if there are more. Chosen, not tuned."""
+
+
 class UnknownNameError(ModelError):
     """Name that the model does not contain.
 
@@ -140,7 +149,18 @@ class UnknownNameError(ModelError):
         self.kind = kind
         self.name = name
         self.known = tuple(known)
-        problem = diagnose("name-unknown", kind=Term(kind), unknown=name, known=self.known)
+        listed = self.known
+        if len(listed) > MAX_LISTED_NAMES:
+            folded = {known.lower(): known for known in reversed(listed)}
+            close = difflib.get_close_matches(name.lower(), folded, NUM_CLOSE_NAMES, cutoff=0.0)
+            listed = tuple(folded[known] for known in close)
+        problem = diagnose(
+            "name-unknown",
+            kind=Term(kind),
+            unknown=name,
+            known=listed,
+            others=len(self.known) - len(listed),
+        )
         super().__init__(source, problem)
 
 

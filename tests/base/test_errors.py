@@ -26,3 +26,13 @@ def test_a_refusal_names_feet_with_an_error_above_a_thousandth_of_the_largest() 
     (missed,) = error.diagnostic.values["obstacles"]  # type: ignore[misc]
     feet = {one.subject.name: one.values["gap"].value for one in missed.values["feet"]}
     assert feet == {"FL": 0.03, "FR": 0.0301}
+
+
+def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
+    known = [f"link_{index:02d}" for index in range(40)] + ["panda_hand", "tool0", "left_finger"]
+    error = pa.UnknownNameError("as if", "frame", "Panda_hnad", known)
+    assert error.known == tuple(known)
+    assert len(error.diagnostic.values["problem"].values["known"]) == 5  # type: ignore[union-attr]
+    assert "the most similar names are: panda_hand, " in str(error)
+    assert str(error).endswith(" and 38 more")
+    assert "there are: a, b" in str(pa.UnknownNameError("as if", "frame", "c", ["a", "b"]))

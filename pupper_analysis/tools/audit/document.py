@@ -50,8 +50,15 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
         findings=(join_words([*counts, rules]),),
+        next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
     )
+
+
+def _select_next_step(audit: Audit) -> doc.NextStep | None:
+    """Return the command that simulates a file without errors; None for other formats."""
+    simulated = Path(audit.file).suffix in (".urdf", ".xml")
+    return doc.NextStep("stand") if audit.passed and simulated else None
 
 
 def _pluralise_severity(severity: str, count: int) -> str:

@@ -30,6 +30,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         verdict=text(_verdict(conversion)),
         failures=tuple(map(doc.diagnostic_text, conversion.failures)),
         findings=tuple(_describe_checks(conversion)),
+        details=tuple(_describe_recovery(conversion)),
         brief=True,
         notes=tuple(map(doc.diagnostic_text, conversion.notes)),
         next_step=_select_next_step(conversion),
@@ -56,12 +57,16 @@ def _name(path: str) -> doc.Name:
 
 
 def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
-    """Describe the deviation from the source, the simulated stand, and the keyframe run."""
+    """Describe the deviation from the source, and the simulated stand."""
     compared = conversion.comparison
+    count = len(compared.differences)
     deviation = text(
         "differences-from-source-count",
         source=doc.Name(conversion.source),
-        count=len(compared.differences),
+        count=count,
+        same=not count,
+        explained=count and conversion.agree,
+        differs=count and not conversion.agree,
         worst=f"{max(compared.deviations.values()):.1e}",
     )
     if repairs := len(conversion.repairs):
@@ -72,9 +77,13 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
         yield text(
             "stands-for-seconds" if run.passed else "does-not-stand-for-seconds",
             seconds=f"{run.duration:g}",
-            height=f"{run.base_height:.4f}",
+            height=f"{1e3 * run.base_height:.1f}",
             torque=f"{run.torque_error:.1e}",
         ).with_mark("good" if run.passed else "bad")
+
+
+def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
+    """Describe the keyframe run, if the robot recovers from the nudge."""
     kept = conversion.kept
     if kept is not None and not kept.failures and (least := kept.stability.least_damped):
         yield text(

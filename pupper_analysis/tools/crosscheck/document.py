@@ -170,6 +170,8 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     ]
     differ = text("same-robot-different-conventions") if same else text("disagree")
     explained = tuple(_describe_explained(comparison))
+    one_sided = comparison.only_urdf or comparison.only_mjcf
+    assumed = comparison.mount is not None or comparison.guessed or one_sided
     return doc.Document(
         text("cross-check"),
         text(
@@ -187,7 +189,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
             *(() if comparison.complete else explained),
         ),
         details=explained if comparison.complete else (),
-        brief=agree and not list_matching_notes(comparison),
+        brief=agree and not assumed,
         notes=tuple(notes),
         next_step=doc.NextStep("stand" if agree else "sync"),
     )

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.prepare.judge import describe_given_masses
+from pupper_analysis.present.document import NextStep
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
@@ -165,6 +167,7 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     masses = describe_given_masses(robot)
     if masses is not None:
         print(f"UNKNOWN: {masses}")
+    print_next_step(NextStep("stand"))
     return result.stable and masses is None
 
 

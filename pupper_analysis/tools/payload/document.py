@@ -18,6 +18,7 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import judged_document, qualify_verdict_word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
+from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTrial
 
 
@@ -84,7 +85,9 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
         return text("carries-in-part", count=count)
     else:
         key = "carries-lastingly"
-    return qualify_verdict_word(key, limit.verdict.converted)
+    word_text = qualify_verdict_word(key, limit.verdict.converted)
+    alone = limit.verdict.commands_alone in (None, Ending.HOLDS)
+    return word_text if alone or not limit.passed else text("carries-compensated", word=word_text)
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:

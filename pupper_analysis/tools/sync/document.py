@@ -56,6 +56,7 @@ def sync_document(
             text("difference-note", difference=doc.Name(name), note=doc.diagnostic_text(note))
             for name, note in sync.notes.items()
         ),
+        next_step=doc.NextStep("crosscheck") if sync.edits or sync.agree else None,
     )
 
 
