@@ -49,7 +49,8 @@ def complete_command(step: NextStep | None) -> str:
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
     )
     first, last = step.words[:split], step.words[split:]
-    return shlex.join([str(root.info_name), step.command, *first, *robot, *options, *last])
+    line = shlex.join([step.command, *first, *robot, *options, *last])
+    return f"{root.info_name} {line}"
 
 
 def print_next_step(step: NextStep | None) -> None:

@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
@@ -32,6 +35,8 @@ def make_option(field: Field) -> Callable[[Command], Command]:
     """Return the option of a field, as decorator."""
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
+    if field.per or field.choices:
+        options["shell_complete"] = partial(_complete_value, field)
     is_point = field.axes or field.choices
     if field.per:
         form = "X,Y" if is_point else "PLANE" if field.kind == "contact" else field.kind.upper()
@@ -44,6 +49,36 @@ def make_option(field: Field) -> Callable[[Command], Command]:
     else:
         options |= {"type": float, "metavar": field.unit.upper(), "default": field.default_value}
     return click.option(f"--{field.option}", field.name, **options)
+
+
+def _complete_value(
+    field: Field, context: click.Context, _: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Return the values of an option that begin with an incomplete word.
+
+    These are the words that the field accepts, or the names of the robot's feet, joints or links
+    with an equals sign. There are none if the robot cannot be loaded.
+    """
+    words = [*field.choices]
+    if field.per:
+        words = [f"{name}=" for name in _list_elements(field.per, context.params.get("words"))]
+    return [CompletionItem(word) for word in words if word.startswith(incomplete)]
+
+
+def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
+    """Return the names of the feet, joints or links of a robot; none if it cannot be loaded.
+
+    Args:
+        kind: ``foot``, ``joint`` or ``link``.
+        words: Words that name the robot; none for v3.
+    """
+    with suppress(Exception):  # a shell shows no error while it completes a word
+        from pupper_analysis import load_robot
+
+        robot = load_robot(*(words or ("v3",)))
+        names = {"foot": robot.feet, "joint": robot.joint_names, "link": robot.structure.links}
+        return [*names[kind]]
+    return []
 
 
 def make_options(*folders: str) -> tuple[Callable[[Command], Command], ...]:

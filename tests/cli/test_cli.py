@@ -184,3 +184,20 @@ finally:
     for name, tool in own_tools().items():
         assert needed or f"{name} " in done.stdout
         assert needed or tool.question in done.stdout
+
+
+def test_feet_joints_and_com_are_completed() -> None:
+    """References: names of v3's feet and joints, and the words of ``--com``."""
+    command = cli.find_command("stand")
+    options = {one.name: one for one in command.params}
+    context = click.Context(command)
+    context.params["words"] = ("v3",)
+    for name, begun, expected in (
+        ("com", "", {"centre", "inside"}),
+        ("swing", "F", {"FL=", "FR="}),
+        ("posture", "leg_front_l", {f"leg_front_l_{number}=" for number in (1, 2, 3)}),
+    ):
+        items = options[name].shell_complete(context, begun)
+        assert {one.value for one in items} == expected
+    context.params["words"] = ("no-such-file.urdf",)
+    assert options["swing"].shell_complete(context, "F") == []

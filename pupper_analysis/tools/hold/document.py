@@ -127,10 +127,16 @@ def _describe_limit(payload: float) -> doc.Words:
 
 
 def _list_limits(hold: Hold) -> Iterator[doc.Words]:
-    """State the posture of the verdict, and its motor with the largest utilisation."""
+    """State the posture of the verdict, its motor with the largest utilisation, its payload."""
     loads = tuple(hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
-    yield text("posture-and-load", posture=posture, load=loads[0]) if loads else posture
+    yield text(
+        "posture-and-load",
+        posture=posture,
+        load=loads[0] if loads else "",
+        payload=_describe_limit(hold.payload.mass),
+        tool=doc.Name(hold.tool.name),
+    )
 
 
 def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:

@@ -21,7 +21,8 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         path = tmp_path / f"{option}.json"
         status, out, err = run_command(capfd, "payload", "v3", option, "0.6", "--json", str(path))
         assert status == 0, err
-        found[option] = out.partition(" v3:")[0], json.loads(path.read_text())["mass"]
+        word = out.partition(" v3:")[0].removesuffix(" with gravity compensation")
+        found[option] = word, json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "CARRIES (permanently, at continuous torque)"
     assert found["--effort"][0] == "CARRIES (short-term, at peak torque)"
@@ -45,4 +46,5 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     assert "nudged: it stays up" in out
     status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
     assert status == 1, err
-    assert "0.00 kg on the simulated ground, then loses static stability" in out
+    assert "largest payload 0.00 kg at (0, 0, 0) mm of base_link, on the simulated ground" in out
+    assert "limiting failure: loses static stability" in out

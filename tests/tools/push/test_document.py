@@ -20,7 +20,7 @@ def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
     text = " ".join(printed(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
-    assert "weakest at 240°, on the simulated ground: 0.43 N s" in text
+    assert "largest push in the weakest direction (240 deg): 0.43 N s" in text
     one.recovery.unpushed = (problem("it fell over"),)
     text = " ".join(printed(push_document(one)))
     assert "it does not stand, so it withstands no push of 2.15 kg" in text
@@ -34,7 +34,7 @@ def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
     assert "largest push UNKNOWN without torque limits" in text
     assert "withstands 0.43 N s at 240°, its weakest direction" in text
     assert "up to 4.32 N m (knee)" in text
-    assert "weakest at" not in text
+    assert "largest push in the weakest" not in text
 
 
 def test_limits_are_drawn_over_the_direction_once_around() -> None:
