@@ -1,4 +1,4 @@
-"""Find the largest payload of a stance, and the failure beyond this limit."""
+"""Find the largest payload of a stance, and its limiting failure."""
 
 HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""
