@@ -42,7 +42,7 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     file, figure = tmp_path / "own.json", tmp_path / "own.png"
     servos = ("--kp", "60", "--kd", "1")
     status, out, err = run_command(
-        capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file),
+        capfd, "push", "-v", *own, *feet, *stance, *servos, *COARSE, "--json", str(file),
         "--figure", str(figure),
     )  # fmt: skip
     assert status == 0, err
