@@ -25,9 +25,9 @@ def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> No
     assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
-    # A short answer has it, too, though it is not against the verdict.
-    first, _ = split_verdict_lines(verdict)
-    assert any("unmodified MJCF" in str(line) for line in first)
+    # The run supports the verdict, so it is a detail of the answer.
+    _, details = split_verdict_lines(verdict)
+    assert any("unmodified MJCF" in str(line) for line in details)
 
 
 @pytest.mark.slow

@@ -238,6 +238,6 @@ def test_path_verdict_states_the_run_of_the_unmodified_file(tmp_path: Path) -> N
     assert verdict.question is Question.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
-    # A short answer has it, too, though it is not against the verdict.
-    first, _ = split_verdict_lines(verdict)
-    assert any("unmodified MJCF" in str(line) for line in first)
+    # The run supports the verdict, so it is a detail of the answer.
+    _, details = split_verdict_lines(verdict)
+    assert any("unmodified MJCF" in str(line) for line in details)
