@@ -28,7 +28,7 @@ from pupper_analysis.tools.audit.audit import (
     Severity,
     audit_model,
 )
-from pupper_analysis.tools.audit.registry import CHECKS
+from pupper_analysis.tools.audit.registry import CHECKS, compute_hull_distance
 from tests.support.legged import fused, quadruped
 from tests.support.repository import ROOT
 
@@ -795,3 +795,12 @@ def test_legs_that_begin_at_the_world_lack_their_base(tmp_path: Path) -> None:
     arms = re.sub("hip|thigh|knee|calf|foot|shank", lambda found: found[0][::-1], text)
     pair.mjcf.write_text(arms)
     assert not found(audit_model(pair.mjcf), "base-fused")
+
+
+@pytest.mark.parametrize(("height", "distance"), [(0.2, 0.2), (-0.2, 0.2), (0.0, 0.0)])
+def test_distance_to_coplanar_points_is_the_distance_to_their_bounding_box(
+    height: float, distance: float
+) -> None:
+    """A unit square has no hull with a volume; the point is above, below or in its plane."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    assert compute_hull_distance(square, np.array([0.5, 0.5, height])) == pytest.approx(distance)
