@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -107,13 +108,18 @@ def numbers(robot: pa.Robot, mass: float, size: float = 1.0) -> dict[str, float]
     return found
 
 
+@cache
+def published_numbers() -> dict[str, float]:
+    """Return the numbers of v3 with its published mass and size."""
+    return numbers(load("v3"), 1.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 1.0, 2800.0])
 def test_dimensionless_results_do_not_depend_on_mass(mass: float) -> None:
     robot, factor = load("v3"), mass / load("v3").total_mass
-    assert numbers(resized(robot, 1.0, factor), factor) == pytest.approx(
-        numbers(robot, 1.0), rel=1e-6
-    )
+    found = numbers(resized(robot, 1.0, factor), factor)
+    assert found == pytest.approx(published_numbers(), rel=1e-6)
 
 
 @pytest.mark.slow
@@ -126,7 +132,7 @@ def test_dimensionless_results_do_not_depend_on_size(
     likewise, by 6 % less and 4 % more. Payloads that simulations limit are found to 2 %.
     """
     robot, factor = load("v3"), mass / load("v3").total_mass
-    one, size = numbers(robot, 1.0), factor ** (1 / 3)
+    one, size = dict(published_numbers()), factor ** (1 / 3)
     lasting = steady_state.HOLD_DURATION * size**0.5
     monkeypatch.setattr(steady_state, "HOLD_DURATION", lasting)
     monkeypatch.setattr(stability, "HOLD_DURATION", lasting)
