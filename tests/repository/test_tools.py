@@ -77,13 +77,15 @@ def run(copy: Path, *words: str) -> str:
 def check_imports(tool: str, copy: Path) -> None:
     """Import each public name of a copy without a tool, and compare the commands that it lists."""
     code = (
-        "import pupper_analysis as pa; print(pa.__file__); "
+        "import runpy, sys; import pupper_analysis as pa; print(pa.__file__); "
         "[getattr(pa, name) for name in pa.__all__]; "
         "[getattr(module, name) for module in vars(pa).values() if hasattr(module, '__all__')"
-        " for name in module.__all__ if module.__name__.startswith('pupper_analysis.')]"
+        " for name in module.__all__ if module.__name__.startswith('pupper_analysis.')]; "
+        "sys.argv = ['pupper-analysis', '--help']; "
+        "runpy.run_module('pupper_analysis', run_name='__main__')"
     )
-    assert str(copy) in run(copy, "-c", code)
-    printed = run(copy, "-m", "pupper_analysis", "--help")
+    printed = run(copy, "-c", code)
+    assert str(copy) in printed
     left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
     listed = re.findall(r"^  (\w+)  +\S", printed.partition(f"{HELP_HEADINGS[0]}:")[2], re.M)
     assert set(listed) == left
