@@ -2,10 +2,14 @@
 
     python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv
 
-Each fault changes one operator, number, index or argument order of one module. The tests nearest to
-the module run first: those of the mirrored file, then those that import the module. If all of them
-pass, the quick tier runs (with ``--quick-tier``). A fault that no test detects has survived: a test
-is missing, or the change does not alter any result.
+Each fault changes one operator, number, index or argument order of one module. Tests run in tiers,
+until one fails: ``near`` (quick tests of the mirrored file, and files that import the module),
+``folder`` (quick tests of the mirrored folder), ``slow`` (slow tests near to the module), ``quick``
+(all quick tests). A fault that no test detects has survived: a test is missing, or the change does
+not alter any result.
+
+The tests run in a forked process that has already imported the packages that this package requires,
+so that a fault costs the time of its tests. Linux and macOS only.
 
 The choice depends on the seed and on the source only. Faults that the CSV contains already are not
 run again, so an interrupted run can be continued. The checkout is not touched.
@@ -16,11 +20,16 @@ from __future__ import annotations
 import argparse
 import ast
 import csv
+import importlib
 import os
 import random
+import resource
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
+import traceback
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,11 +42,20 @@ PACKAGE = "pupper_analysis"
 MAX_TEST_FILES = 3
 """Upper bound of test files that count as near to a module. Chosen: seconds of processor."""
 
-TIMEOUT = 600.0
-"""Duration [s] after which a run is stopped; the fault then counts as detected, since it does not
-end. Near tests take 5 to 60 s."""
+MAX_PROCESSOR_SECONDS = 300
+"""Processor time [s] after which a run is stopped; the fault then counts as detected, since it does
+not end. Near tests take 1 to 60 s. Processor time does not depend on the load of the machine."""
 
-COLUMNS = ("file", "line", "kind", "before", "after", "outcome", "detected_by")
+TIERS = ("near", "folder", "slow", "quick")
+
+PRELOADED = (
+    *("pytest", "numpy", "scipy.optimize", "scipy.spatial", "mujoco", "pinocchio"),
+    *("coal", "placo", "lxml.etree", "yourdfpy", "trimesh", "matplotlib.pyplot", "clarabel"),
+    *("shapely", "click", "rich.console", "orjson", "jinja2", "yaml"),
+)
+"""Modules that the parent process imports: together 1.5 s of processor."""
+
+COLUMNS = ("file", "line", "kind", "before", "after", "tiers", "outcome", "detected_by")
 
 _OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
     ast.Add: ("sign", "+", "-"),
@@ -264,6 +282,9 @@ class Bench:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
         self._passing: dict[tuple[str, ...], bool] = {}
+        self._planted = 0
+        for name in PRELOADED:
+            importlib.import_module(name)
 
     def passes(self, arguments: Sequence[str]) -> bool:
         """Return whether tests pass without a fault; they run once for each selection."""
@@ -273,37 +294,59 @@ class Bench:
         return self._passing[key]
 
     def detecting_test(self, fault: Fault, arguments: Sequence[str]) -> str:
-        """Return the first test that fails with a fault, "timeout", or "" if all pass."""
+        """Return the first test that fails with a fault, "timeout", or "" if all pass.
+
+        Each faulty file has its own modification time, so that no bytecode of another fault is
+        used; the original file keeps its time, so that its bytecode stays valid.
+        """
         path = self.folder / fault.file
-        source = path.read_text(encoding="utf-8")
+        source, stat = path.read_text(encoding="utf-8"), path.stat()
         end = fault.start + len(fault.before)
         assert source[fault.start : end] == fault.before
+        self._planted += 1
         path.write_text(source[: fault.start] + fault.after + source[end:], encoding="utf-8")
+        os.utime(path, (stat.st_atime, int(stat.st_mtime) + 10 * self._planted))
         try:
             return self._run(arguments)
         finally:
             path.write_text(source, encoding="utf-8")
+            os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
     def _run(self, arguments: Sequence[str]) -> str:
         """Run tests until one fails; return its name, "timeout", or "" if all pass."""
-        command = [sys.executable, "-B", "-m", "pytest", "-n", "0", "-x", "-q", "--tb=no", "-rfE"]
-        environment = {**os.environ, "PYTHONPATH": str(self.folder)}
-        try:
-            done = subprocess.run(
-                [*command, "-p", "no:cacheprovider", *arguments],
-                cwd=self.folder,
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=TIMEOUT,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
+        with tempfile.TemporaryFile("w+") as output:
+            child = os.fork()
+            if child == 0:
+                self._run_in_child(arguments, output.fileno())
+            _, wait_status = os.waitpid(child, 0)
+            output.seek(0)
+            lines = output.read().splitlines()
+        status = os.waitstatus_to_exitcode(wait_status)
+        if status == -signal.SIGXCPU:
             return "timeout"
-        if done.returncode in (0, 5):  # 5: no test is selected
+        if status in (0, 5):  # 5: no test is selected
             return ""
-        failed = (line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR")))
-        return next((line.split()[1] for line in failed), f"exit status {done.returncode}")
+        failed = (line for line in lines if line.startswith(("FAILED", "ERROR")))
+        return next((line.split()[1] for line in failed), f"exit status {status}")
+
+    def _run_in_child(self, arguments: Sequence[str], output: int) -> None:
+        """Run tests in a forked process; do not return."""
+        resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_SECONDS, MAX_PROCESSOR_SECONDS + 10))
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        os.chdir(self.folder)
+        os.environ["PYTHONPATH"] = str(self.folder)
+        sys.path[:] = [str(self.folder), *(path for path in sys.path if path != str(ROOT))]
+        status = 1
+        try:
+            options = ["-n", "0", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
+            status = int(sys.modules["pytest"].main([*options, *arguments]))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
 
 
 def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[str, str]:
@@ -315,18 +358,22 @@ def run_fault(bench: Bench, fault: Fault, *, tiers: Sequence[str]) -> tuple[str,
     Args:
         bench: The copy.
         fault: The fault.
-        tiers: Any of ``near`` (quick tests near to the module), ``slow`` (slow tests near to it)
-            and ``quick`` (all quick tests), in the order in which they run.
+        tiers: Tiers of ``TIERS``, in the order in which they run.
     """
     module = Path(fault.file).relative_to(PACKAGE)
     near = [
         str(path.relative_to(bench.folder)) for path in near_tests(module, bench.folder / "tests")
     ]
+    folder = bench.folder / "tests" / module.parent
+    while not any(folder.glob("test_*.py")):
+        folder = folder.parent
+    others = [f"--ignore={path}" for path in near]
     selections = {"near": ["-m", "not slow", *near], "slow": ["-m", "slow", *near],
+                  "folder": ["-m", "not slow", *others, str(folder.relative_to(bench.folder))],
                   "quick": ["-m", "not slow", "tests"]}  # fmt: skip
     outcome = "untested"
     for tier in tiers:
-        if not near and tier != "quick":
+        if not near and tier in ("near", "slow"):
             continue
         if not (failed := bench.detecting_test(fault, selections[tier])):
             outcome = "survived"
@@ -342,7 +389,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice (1)")
     parser.add_argument("--csv", type=Path, default=ROOT / "build/mutations.csv")
     parser.add_argument(
-        "--tiers", nargs="+", choices=("near", "slow", "quick"), default=("near", "slow", "quick"),
+        "--tiers", nargs="+", choices=TIERS, default=TIERS,
         help="tests that run, in this order",
     )  # fmt: skip
     parser.add_argument("--folder", type=Path, default=ROOT / "build/mutations")
@@ -361,7 +408,9 @@ def main() -> int:
         if key in known:
             continue
         outcome, detected_by = run_fault(bench, fault, tiers=given.tiers)
-        values = fault.file, fault.line, fault.kind, fault.before, fault.after, outcome, detected_by
+        tiers = " ".join(given.tiers)
+        values = (fault.file, fault.line, fault.kind, fault.before, fault.after, tiers, outcome,
+                  detected_by)  # fmt: skip
         rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
         write_rows(given.csv, rows)
         print(f"{number}/{len(sample)} {outcome:9} {fault.file}:{fault.line} {fault.kind}: "
