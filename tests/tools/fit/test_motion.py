@@ -41,6 +41,15 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
 
 
 @pytest.mark.slow
+def test_standard_deviations_are_at_most_those_of_the_priors() -> None:
+    """Data reduces the variance of a Gaussian prior, even if it hardly determines a parameter."""
+    posterior = fitted().posterior
+    ratios = posterior.std / [parameter.width for parameter in posterior.parameters]
+    assert ratios.max() <= 1
+    assert ratios.max() > 0.9  # the second lag is determined by its prior
+
+
+@pytest.mark.slow
 def test_held_out_motion_is_predicted_within_encoder_noise() -> None:
     noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
     # While the bar is still, quanta hide a part of it.
