@@ -5,20 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
-from pupper_analysis.tools.walk.gait import find_ground_contacts, measure_gait, simulate_walk
+from pupper_analysis.tools.walk.gait import (
+    describe_fall,
+    find_ground_contacts,
+    measure_gait,
+    simulate_walk,
+)
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Observer, prepare_stage, simulate_cases
+from pupper_analysis.tools.walk.runs import Observer, Run, prepare_stage, simulate_cases
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -117,6 +124,19 @@ def test_fall_of_a_walk_is_reported(still: Policy) -> None:
     assert gait.margin == 0
     assert gait.duration < 4.0
     assert math.isfinite(gait.power)
+
+
+def test_fall_states_height_and_tilt_of_the_last_state(still: Policy) -> None:
+    """A base 123 mm high and rolled by 1 rad, without a simulation."""
+    stage = prepare_stage(load("v3"), still)
+    data = mujoco.MjData(stage.model)
+    data.time, data.qpos[2] = 2.0, 0.123
+    data.qpos[3:7] = math.cos(0.5), math.sin(0.5), 0.0, 0.0
+    run = cast("Run", SimpleNamespace(states=full_state(stage.model, data)[None]))
+    fall = describe_fall(stage, run, 2.0)
+    assert fall.code == "fell-over"
+    found = {name: cast("Quantity", fall.values[name]).value for name in ("height", "tilt", "time")}
+    assert found == pytest.approx({"height": 0.123, "tilt": 1.0, "time": 2.0})
 
 
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
