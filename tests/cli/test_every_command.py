@@ -43,9 +43,25 @@ def test_no_verdict_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     assert not row.wrong, row.cells["python"].word
 
 
+SEARCHES = {"best", "payload", "path"}
+"""Commands that need 2 to 6 s of processor per file."""
+
+OUTCOMES = {
+    "kp 15",
+    "kp -150 at a knee",
+    "slip: kp is ten times",
+    "motors",
+    "a keyframe without ctrl",
+}
+"""Edits with which the file does not stand in MuJoCo: one of each outcome, one on weak servos. A
+search that ignored the verdict would pass them."""
+
+PAIRS = [(name, command) for name in KINDS for command in COMMANDS
+         if command not in SEARCHES or name in OUTCOMES]  # fmt: skip
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(("name", "command"), PAIRS)
 def test_no_command_is_better_than_bare_mujoco(name: str, command: str, tmp_path: Path) -> None:
     """``tests.explore`` draws pairs of the other edits and commands at random."""
     row = every_command.row_of(name, EDITS[name], tmp_path, (command,))
