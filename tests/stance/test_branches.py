@@ -63,7 +63,7 @@ def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) 
             assert miss == pytest.approx(way.foot_error, abs=1e-9)
         low, high = robot.lower_limits[limb.joints], robot.upper_limits[limb.joints]
         random = np.random.default_rng(100 + seed)
-        for _ in range(12):
+        for _ in range(6):
 
             def off(joints: np.ndarray, limb: object = limb, foot: str = foot) -> np.ndarray:
                 bent = qpos.copy()

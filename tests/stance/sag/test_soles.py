@@ -63,7 +63,7 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
     robot, random = loaded(seed, tmp_path), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81
     looked_at = 0
-    for _ in range(8):
+    for _ in range(4):
         height = float(random.uniform(0.88, 1.0))
         pitch, roll = random.uniform(-0.06, 0.06), random.uniform(-0.04, 0.04)
         kp = float(random.choice([3, 6, 12])) * weight * robot.stand_height
