@@ -11,6 +11,8 @@ import json
 import re
 import shutil
 import subprocess
+import tempfile
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -171,9 +173,18 @@ FIT = ("fit", "v3", "--stands", "stands.csv", "--weight", f"{WEIGHT}kg")
 
 
 def _measure(folder: Path) -> None:
-    """Writes `stands.csv`: what is planned, measured."""
-    answer("fit", "v3", "--plan", "12", "-o", "stands.csv", folder=folder)
-    measure_stands(folder / "stands.csv")
+    """Write `stands.csv`: a plan of 12 stands with measured positions."""
+    (folder / "stands.csv").write_text(_measured_plan())
+
+
+@cache
+def _measured_plan() -> str:
+    """Return a plan of 12 stands with measured positions, as CSV."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan = Path(folder) / "stands.csv"
+        answer("fit", "v3", "--plan", "12", "-o", plan.name, folder=plan.parent)
+        measure_stands(plan)
+        return plan.read_text()
 
 
 def _measured(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:

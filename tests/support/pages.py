@@ -182,11 +182,24 @@ def look_into(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_step(model, data, 10)
 
 
+SHORTER_SEARCHES = {
+    r"(pupper-analysis walk .*--(?:vary|orders)\b.*)": r"\1 --seconds 3",
+    r"(pupper-analysis walk .*)--seeds 3\b": r"\1--seeds 1",
+    r"seeds=3\)": "seeds=1, seconds=3)",
+    r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
+}
+"""Shorter runs and fewer initial states of searches over a walk: {pattern: replacement}. The pages
+state no numbers of these searches; tests/tools/walk/test_changes.py asserts their numbers."""
+
+
 def slowly(text: str) -> str:
-    """What walks by a policy, at the speed at which the one that is made here walks."""
+    """Return a block with the speed at which the test's own policy walks, and shorter searches."""
     text = text.replace("0.5,0,0", SPEED).replace("(0.5, 0, 0)", f"({SPEED})")
     walks = r"(pupper-analysis walk (?!.*(?:--command|--orders)).*)"
-    return re.sub(walks, rf"\1 --command {SPEED}", text)
+    text = re.sub(walks, rf"\1 --command {SPEED}", text)
+    for pattern, shorter in SHORTER_SEARCHES.items():
+        text = re.sub(pattern, shorter, text)
+    return text
 
 
 def run_shell(command: str, folder: Path) -> Answer:
