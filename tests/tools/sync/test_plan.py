@@ -149,6 +149,16 @@ def test_axes_of_an_inertia_are_a_quaternion(tmp_path: Path, quaternion: str) ->
     assert agree(files)
 
 
+def test_urdf_inertia_is_written_in_the_turned_axes_of_its_origin(tmp_path: Path) -> None:
+    """The two files agree afterwards only if the tensor is turned in the right direction."""
+    files = pair(tmp_path)
+    replaced(files.urdf, '<origin xyz="0.01 0.002 -0.005"/>',
+             '<origin xyz="0.01 0.002 -0.005" rpy="0.3 -0.4 0.9"/>')  # fmt: skip
+    result = sync(files, "mjcf")
+    assert {edit.element for edit in result.edits} == {"link base > inertial > inertia"}
+    assert agree(files)
+
+
 def test_other_inertia_orientations_are_not_changed(tmp_path: Path) -> None:
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
     moments = 'diaginertia="0.002 0.003 0.004" euler="0.1 0.2 0.3"'
