@@ -25,8 +25,10 @@ from pupper_analysis.models.mjcf import (
     find_invalid_number,
     parse_spec,
     silence_mujoco,
+    to_xml,
 )
 from pupper_analysis.models.places import (
+    NO_LINE,
     Place,
     innermost_element,
     line_of,
@@ -40,6 +42,7 @@ from pupper_analysis.models.xml import (
     MAX_DEPTH,
     MAX_ELEMENTS,
     NUMBER_PATTERN,
+    parse_text,
     parse_xml,
 )
 
@@ -56,8 +59,12 @@ def leave_out_missing(
     """
     folders = tuple(tree.folders)
 
+    in_memory = {Path(name).name for name in spec.assets}
+
     def is_missing(file: str, folder: str) -> bool:
         name = Path(file).name if spec.strippath else file
+        if Path(name).name in in_memory:
+            return False
         return bool(file) and not any(existing_file(top / folder / name) for top in folders)
 
     meshes = {m.name: m.file for m in spec.meshes if is_missing(m.file, m.compiler.meshdir)}
@@ -709,11 +716,59 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         )
     tree = IncludeTree(path, root)
     index = index_of(tree.root)
-    spec, notes = _parse_spec(tree, index)
+    return _compile_file(tree, index, lambda: _parse_spec(tree, index))
+
+
+def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] = ()) -> MjcfFile:
+    """Return the MJCF file of a spec in memory, with its assets; the spec is not modified.
+
+    Elements have no line numbers. Attributes are read from the XML that MuJoCo writes.
+
+    Args:
+        path: Name of the spec in messages, in the folder of its meshes.
+        spec: Spec.
+        notes: Diagnostics to keep in the file.
+
+    Raises:
+        ModelError: If MuJoCo cannot write the spec, or as for `mjcf_from`.
+    """
+    try:
+        with silence_mujoco():
+            text = to_xml(spec)
+    except (*_MUJOCO_ERRORS, mujoco.FatalError) as error:
+        problem = diagnose("mjcf-not-valid", message=one_line(error))
+        raise make_file_error(Place(path), problem) from error
+    root = parse_text(text)
+    for element in root.iter():
+        element.sourceline = NO_LINE
+    tree = IncludeTree(path, root)
+    index = index_of(tree.root)
+
+    def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
+        copy = spec.copy()
+        return copy, [*notes, *leave_out_missing(copy, tree, index)]
+
+    return _compile_file(tree, index, copy_spec)
+
+
+def _compile_file(
+    tree: IncludeTree,
+    index: Mapping[tuple[str, str], XmlNode],
+    make_spec: Callable[[], tuple[mujoco.MjSpec, list[Diagnostic]]],
+) -> MjcfFile:
+    """Return the MJCF file of a new spec, compiled; ``refusal`` is set if MuJoCo does not compile.
+
+    Args:
+        tree: Elements of the file.
+        index: Index of the elements.
+        make_spec: Function that creates the spec and its diagnostics; called several times.
+    """
+    path = tree.path
+    spec, notes = make_spec()
     model, refusal, as_it_is = None, None, None
     try:
         # A new spec, because compiling modifies a spec, and a copy would lack dangling elements.
-        model, shells, first_message = compile_with_shells(lambda: _parse_spec(tree, index)[0])
+        model, shells, first_message = compile_with_shells(lambda: make_spec()[0])
         if shells:
             put_shells(spec, shells)
             notes.append(taken_as_shells(shells))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.diagnostics import diagnose
@@ -16,6 +17,7 @@ from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.objects import ModelObject, is_object, read_objects
 from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
@@ -94,7 +96,7 @@ def _convert_mjcf_in_memory(file: MjcfFile) -> UrdfFile:
 
 
 def read_pair(
-    *models: str | Path,
+    *models: str | Path | ModelObject,
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
     take: str | None = None,
@@ -104,7 +106,7 @@ def read_pair(
     """Read the files of a robot, and make the missing model.
 
     Args:
-        *models: A URDF, an MJCF, or one of each, in any order.
+        *models: A URDF, an MJCF, or one of each, in any order: paths, XML texts or objects.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
@@ -121,9 +123,31 @@ def read_pair(
         UnknownNameError: If the MJCF has no such body.
     """
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
+    objects = [model for model in models if is_object(model)]
+    paths: list[str | Path] = []
     for model in models:
-        check_type("model", model, str | Path)
-    files = [read_model(model, folders) for model in models]
+        if not is_object(model):
+            check_type("model", model, str | Path)
+            paths.append(cast(str | Path, model))
+    with read_objects(objects, folders) as in_memory:
+        files = [*in_memory.files, *(read_model(path, folders) for path in paths)]
+        pair = _pair_files(files, urdf=urdf, mjcf=mjcf, take=take, body=body, folders=folders)
+        if in_memory.source is None or pair.converted != "mjcf":
+            return pair
+        # MuJoCo's import of the URDF would lack the armature.
+        return replace(pair, mjcf=in_memory.complete(pair.mjcf), imported=None)
+
+
+def _pair_files(
+    files: list[UrdfFile | MjcfFile],
+    *,
+    urdf: str | Path | None,
+    mjcf: str | Path | None,
+    take: str | None,
+    body: str | None,
+    folders: Mapping[str, Path],
+) -> ModelPair:
+    """Read the files of keyword arguments, and make the missing model; see `read_pair`."""
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:
             files.append(read_model(path, folders))
@@ -152,7 +176,7 @@ def read_pair(
 @check_arguments
 @silence_mujoco()
 def load_robot(
-    *models: str | Path,
+    *models: str | Path | ModelObject,
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
     take: str | None = None,
@@ -173,8 +197,10 @@ def load_robot(
     a keyframe of the MJCF, a stand is searched.
 
     Args:
-        *models: Path of a URDF or an MJCF, or of both, in any order. ``pa.load_robot`` also
-            accepts the name of a variant, such as ``"v3"``.
+        *models: Path of a URDF or an MJCF, or of both, in any order; or a robot in memory: its
+            XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``, or ``pin.Model``
+            with or without its ``pin.GeometryModel`` of collision shapes. Objects are not
+            modified. ``pa.load_robot`` also accepts the name of a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.

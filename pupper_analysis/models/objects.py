@@ -1,0 +1,189 @@
+"""Robots in memory: objects of MuJoCo, Pinocchio and yourdfpy, and XML texts, as model files.
+
+The objects are not modified. Names of files and line numbers are unknown; a note states this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.models.decompile import make_spec_of_model
+from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_spec
+from pupper_analysis.models.pinocchio_urdf import write_urdf_of_model
+from pupper_analysis.models.places import NO_LINE, make_element_error, one_line
+from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.xml import parse_file_text
+
+
+@runtime_checkable
+class UrdfObject(Protocol):
+    """Parsed URDF of another package that writes its XML, such as ``yourdfpy.URDF``."""
+
+    def write_xml_string(self, **kwargs: Any) -> bytes:
+        """Return the XML text of the URDF."""
+
+
+ModelObject: TypeAlias = mujoco.MjSpec | mujoco.MjModel | pin.Model | pin.GeometryModel | UrdfObject
+"""Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``."""
+
+
+def is_object(model: object) -> bool:
+    """Return True if a model is a robot in memory: an object or an XML text, not a path."""
+    if isinstance(model, str):
+        return model.lstrip("\ufeff \t\r\n").startswith("<")
+    kinds = mujoco.MjSpec, mujoco.MjModel, pin.Model, pin.GeometryModel
+    return isinstance(model, kinds) or (
+        not isinstance(model, Path | type) and isinstance(model, UrdfObject)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectFiles:
+    """Model files of robots in memory.
+
+    Attributes:
+        files: Model files.
+        source: Pinocchio model among the objects, whose armature and gravity no URDF states; None
+            if there is none.
+        folder: Temporary folder with the meshes of the Pinocchio model.
+    """
+
+    files: tuple[UrdfFile | MjcfFile, ...]
+    source: pin.Model | None
+    folder: Path
+
+    def complete(self, mjcf: MjcfFile) -> MjcfFile:
+        """Return an MJCF that was made of the URDF, with armature, gravity and meshes in memory.
+
+        Raises:
+            ModelError: If MuJoCo does not compile the result.
+        """
+        if self.source is None:
+            return mjcf
+        model, spec = self.source, mjcf.spec.copy()
+        spec.option.gravity = np.array(model.gravity.linear)
+        for joint in spec.joints:
+            if model.existJointName(joint.name):
+                dof = model.joints[model.getJointId(joint.name)].idx_v
+                joint.armature = float(model.armature[dof])
+        contents = dict(spec.assets)
+        for mesh in spec.meshes:
+            file = Path(mesh.file)
+            if file.parent == self.folder:
+                contents[file.name], mesh.file = file.read_bytes(), file.name
+        spec.assets = contents
+        return replace(mjcf, spec=spec, _model=compile_spec(spec.copy(), mjcf.path))
+
+
+@contextmanager
+def read_objects(
+    models: Sequence[ModelObject | str], packages: Mapping[str, Path] | None = None
+) -> Iterator[ObjectFiles]:
+    """Yield the model files of robots in memory.
+
+    Meshes of a geometry model are in a private temporary folder, which is removed at the end.
+
+    Args:
+        models: Objects; a ``pin.GeometryModel`` belongs to the only ``pin.Model``.
+        packages: Folders of ROS packages, for ``package://`` in a URDF.
+
+    Raises:
+        ConfigurationError: If a geometry model has no ``pin.Model``, or there are several.
+        ModelError: If no robot can be made of an object; the message names the reason.
+    """
+    shapes = [model for model in models if isinstance(model, pin.GeometryModel)]
+    others = [model for model in models if not isinstance(model, pin.GeometryModel)]
+    owners = [model for model in others if isinstance(model, pin.Model)]
+    if len(shapes) > 1 or (shapes and len(owners) != 1):
+        raise ConfigurationError("model", diagnose("geometry-without-model"))
+    if shapes and not _belongs(shapes[0], owners[0]):
+        raise ConfigurationError("model", diagnose("geometry-of-another-model"))
+    geometry = shapes[0] if shapes else None
+    with TemporaryDirectory() as folder:
+        files = [_read_object(model, geometry, packages, Path(folder)) for model in others]
+        yield ObjectFiles(tuple(files), owners[0] if owners else None, Path(folder))
+
+
+def _belongs(geometry: pin.GeometryModel, model: pin.Model) -> bool:
+    """Return True if the joint of each shape is that of the shape's frame in the model."""
+    return all(
+        item.parentJoint < model.njoints
+        and item.parentFrame < model.nframes
+        and model.frames[item.parentFrame].parentJoint == item.parentJoint
+        for item in geometry.geometryObjects
+    )
+
+
+def _read_object(
+    model: Any,
+    geometry: pin.GeometryModel | None,
+    packages: Mapping[str, Path] | None,
+    folder: Path,
+) -> UrdfFile | MjcfFile:
+    """Return the model file of a robot in memory; meshes are written to the folder."""
+    if isinstance(model, str):
+        return _read_text(model, "XML text", packages)
+    if isinstance(model, mujoco.MjSpec):
+        name = f"MjSpec {model.modelname}"
+        return mjcf_of_spec(Path(model.modelfiledir) / f"<{name}>", model, (_note(name),))
+    if isinstance(model, mujoco.MjModel):
+        spec = make_spec_of_model(model, "MjModel")
+        name = f"MjModel {spec.modelname}"
+        return mjcf_of_spec(Path(f"<{name}>"), spec, (_note(name),))
+    if isinstance(model, pin.Model):
+        name = f"pin.Model {model.name}"
+        path = Path(f"<{name}>")
+        text = write_urdf_of_model(model, geometry, folder, str(path))
+        return _read_urdf(path, text, packages, _note(name))
+    try:
+        text = model.write_xml_string()
+    except Exception as error:  # of another package
+        problem = diagnose("object-not-written", message=one_line(error))
+        raise ModelError(type(model).__name__, problem) from error
+    name = f"{type(model).__module__.partition('.')[0]}.{type(model).__name__}"
+    return _read_text(text.decode(), name, packages)
+
+
+def _note(name: str) -> Diagnostic:
+    """Return the note on a robot in memory."""
+    return diagnose("model-in-memory", name=name)
+
+
+def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> UrdfFile | MjcfFile:
+    """Return the model file of an XML text. Relative paths start at the current folder."""
+    path = Path(f"<{name}>")
+    text = text.lstrip("\ufeff \t\r\n")
+    root = parse_file_text(path, text)
+    if root.tag == "mujoco":
+        try:
+            spec = mujoco.MjSpec.from_string(text)
+        except (ValueError, RuntimeError) as error:
+            problem = diagnose("mjcf-not-valid", message=one_line(error))
+            raise ModelError(str(path), problem) from error
+        return mjcf_of_spec(path, spec, (_note(name),))
+    if root.tag != "robot":
+        raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
+    return _read_urdf(path, text, packages, _note(name))
+
+
+def _read_urdf(
+    path: Path, text: str, packages: Mapping[str, Path] | None, note: Diagnostic
+) -> UrdfFile:
+    """Return the URDF of a text, without line numbers."""
+    root = parse_file_text(path, text)
+    for element in root.iter():
+        element.sourceline = NO_LINE
+    file = urdf_from(path, text, root, packages)
+    return replace(file, notes=(note, *file.notes))
