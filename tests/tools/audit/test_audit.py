@@ -411,7 +411,7 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
     assert of_folder.message == "there is no file 'hips/a.stl', 'hips/b.stl'"
     assert of_package.message == (
         "there is no file 'package://dog/a.stl', 'package://dog/b.dae'; "
-        "--package dog=DIR says where the package is"
+        "--package dog=DIR specifies the folder of the package"
     )
     assert of_package.line == line_of(path.read_text(), "<robot", names[0])
 

@@ -262,7 +262,7 @@ def test_invalid_model_is_refused_before_any_file_is_written(tmp_path: Path) -> 
     cases = {
         "has no mass, and MuJoCo refuses such bodies": urdf_text(changed(arm(), "rod", mass=0.0)),
         "joint 'push' is planar": urdf_text(arm()).replace('"prismatic"', '"planar"'),
-        "which no body has; mend it": urdf_text(flat),
+        "which no body has; repair it": urdf_text(flat),
         "no joint that moves": urdf_text({"box": Part("box")}),
         "body 'rod' has a ball joint": mjcf_text(arm(), free=False).replace('"slide"', '"ball"', 1),
     }

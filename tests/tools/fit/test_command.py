@@ -64,7 +64,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     check_refusal(capfd, tmp_path, (*given, "--topic", "state=/joint_states"), "bag")
     check_refusal(capfd, tmp_path, (*given, "--hold-out", "1.5"), "--hold-out: 1.5 is not")
     path.write_text(path.read_text().replace("command.turn [deg]", "torque.turn"))
-    check_refusal(capfd, tmp_path, given, "fitted by the positions that its servos were asked for")
+    check_refusal(capfd, tmp_path, given, "fitted with the commanded positions")
 
 
 def test_bad_input_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:

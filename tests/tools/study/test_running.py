@@ -452,7 +452,7 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
         pa.read_study(tmp_path)
     for values in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
-        with pytest.raises(pa.StudyError, match="does not say what was asked"):
+        with pytest.raises(pa.StudyError, match="does not contain the request"):
             pa.read_study(tmp_path)
     asked = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
     for seed in ({}, {"seed": "x"}, {"seed": None}):
