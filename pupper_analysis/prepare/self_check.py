@@ -272,7 +272,8 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     Returns:
         Predictions. For a fixed base, with feed-forward alone. Empty if the stand on soft ground
         cannot be solved. The prediction without feed-forward is left out if joints have no servo
-        in the file, if a servo of the file was replaced, or if no steady state is found.
+        in the file, if a servo of the file was replaced, or if no steady state without failures is
+        found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]

@@ -13,7 +13,7 @@ depend on the finite-difference step. The test is:
    two doublings.
 4. Modes that shake are confirmed, too, if D is sustained: the growth may end in a limit cycle.
 5. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
-reported.
+   reported.
 """
 
 from __future__ import annotations

@@ -47,7 +47,10 @@ def limit_cell(limit: float) -> doc.Cell:
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Format a payload mass [kg], rounded down so that the printed mass can be carried."""
+    """Format a payload mass [kg], rounded down so that the printed mass can be carried.
+
+    NaN is an unknown limit, infinity no limit.
+    """
     if math.isnan(mass):
         return text("limit-unknown")
     if math.isinf(mass):

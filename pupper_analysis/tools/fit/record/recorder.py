@@ -247,6 +247,9 @@ class _RecordingSession:
         """Return joint positions at rest, shape (nu,) [rad], and the feet in the air.
 
         ``rows`` is the number of rows recorded before.
+
+        Raises:
+            _StandSkippedError: If the operator skips the stand, or the robot does not come to rest.
         """
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
