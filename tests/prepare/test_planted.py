@@ -17,6 +17,7 @@ from pupper_analysis.models.transmission import Drive
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import features
+from tests.support.every_command import truth_of, verdict_cell
 from tests.support.features import LEGS, Edit, put, section
 from tests.support.repository import ROOT
 from tests.support.slips import standing
@@ -257,11 +258,22 @@ HARMLESS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", [*PLANTS, *ODD])
 def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None:
-    """And no verdict is better than bare MuJoCo."""
+    """And no verdict is better than the outcome in bare MuJoCo (``truth_of``)."""
     urdf, mjcf = planted(tmp_path, plant)
-    found = right(urdf, mjcf, ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", ")))
+    allowed = ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", "))
+    verdicts: list[Verdict] = []
+
+    def judge(urdf: Path, mjcf: Path) -> Verdict:
+        verdicts.append(judged(urdf, mjcf))
+        return verdicts[-1]
+
+    found = right(urdf, mjcf, allowed, judge)
     assert found is (None if plant in HARMLESS else True)
     assert found or stands(mjcf)
+    if plant in ODD:
+        (tmp_path / "plain").mkdir()
+        truth = truth_of(mjcf, standing(tmp_path / "plain").mjcf)
+        assert not [wrong for verdict in verdicts if (wrong := verdict_cell(verdict).wrong(truth))]
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from pupper_analysis import cli
 from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.simulation.verdict import Verdict
 from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
 
@@ -214,6 +215,11 @@ def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
         verdict = judge_stand(robot, pa.solve_stand(robot))
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
+    return verdict_cell(verdict)
+
+
+def verdict_cell(verdict: Verdict) -> Cell:
+    """Return the cell of a verdict of ``judge_stand``."""
     own, added = verdict.own, verdict.servos.made != ()
     falls = None if own is None else own.falls
     return Cell(verdict.passed, False, own is not None, added, verdict.code.name, falls)
