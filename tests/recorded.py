@@ -48,7 +48,7 @@ COARSE = {"ground_clearance/distance": 5e-12}
 LONG = 8
 """More elements than that are multiplied, so that the file stays small."""
 
-WORK = {"iterations", "evaluations", "rollouts"}
+WORK = {"iterations", "evaluations", "rollouts", "simulated"}
 """Fields that count what it took, and no number of the robot's."""
 
 

@@ -223,6 +223,7 @@ def pushes(shift: float) -> Stub:
         failures=(problem("it rolls"), problem("it slides"), problem("it falls")),
         velocity_steps=np.array([0.237, 0.288, 0.201]) + shift,
         rollouts=77,
+        simulated=123.0,
         duration=6.5,
         resolution=0.03,
         unpushed=(),

@@ -23,6 +23,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.clearance import GroundClearance
 from pupper_analysis.simulation.monitor import SimulationSettings
 from pupper_analysis.simulation.rollout import (
     FORCED_CONTROL_SPEC,
@@ -32,7 +33,7 @@ from pupper_analysis.simulation.rollout import (
     make_stand_start,
     roll_out,
 )
-from pupper_analysis.simulation.stability import evaluate_stability
+from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand
 
@@ -66,6 +67,15 @@ _SAMPLE_TIME = 0.004
 """Time between the states whose ground contacts or motor torques are evaluated [s]. Chosen, not
 tuned."""
 
+_NUM_SAMPLES_NEAR_GROUND = 25
+"""Number of samples whose contacts are searched without a new bound of the distance, after a state
+in which a part may touch the ground. Chosen, not tuned."""
+
+MAX_DURATION_RATIO = 5.0
+"""Largest simulated time of a push whose outcome is not decided at the end of the requested time,
+relative to the requested time: 30 s by default. A robot that still moves then has not recovered.
+Chosen, not tuned."""
+
 _MAX_BATCH_VALUES = 2**25
 """Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has
 more. Chosen, not tuned."""
@@ -96,6 +106,7 @@ class PushBench:
         unpushed: Failures without a push, from ``verify_stand``; empty if the robot stays on its
             feet.
         rollouts: Number of simulated pushes so far, including simulations without a push.
+        simulated: Simulated time of these pushes [s].
     """
 
     held: StandStart
@@ -104,6 +115,7 @@ class PushBench:
     feedforward: bool
     unpushed: tuple[Diagnostic, ...]
     rollouts: int = field(default=0, init=False)
+    simulated: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         held = self.held
@@ -117,6 +129,7 @@ class PushBench:
         self.steps = round(self.duration / self.timestep)
         self.pulse_steps = max(1, round(PULSE_DURATION / self.timestep))
         self.watcher = monitor.ContactSampler(self.robot, model)
+        self.clearance = GroundClearance(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     @cached_property
@@ -128,13 +141,16 @@ class PushBench:
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes to the end, and return the failure of each; None after a recovery.
+        """Simulate pushes for ``duration``, and return the failure of each; None after a recovery.
+
+        A simulation ends earlier only if the push has failed. It goes on if the robot still moves
+        at the end, as in ``simulate_until_decided``.
 
         Args:
             directions: Indices of the axes, shape (n,).
             impulses: Impulses, shape (n,) [N s].
         """
-        return [self.find_failure(states) for states in self.simulate_pushes(directions, impulses)]
+        return self._simulate_intervals(directions, impulses, may_rest=False)
 
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
@@ -142,7 +158,18 @@ class PushBench:
         """Simulate pushes until each outcome is decided; see ``simulate_fully``.
 
         A simulation ends early if it diverges, if a body other than a foot touches the ground, or
-        if the robot is at rest and no mode leaves that state.
+        if the robot is at rest and no mode of the spectrum leaves that state. If the robot still
+        moves after ``duration``, the simulation goes on until the robot rests or falls, up to
+        ``MAX_DURATION_RATIO`` of the duration.
+        """
+        return self._simulate_intervals(directions, impulses, may_rest=True)
+
+    def _simulate_intervals(
+        self, directions: NDArray[np.int64], impulses: Array, *, may_rest: bool
+    ) -> list[Diagnostic | None]:
+        """Simulate pushes interval by interval until each outcome is decided.
+
+        If ``may_rest``, a robot at rest ends its simulation before ``duration``.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
@@ -151,25 +178,30 @@ class PushBench:
         forces = self._compute_push_forces(directions, impulses)
         interval = max(self.pulse_steps, round(_MIN_CHECK_INTERVAL / self.timestep))
         self.rollouts += count
-        for begin in range(0, self.steps, interval):
-            steps = min(interval, self.steps - begin)
-            ended, is_last = [], begin + steps == self.steps
+        begin, longest = 0, round(MAX_DURATION_RATIO * self.steps)
+        while running and begin < longest:
+            end = self.steps if begin < self.steps else longest
+            steps = min(interval, end - begin)
+            ended = []
             rollouts = self._roll_out_batches(
                 starts[running], forces[running], steps, pushed=begin == 0
             )
+            begin += steps
             for index, states in zip(list(running), rollouts, strict=True):
                 starts[index] = states[-1]
                 tails[index] = np.concatenate([tails[index], states])[-self._num_rest_states :]
                 failure = self._find_early_failure(states)
-                if failure is None and is_last:
-                    failure = _combine_failures(self._find_end_failures(tails[index]))
-                    ended.append(index)
-                elif failure is not None or self._is_at_rest(states):
+                is_decided = failure is not None
+                if not is_decided and begin >= self.steps:
+                    end_failures = self._find_end_failures(tails[index])
+                    is_decided = begin == longest or not _only_moves(end_failures)
+                    failure = _combine_failures(end_failures) if is_decided else None
+                elif not is_decided and may_rest:
+                    is_decided = self._is_at_rest(states)
+                if is_decided:
                     ended.append(index)
                 failures[index] = failure
             running = [index for index in running if index not in ended]
-            if not running:
-                break
         return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
@@ -198,6 +230,7 @@ class PushBench:
         If ``pushed``, the forces (n, 2) [N] act on the base during the first ``pulse_steps``.
         """
         model = self.drive.model
+        self.simulated += len(forces) * steps * self.timestep
         width = model.nu + 6 * model.nbody
         size = max(1, _MAX_BATCH_VALUES // (steps * (width + len(self.start))))
         for begin in range(0, len(forces), size):
@@ -217,18 +250,53 @@ class PushBench:
         failures = [] if early_failure is None else [early_failure]
         return _combine_failures(failures + self._find_end_failures(states))
 
+    def extend_until_rest(self, states: Array) -> Array:
+        """Return the states of a complete simulation, continued while only the base moves.
+
+        The simulation is continued up to ``MAX_DURATION_RATIO`` of the duration.
+
+        Args:
+            states: States of a simulation of ``duration``, shape (n, size).
+        """
+        interval = max(self._num_rest_states, 1)
+        longest = round(MAX_DURATION_RATIO * self.steps)
+        last = states
+        while (
+            len(states) < longest
+            and self._find_early_failure(last) is None
+            and _only_moves(self._find_end_failures(states))
+        ):
+            steps = min(interval, longest - len(states))
+            (last,) = self._roll_out_batches(states[-1:], np.zeros((1, 2)), steps, pushed=False)
+            states = np.concatenate([states, last])
+        return states
+
     def _find_early_failure(self, states: Array) -> Diagnostic | None:
         """Return the failure that ends a simulation: divergence, or a body on the ground.
+
+        Contacts are searched only at states in which a part may reach the ground, according to
+        `GroundClearance`.
 
         Returns:
             The failure; None if the states are finite and only feet touch the ground.
         """
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
-        for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
-            if touching := sorted(self.watcher.find_ground_bodies(state)):
+        samples = states[:: max(1, round(_SAMPLE_TIME / self.timestep))]
+        index, next_bound = 0, 0
+        while index < len(samples):
+            if index >= next_bound:
+                distance = self.clearance.distance(samples[index])
+                if distance > 0.0:
+                    later = self.clearance.displacements(samples[index + 1 :], samples[index])
+                    near = np.flatnonzero(later >= distance)
+                    index += 1 + (int(near[0]) if len(near) else len(later))
+                    continue
+                next_bound = index + _NUM_SAMPLES_NEAR_GROUND
+            if touching := sorted(self.watcher.find_ground_bodies(samples[index])):
                 moment = Quantity(self.watcher.data.time, "s")
                 return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
+            index += 1
         return None
 
     def _find_end_failures(self, states: Array) -> list[Diagnostic]:
@@ -262,7 +330,11 @@ class PushBench:
         return float((linear + self.upright.com_height * angular).max())
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if the robot is slow and upright, and no mode leaves this state."""
+        """Return True if the robot is slow and upright, and no mode of the spectrum leaves.
+
+        A mode that grows is not confirmed by a nudged simulation of 48 s: the push is simulated to
+        the end instead, which is shorter.
+        """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
         if np.abs(rates).max(initial=0.0) > _MAX_SLOW_SPEED:
@@ -270,7 +342,7 @@ class PushBench:
         end = states[-1]
         if self.upright.has_fallen(end):
             return False
-        return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
+        return evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0).lasts()
 
     def peak_torques(self, direction: int, impulse: float) -> Array:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
@@ -304,6 +376,11 @@ class PushBench:
             "point": self.point(),
             "pulse": self.pulse_steps * self.timestep,
         }
+
+
+def _only_moves(failures: list[Diagnostic]) -> bool:
+    """Return True if the only failure at the end of a simulation is a base in motion."""
+    return [failure.code for failure in failures] == ["not-at-rest"]
 
 
 def _combine_failures(failures: list[Diagnostic]) -> Diagnostic | None:
@@ -416,7 +493,9 @@ def simulate_push(
         impulse: Impulse of the push [N s].
         direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
             the base's left.
-        duration: Simulated time from the start of the push [s], 2 to 600.
+        duration: Simulated time from the start of the push [s], 2 to 600. If the base still moves
+            then, the simulation goes on until the base rests or the robot falls, up to
+            ``MAX_DURATION_RATIO`` times as long.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
@@ -450,6 +529,7 @@ def simulate_push(
         integrator=integrator,
     )
     (states,) = bench.simulate_pushes(np.zeros(1, dtype=np.int64), np.array([impulse]))
+    states = bench.extend_until_rest(states)
     failure = bench.find_failure(states)
     if bench.unpushed:
         failure = diagnose("without-a-push", failures=bench.unpushed)

@@ -122,6 +122,7 @@ def _make_push_table(pushed: PushedStance) -> doc.Table:
             text(
                 "each-is-found-by-simulations",
                 count=recovery.rollouts,
+                simulated=f"{recovery.simulated:.3g}",
                 seconds=f"{recovery.duration:g}",
                 resolution=f"{recovery.resolution:g}",
             ),

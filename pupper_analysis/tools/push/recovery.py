@@ -193,6 +193,8 @@ class PushRecovery(PushSettings, Tabular):
         mass: Mass of the robot [kg].
         resolution: Resolution of the impulses [N s].
         rollouts: Number of simulated pushes.
+        simulated: Simulated time of these pushes [s]; less than ``rollouts * duration`` if the
+            outcomes were decided earlier.
         unpushed: Failures without a push, from ``verify_stand``; empty if the robot stands, as
             predicted or not.
     """
@@ -209,6 +211,7 @@ class PushRecovery(PushSettings, Tabular):
     mass: float = field(metadata={"unit": "kg"})
     resolution: float = field(metadata={"unit": "N s"})
     rollouts: int
+    simulated: float = field(metadata={"unit": "s"})
     unpushed: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -255,7 +258,8 @@ def push_recovery(
     base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
     rest. The robot may slide or turn about the vertical. A simulation ends early if another body
     touches the ground, or if the robot is at rest and no mode leaves this state; the returned
-    limits were simulated to the end.
+    limits were simulated to the end. If the robot is upright at the end and still moves, the
+    simulation goes on until the robot rests or falls, up to five times as long.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
@@ -325,6 +329,7 @@ def push_recovery(
         mass=robot.total_mass,
         resolution=float(resolution),
         rollouts=bench.rollouts,
+        simulated=bench.simulated,
         unpushed=bench.unpushed,
         **bench.settings(),
     )

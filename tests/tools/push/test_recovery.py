@@ -223,6 +223,34 @@ def test_early_termination_does_not_change_the_outcome(name: str) -> None:
     assert any(whole)
 
 
+@pytest.mark.slow
+def test_moving_robot_is_simulated_on_until_it_rests_or_falls() -> None:
+    """Reference: the same pushes simulated for 6 s, in which all outcomes are decided.
+
+    After 2 s v3-long-leg still moves in all cases, and was said not to come to rest.
+    """
+    options = {"kp": None, "kd": None, "feedforward": True, "integrator": None}
+    robot, stand = load("v3-long-leg"), pa.stance.solve_stand_as_simulated(load("v3-long-leg"))
+    known: Any = SimpleNamespace(stays=True, failures=())
+    impulses = np.array([1.0, 1.3, 1.45, 1.5, 1.59])
+    tried = np.zeros(len(impulses), dtype=np.int64)
+    short, whole = (
+        make_push_bench(robot, stand, np.zeros(1), duration=duration, verification=known, **options)
+        for duration in (2.0, 6.0)
+    )
+    ends = list(short.simulate_pushes(tried, impulses))
+    assert all(
+        "not-at-rest" in {end.code for end in short._find_end_failures(states)} for states in ends
+    )
+    outcomes = whole.simulate_fully(tried, impulses)
+    assert [failure is None for failure in outcomes] == [True] * 4 + [False]
+    for simulate in (short.simulate_fully, short.simulate_until_decided):
+        assert simulate(tried, impulses) == outcomes
+    for states, failure in zip(ends, outcomes, strict=True):
+        last = short.find_failure(short.extend_until_rest(states))
+        assert (last is None) == (failure is None)
+
+
 def test_push_outcome_depends_on_the_final_state() -> None:
     """Half a second of standing, followed by a tilted or a low last state, is no recovery."""
     options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
