@@ -47,6 +47,7 @@ from pupper_analysis.robot.fall import (
     simulate_held_keyframe,
     simulate_keyframe,
 )
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -422,6 +423,7 @@ def _joint_deviations(
             float(displacement[index]),
             published.drives[index],
             _command_offset(published, name, ctrl, float(start.qpos[addresses[index]])),
+            joint_unit(robot, name),
         )
         for index, name in enumerate(robot.joint_names)
     ]

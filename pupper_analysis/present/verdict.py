@@ -293,7 +293,7 @@ def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
         how["standing"] = run.standing
         joint = run.unheld or run.worst
         if joint is not None:
-            how |= {"off": Quantity(abs(joint.off), "rad"), "drive": Term(joint.drive.value)}
+            how |= {"off": Quantity(abs(joint.off), joint.unit), "drive": Term(joint.drive.value)}
         message = diagnose(
             "own-run",
             collapses=run.collapses and not run.lifted,

@@ -88,12 +88,14 @@ class JointOff:
         off: Final minus initial position (rad, m).
         drive: Actuator type in the file.
         commanded: Commanded minus initial position (rad, m); None without a servo.
+        unit: Unit of both: rad for a hinge, m for a slide.
     """
 
     joint: str
     off: float = field(metadata={"unit": "rad or m"})
     drive: Drive
     commanded: float | None = field(default=None, metadata={"unit": "rad or m"})
+    unit: str = "rad"
 
     @property
     def commanded_away(self) -> bool:

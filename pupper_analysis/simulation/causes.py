@@ -56,10 +56,10 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)
         )
     if nudge is not None and not nudge.moved < MAX_JOINT_DISPLACEMENT:
-        after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, "rad")
+        after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, nudge.moved_unit)
         messages.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
     elif nudge is not None and not nudge.stays:
-        distance = Quantity(nudge.farthest, "rad")
+        distance = Quantity(nudge.farthest, nudge.farthest_unit)
         messages.append(diagnose("joint-left-and-came-back", way=distance))
     return messages
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.mjcf import scalar_joints
+from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.robot.fall import NUDGE_SPEED, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
@@ -206,6 +206,8 @@ class Nudge(Result):
             (rad, m).
         decayed: Whether the simulation did not diverge and ``left`` is small: at most 90 % of
             ``motion``, or at most 1 % of the nudge.
+        moved_unit: Unit of ``moved``: rad for a hinge, m for a slide.
+        farthest_unit: Unit of ``farthest``: rad for a hinge, m for a slide.
     """
 
     speed: float = field(metadata={"unit": "m/s or rad/s"})
@@ -216,6 +218,8 @@ class Nudge(Result):
     moved: float = field(metadata={"unit": "rad or m"})
     farthest: float = field(metadata={"unit": "rad or m"})
     decayed: bool
+    moved_unit: str = "rad"
+    farthest_unit: str = "rad"
 
     @property
     def stays(self) -> bool:
@@ -263,22 +267,36 @@ def measure_response(
         _detrended_amplitude(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows
     )
     is_finite = not monitor.has_diverged(states, timestep)
-    hinges = model.jnt_qposadr[scalar_joints(model)]
-    distances = np.abs(states[:, 1 + hinges] - before[1 + hinges])
+    joints = np.asarray(scalar_joints(model))
+    columns = 1 + model.jnt_qposadr[joints]
+    units = np.where(model.jnt_type[joints] == JointKind.SLIDE, "m", "rad")
+    distances = np.abs(states[:, columns] - before[columns])
     if creep is not None:
-        rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
+        rates = np.abs(creep[-1] - creep[0])[columns] / (creep[-1, 0] - creep[0, 0])
         distances = np.maximum(distances - np.outer(states[:, 0] - before[0], rates), 0.0)
     is_decayed = left <= max(_MAX_SPEED_RATIO * motion, _DECAYED_RATIO * NUDGE_SPEED)
+    moved, moved_unit = _find_largest(distances[-third:], units)
+    farthest, farthest_unit = _find_largest(distances, units)
     return Nudge(
         speed=NUDGE_SPEED,
         time=float(before[0]),
         duration=len(states) * timestep,
         motion=motion,
         left=left,
-        moved=float(distances[-third:].max(initial=0.0)),
-        farthest=float(distances.max(initial=0.0)),
+        moved=moved,
+        farthest=farthest,
         decayed=bool(is_finite and is_decayed),
+        moved_unit=moved_unit,
+        farthest_unit=farthest_unit,
     )
+
+
+def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str]:
+    """Return the largest of the distances (n, joints), with the unit of its joint; else 0 rad."""
+    if not distances.size:
+        return 0.0, "rad"
+    joint = int(np.argmax(distances.max(axis=0)))  # NaN counts as largest
+    return float(distances[:, joint].max()), str(units[joint])
 
 
 def _detrended_amplitude(velocities: Array) -> float:

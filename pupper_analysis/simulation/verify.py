@@ -21,6 +21,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.contact import contact_offset
+from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, command_ranges, compute_command_lead
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
@@ -639,10 +640,12 @@ def _find_deviations(
     """Report deviations from the prediction, with a cause if known."""
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
+    name = robot.joint_names[worst]
+    unit = "N" if is_slide(robot, name) else "N m"
     details = {
-        "joint": robot.joint_names[worst],
-        "predicted": Quantity(float(result.predicted_torques[worst]), "N m"),
-        "simulated": Quantity(float(result.joint_torques[worst]), "N m"),
+        "joint": name,
+        "predicted": Quantity(float(result.predicted_torques[worst]), unit),
+        "simulated": Quantity(float(result.joint_torques[worst]), unit),
     }
     messages = describe_deviations(result.joint_error, result.torque_error, details=details)
     if result.force_error is not None and not result.force_error < FORCE_TOLERANCE:

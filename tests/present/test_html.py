@@ -37,6 +37,7 @@ from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
 from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.arm import arm
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
@@ -263,6 +264,19 @@ def test_scene_bodies_equal_the_joint_poses_of_pinocchio() -> None:
             mujoco.mju_rotVecQuat(rotated, np.array(joint["axis"]), turn / np.linalg.norm(turn))
             assert rotated == pytest.approx(config.joint_axis(joint["name"]), abs=2e-4)
     assert drawn["motions"][1]["time"] == [0.5]
+
+
+def test_view_has_the_kind_of_each_joint() -> None:
+    """The view prints mm and N for slides, rad and N m for hinges."""
+    robot = arm()
+    motion = Motion(document.text("the-path"), np.zeros(1), robot.home[None])
+    drawn = serialise_scene(document.MotionScene(robot, [motion]))
+    assert {joint["name"]: joint["slides"] for joint in drawn["joints"]} == {
+        "elbow": False,
+        "b_slide": True,
+        "shoulder": False,
+        "a_turn": False,
+    }
 
 
 def test_scene_positions_are_correct_on_a_slope_with_a_step_and_a_pit() -> None:

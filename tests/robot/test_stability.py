@@ -14,7 +14,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.stability import Mode, step_derivative
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state, simulate_commands
-from pupper_analysis.simulation.stability import measure_response
+from pupper_analysis.simulation.stability import Nudge, measure_response
 from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
 
@@ -252,6 +252,23 @@ def test_transient_excursion_counts_as_leaving() -> None:
     (said,) = find_instability(stability, found)
     assert "a joint is 2 deg from its position, and returns" in str(said)
     assert not find_instability(stability, replace(found, farthest=9e-3))
+    slide = simulate_slide()
+    (said,) = find_instability(stability, slide)
+    assert "a joint is 20 mm from its position, and returns" in str(said)
+
+
+def simulate_slide() -> Nudge:
+    """Return the response of the same swing along a line [m], for which mm are printed."""
+    natural, damping = 20.0, 0.3
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="RK4"/><worldbody><body>
+        <joint type="slide" stiffness="{natural**2}" damping="{2 * damping * natural}"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
+    )
+    before = full_state(model, mujoco.MjData(model))
+    start = before.copy()
+    start[1 + model.nq] = 0.5
+    return measure_response(model, before, simulate_commands(model, start, np.zeros((8000, 0))))
 
 
 def test_stability_at_a_joint_limit_is_judged_on_both_sides() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace as Stub
 from typing import Any
@@ -205,6 +206,13 @@ def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
     assert not verdict.passed
     assert get_verdict_key(verdict) == english
     assert verdict_word(verdict).zh == chinese
+
+
+@pytest.mark.parametrize(("unit", "said"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
+def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
+    joint = JointOff("knee", 0.005, Drive.SERVO, unit=unit)
+    verdict = judge_stance(run(), run(), FILE, own=replace(own(collapses=False), worst=joint))
+    assert said in format_verdict(verdict)
 
 
 def test_the_worst_check_decides_the_verdict() -> None:

@@ -60,7 +60,7 @@ from pupper_analysis.present.scene import (
     select_visible_geoms,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import joint_motions
+from pupper_analysis.robot.joints import is_slide, joint_motions
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -156,7 +156,10 @@ def _serialise_robot(
         "geoms": geoms,
         "meshes": meshes,
         "motions": [_pack_motion(robot, data, motion) for motion in motions],
-        "joints": [_serialise_joint(axis, kinds[axis.name]) for axis in axes],
+        "joints": [
+            {**_serialise_joint(axis, kinds[axis.name]), "slides": is_slide(robot, axis.name)}
+            for axis in axes
+        ],
         "middle": round_values((low + high) / 2),
         "radius": float(np.linalg.norm(high - low) / 2),
     }

@@ -327,11 +327,14 @@
       const data = this.data;
       if (kind === "joint") {
         const joint = data.joints[index];
-        const limit = joint.limit === null ? "" : ` / ${joint.limit} N m`;
+        const load = joint.slides ? "N" : "N m";
+        const place = joint.slides ? `${(1e3 * joint.position).toFixed(1)} mm`
+          : `${joint.position.toFixed(3)} rad`;
+        const limit = joint.limit === null ? "" : ` / ${joint.limit} ${load}`;
         const torque = joint.torque === null ? "" :
-          `; ${words.torque} ${joint.torque.toFixed(3)} N m${limit}`;
+          `; ${words.torque} ${joint.torque.toFixed(3)} ${load}${limit}`;
         return `${joint.name}: ${words[joint.motion] || joint.motion}; ${words.position} ` +
-          `${joint.position.toFixed(3)} rad${torque}`;
+          `${place}${torque}`;
       }
       if (kind === "body") {
         const { name, mass } = data.bodies[index];
