@@ -109,7 +109,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
-        path: The file, or ``robot_descriptions:NAME``.
+        path: The file, the name of a description, or ``package://NAME/FILE``.
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
@@ -118,7 +118,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
             reason.
     """
     check_type("path", path, str | Path)
-    path = find_file(path)
+    path = find_file(path, packages)
     register_input(path)
     if path.suffix == XACRO_SUFFIX:
         text = expand_xacro(path)

@@ -77,7 +77,7 @@ def _check_joints(model: pin.Model, source: str) -> bool:
             kind = joint.shortname().removeprefix("JointModel")
             raise ModelError(
                 source,
-                diagnose("joint-not-in-urdf", joint=str(model.names[index]), kind=kind),
+                diagnose("pinocchio-joint-not-in-urdf", joint=str(model.names[index]), kind=kind),
             )
     return bool(flyers)
 
@@ -166,7 +166,7 @@ class _Writer:
         )
         bounded = max(abs(lower), abs(upper)) < _MAX_POSITION
         if slides and not bounded:
-            raise ModelError(self._source, diagnose("slide-without-limits", joint=name))
+            raise ModelError(self._source, diagnose("pinocchio-slide-without-limits", joint=name))
         element.set("type", "prismatic" if slides else "revolute" if bounded else "continuous")
         dof = joint.idx_v
         limits = {
@@ -222,7 +222,7 @@ def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
         mesh = trimesh.Trimesh(np.array(solid.vertices()), faces, process=False)
     else:
         kind = type(solid).__name__
-        raise ModelError(source, diagnose("shape-not-in-urdf", geom=name, kind=kind))
+        raise ModelError(source, diagnose("pinocchio-shape-not-in-urdf", geom=name, kind=kind))
     return bytes(mesh.export(file_type="stl"))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -69,15 +69,42 @@ class _NotCachedError(Exception):
     """Repository that is not in the local cache of ``robot_descriptions``."""
 
 
-def find_file(model: str | Path) -> Path:
-    """Return the file of a model, given as a path or as the name of a description.
+_BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")
+
+PACKAGE_PREFIX: Final = "package://"
+"""Prefix of a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
+
+
+def is_description(word: str) -> bool:
+    """Return True if a word names a description of ``robot_descriptions``, and no existing file.
+
+    Either with the prefix, or a name such as ``go2_mj_description``.
+    """
+    return word.startswith(DESCRIPTION_PREFIX) or (
+        _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()
+    )
+
+
+def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
+    """Return the file of a model: a path, the name of a description, or ``package://NAME/FILE``.
+
+    Args:
+        model: Path or name.
+        packages: {ROS package: its folder}. Without an entry, the package is searched in the
+            current folder, in the folders above, and in ``ROS_PACKAGE_PATH`` and
+            ``AMENT_PREFIX_PATH``.
 
     Raises:
         ModelError: If ``robot_descriptions`` is not installed, or has no such description, if its
-            cache does not contain the files, or if the description contains no model file.
+            cache does not contain the files, if the description contains no model file, or if a ROS
+            package is not found.
     """
     word = str(model)
-    if not word.startswith(DESCRIPTION_PREFIX):
+    # `Path` merges the slashes.
+    for prefix in (PACKAGE_PREFIX, PACKAGE_PREFIX[:-1]):
+        if word.startswith(prefix):
+            return _find_in_package(word.removeprefix(prefix), packages or {})
+    if not is_description(word):
         return Path(model)
     name = word.removeprefix(DESCRIPTION_PREFIX)
     try:
@@ -91,6 +118,28 @@ def find_file(model: str | Path) -> Path:
         if hasattr(description, attribute):
             return Path(getattr(description, attribute))
     raise ModelError(word, diagnose("description-without-file", name=name))
+
+
+def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
+    """Return the file of a ROS package, given as ``NAME/FILE``.
+
+    Raises:
+        ModelError: If the package is not found, or does not contain the file.
+    """
+    package, _, rest = name.partition("/")
+    here = Path.cwd()
+    folders = [packages[package]] if package in packages else []
+    if not folders:
+        for above in (here, *here.parents):
+            folders += find_package_folders(above, package)
+        for variable, share in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+            for top in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+                folders += find_package_folders(Path(top) / share, package)
+    for candidate in folders:
+        if rest and (candidate / rest).is_file():
+            return candidate / rest
+    problem = diagnose("package-not-found", package=package, file=rest, found=bool(folders))
+    raise ModelError(f"{PACKAGE_PREFIX}{name}", problem)
 
 
 def _import_cached_description(source: str, name: str, cache: ModuleType) -> ModuleType:

@@ -23,7 +23,7 @@ from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.published import DESCRIPTION_PREFIX
+from pupper_analysis.models.published import is_description
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -254,7 +254,7 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
     if not isinstance(robot, tuple) or len(robot) != 1:
         return None
     [word] = robot
-    if word.startswith(DESCRIPTION_PREFIX):
+    if is_description(word):
         return "mjcf" if word.endswith(_MJCF_PACKAGE_SUFFIX) else "urdf"
     suffix = Path(word).suffix.lower()
     if suffix == ".xml" and Path(word).is_file():  # either format
@@ -267,7 +267,7 @@ def _names_file(word: str) -> bool:
     """Return True if a word names a file by its form, or if such a file exists."""
     path = Path(word)
     return (
-        word.startswith(DESCRIPTION_PREFIX)
+        is_description(word)
         or path == STANDARD_INPUT
         or path.suffix.lower() in _MODEL_SUFFIXES
         or len(path.parts) > 1

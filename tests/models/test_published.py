@@ -14,6 +14,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.pupper.variant_files import parse_robot_word
 
 DESCRIPTION = """
 from os import path
@@ -64,6 +65,57 @@ def test_description_is_read_only_from_its_cache(descriptions: Path) -> None:
     cache = sys.modules["robot_descriptions._cache"]
     with pytest.raises(AssertionError, match="nothing is downloaded"):
         cache.clone_to_cache("zoo")  # the package is left as it was
+
+
+def test_description_without_prefix_is_found_unless_a_file_has_its_name(
+    descriptions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError, match="python -m robot_descriptions pull rex_description"):
+        find_file("rex_description")
+    file = descriptions / "zoo" / "rex" / "rex.urdf"
+    file.parent.mkdir(parents=True)
+    file.write_text(URDF)
+    assert find_file("rex_description") == file
+    assert parse_robot_word("rex_description") == ("rex_description",)
+    (tmp_path / "rex_description").write_text(URDF)
+    assert find_file("rex_description") == Path("rex_description")
+
+
+@pytest.mark.parametrize("place", ["given", "above", "inside", "ros", "ament"])
+def test_file_of_ros_package_is_found(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without ROS: by option, in folders above, and in the paths that ROS sets."""
+    top = {"ament": tmp_path / "install" / "share"}.get(place, tmp_path / "src")
+    file = top / "rex" / "urdf" / "rex.urdf"
+    file.parent.mkdir(parents=True)
+    file.write_text(URDF)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    folders = {"above": file.parent, "inside": top}
+    monkeypatch.chdir(folders.get(place, elsewhere))
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    if place == "ros":
+        monkeypatch.setenv("ROS_PACKAGE_PATH", f"{elsewhere}:{top}")
+    if place == "ament":
+        monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
+    packages = {"rex": top / "rex"} if place == "given" else None
+    word = "package://rex/urdf/rex.urdf"
+    assert find_file(word, packages).samefile(file)
+    assert find_file(Path(word), packages).samefile(file)  # with a single slash
+    assert read_model(word, packages).path.samefile(file)
+    assert parse_robot_word(word) == (word,)
+
+
+def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"no ROS package rex .*--package rex=FOLDER"):
+        find_file("package://rex/rex.urdf")
+    with pytest.raises(ModelError, match=r"has no file 'rex\.urdf'"):
+        find_file("package://rex/rex.urdf", {"rex": tmp_path})
+    with pytest.raises(ModelError, match="rex"):
+        find_file("package://rex", {"rex": tmp_path})
 
 
 @pytest.mark.usefixtures("descriptions")

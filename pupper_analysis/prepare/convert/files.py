@@ -41,8 +41,11 @@ class RobotFiles:
         """
         from pupper_analysis.models.published import find_file
 
+        packages = options.get("packages") or {}
+        folders = {name: Path(folder) for name, folder in packages.items()}
+
         def absolute(model: str) -> str:
-            return str(find_file(model).absolute())
+            return str(find_file(model, folders).absolute())
 
         named = {name: absolute(options[name]) for name in _FILE_OPTIONS if name in options}
         return RobotFiles(tuple(map(absolute, models)), {**options, **named})

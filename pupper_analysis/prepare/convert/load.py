@@ -152,7 +152,7 @@ def _pair_files(
         if path is not None:
             files.append(read_model(path, folders))
             if not isinstance(files[-1], kind):
-                read(find_file(path))  # raises an error that names the actual format
+                read(find_file(path, folders))  # raises an error that names the actual format
     found = {"urdf" if isinstance(file, UrdfFile) else "mjcf": file for file in files}
     if not files or len(found) < len(files):
         paths = [str(file.path) for file in files]
