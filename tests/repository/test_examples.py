@@ -42,6 +42,15 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
     "path_to_csv": ((), None, ("zero-moment point:",)),
     "payload": ((), None, ("by the servos",)),
     "push": ((), None, (r"270 deg: [\d.]+ N s \([\d.]+ if rigid\), then: \S", "weakest:")),
+    "reach": (
+        (),
+        None,
+        (
+            r"^AxisAlignTask base_link +\de-(09|1\d) \de-(09|1\d)$",
+            r"largest straight push of FR: 5\d\.\d N",
+            r"the task PositionTask base_link misses its target by 0\.2\d* m$",
+        ),
+    ),
     "slope_and_swing": ((), None, (r"out of reach; possible: .*roll 19\.\d",)),
     "steady_state": ((), None, (r"lost in the servos", "minimum stiffness")),
     "walk": (
