@@ -298,7 +298,8 @@ def with_feet(
 ) -> Description:
     """Return the description of a robot with a frame at each contact point, in both files.
 
-    Shapes whose contact points are balls (`is_ball`) no longer collide; the balls replace them.
+    Shapes of the feet in ``replaced`` whose contact points are balls (`is_ball`) no longer collide;
+    the balls replace the shapes.
 
     Args:
         robot: Robot without feet.
@@ -335,8 +336,8 @@ def with_feet(
             tree.add_link(frame, link, f"to {frame}", link_pose[1].T @ (world - link_pose[0]))
             names[name] = (frame, frame)
             touching = str(compiled.geom(point.geom).name)
-            if is_ball(model, point):
-                reason = (replaced or {})[foot.name]
+            reason = (replaced or {}).get(foot.name)
+            if reason is not None and is_ball(model, point):
                 body, place = str(model.body(geom_body).name), tuple(map(float, point.center))
                 added.append(Ball(reason, f"{name}_ball", body, point.radius, place, touching))
                 shapes.setdefault(reason, []).append(touching)

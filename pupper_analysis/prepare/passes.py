@@ -83,7 +83,7 @@ class LoadRequest:
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
-            contacts of shapes beside the feet. Balls replace soles nevertheless.
+            contacts of all shapes. Soles are not replaced by balls.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -415,7 +415,7 @@ def _put_feet(draft: Draft) -> PassOutput:
     if not feet:
         return draft, ()
     messages = [notes.report_feet(footless, feet, given=names is not None)]
-    balls = notes.report_balls(footless, feet)
+    balls = {} if draft.request.as_is else notes.report_balls(footless, feet)
     messages += dict.fromkeys(balls.values())
     robot = build_robot(with_feet(footless, feet, balls))
     for _ in range(_MAX_ELLIPSOID_FITS):

@@ -12,7 +12,8 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, PassRun, prepare_robot
-from tests.support.legged import Pair, quadruped, rewritten
+from pupper_analysis.stance.stand import stand_statics
+from tests.support.legged import BIPED_FEET, Pair, biped, quadruped, rewritten, sole_mesh
 
 
 def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
@@ -64,6 +65,23 @@ def test_nothing_is_added_with_as_is(tmp_path: Path) -> None:
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
+
+
+@pytest.mark.slow
+def test_mesh_soles_keep_their_contacts_with_as_is(tmp_path: Path) -> None:
+    """Reference: the geoms of the file. Without as_is, 16 balls replace the two meshes."""
+    pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
+    robot = pa.load_robot(*pair, as_is=True)
+    published = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    assert not any(note.code == "balls-for-soles" for note in robot.notes)
+    assert robot.mj_model.ngeom == published.ngeom + 1  # the floor is added
+    meshes = robot.mj_model.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value
+    assert meshes.sum() == 2
+    assert robot.mj_model.geom_contype[meshes].all()
+    assert set(robot.foot_geoms) == set(np.flatnonzero(meshes).tolist())
+    stand = pa.solve_stand(robot)
+    assert stand.foot_error < 1e-6
+    assert len(stand_statics(robot, stand).contact_forces) == 16
 
 
 @pytest.mark.slow

@@ -73,8 +73,8 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         VerdictCode.HOLDS_WITH_FEEDFORWARD,
         True,
         "HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 0.0001 %, forces "
-        "within 0.0001 % of the prediction (relative to the largest); COLLAPSES on position "
-        "commands alone: it sank",
+        "within 0.0001 % of the prediction (relative to the largest); COLLAPSES without "
+        "gravity compensation: it sank",
     ),
     "added": (
         {"servos": made(Drive.MOTOR)},

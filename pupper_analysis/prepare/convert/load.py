@@ -216,7 +216,7 @@ def load_robot(
             the robot stands.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
         as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
-            shapes beside the feet. Balls replace soles nevertheless.
+            all shapes. Soles are not replaced by balls.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a model that was made.
