@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress
 
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -73,6 +74,27 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     )
 
 
+def _find_shown_unit(column: str) -> tuple[float, str]:
+    """Return the factor and the unit in which a column is printed, as other commands print it.
+
+    Lengths of metrics are in mm, angles in degrees, and utilisations in %. Variables keep the unit
+    of the study file.
+    """
+    unit = find_column_unit(column)
+    metric = METRICS.get(column.partition(".")[0])
+    if metric is None:
+        return 1.0, unit
+    if metric.unit == "1" and "utilisation" in metric.name:
+        return 100.0, "%"
+    return READ_IN.get(unit, (1.0, unit))
+
+
+def _format_shown_label(column: str) -> str:
+    """Return the name of a metric with the unit in which it is printed."""
+    _, unit = _find_shown_unit(column)
+    return f"{column} ({unit})" if unit else column
+
+
 def _text_column(name: str) -> doc.Column:
     """Create a left-aligned column."""
     return doc.Column(text(name), left=True)
@@ -87,9 +109,9 @@ def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
     """Create the table of all metrics."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(format_column_label(summary.metric)),
+            doc.Name(_format_shown_label(summary.metric)),
             *(
-                doc.number_cell(value, ".5g")
+                doc.number_cell(value, ".5g", scale=_find_shown_unit(summary.metric)[0])
                 for value in (summary.least, summary.median, summary.greatest)
             ),
             doc.number_cell(summary.designs, ".0f"),
@@ -147,10 +169,10 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         x_axis, y_axis = (
-            doc.Axis(doc.Name(f"{name}, {sense}"), find_column_unit(name), ".4g")
+            doc.Axis(doc.Name(f"{name}, {sense}"), _find_shown_unit(name)[1], ".4g")
             for name, sense in objectives.items()
         )
-        x, y = (front[name].to_numpy(float) for name in objectives)
+        x, y = (_find_shown_unit(name)[0] * front[name].to_numpy(float) for name in objectives)
         line = doc.Series(text("no-other-design-beats-these"), x, y, points=True)
         blocks.append(
             doc.LinePlot(text("designs-worth-building-the-front"), x_axis, y_axis, [line])
@@ -223,7 +245,7 @@ def _make_row_table(
     for _, row in shown.iterrows():
         cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
         for name in present_columns:
-            value = float(row[name])
+            value = _find_shown_unit(name)[0] * float(row[name])
             cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
         if has_failures:
             kind = row["failure"]
@@ -231,7 +253,7 @@ def _make_row_table(
         rows.append(tuple(cells))
     header = [
         _number_column("ordinal", "1"),
-        *(doc.Column(doc.Name(name), find_column_unit(name)) for name in present_columns),
+        *(doc.Column(doc.Name(name), _find_shown_unit(name)[1]) for name in present_columns),
     ]
     if has_failures:
         header.append(_text_column("failure"))

@@ -97,20 +97,20 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 
 @pytest.mark.slow
 def test_pareto_front_is_plotted_and_listed() -> None:
-    """Each design with both objectives and its number in the study."""
+    """Each design with both objectives, in % and mm as in other commands, and its number."""
     found = outcome()
     document = study_document(found)
     (plot,) = (one for one in document.blocks if isinstance(one, LinePlot))
     (line,) = plot.series
-    np.testing.assert_array_equal(line.x, found.front["peak_utilisation"])
-    np.testing.assert_array_equal(line.y, found.front["servo_sag"])
-    assert [axis.unit for axis in (plot.x, plot.y)] == ["", "m"]
+    np.testing.assert_allclose(line.x, 100 * found.front["peak_utilisation"], rtol=1e-14)
+    np.testing.assert_allclose(line.y, 1e3 * found.front["servo_sag"], rtol=1e-14)
+    assert [axis.unit for axis in (plot.x, plot.y)] == ["%", "mm"]
     (table,) = (one for one in document.blocks if "Pareto" in str(getattr(one, "title", ""))
                 and isinstance(one, Table))  # fmt: skip
     numbers = [found.table["design"].tolist().index(one) + 1 for one in found.front["design"]]
     assert [row[0].value for row in table.rows] == numbers
     sags = [row[2].value for row in table.rows]
-    assert sags == pytest.approx(found.front["servo_sag"].tolist())
+    assert sags == pytest.approx((1e3 * found.front["servo_sag"]).tolist())
 
 
 @pytest.mark.slow
