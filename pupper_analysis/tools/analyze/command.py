@@ -96,10 +96,11 @@ def command(
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, an invalid scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.cli.next_step import print_next_step
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, get_variant_spec
-    from pupper_analysis.tools.analyze.document import comparison_table
+    from pupper_analysis.tools.analyze.document import analysis_document, comparison_table
 
     if no_figures:
         refuse_idle("--no-figures", "output")
@@ -126,6 +127,8 @@ def command(
     shared.write_page(report_path, [*analyses, table], robots)
     good = sum(analysis.verified for analysis in analyses)
     click.echo(f"{good} of {len(analyses)} verified", err=not shown)
+    if shown and len(analyses) == 1:
+        print_next_step(analysis_document(analyses[0]).next_step)
     if shown and not everything:
         click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
     if write_folder is not None:

@@ -62,13 +62,13 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 def _make_next_step(study: BestStudy) -> doc.NextStep:
     """Return the command that moves from the initial stance to the best one.
 
-    If the stance fails, or its task specifies absolute foot positions or the CoM, the command that
-    computes the range of the initial stance is returned instead.
+    If the stance fails, or its task specifies absolute foot positions or a position of the CoM, the
+    command that computes the range of the initial stance is returned instead.
     """
     task = study.best.stand.task
-    if not study.passed or task.feet or task.com is not None or task.height is None:
+    if not study.passed or task.feet or task.com != "centre" or task.height is None:
         return doc.NextStep("workspace")
-    words = ["--height", _format_lengths(task.height)]
+    words = ["--com", "centre", "--height", _format_lengths(task.height)]
     if task.offset is not None:
         words += ["--offset", _format_lengths(*task.offset)]
     for angle in ("roll", "pitch", "yaw"):
