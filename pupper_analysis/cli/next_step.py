@@ -37,10 +37,12 @@ def complete_command(step: NextStep | None) -> str:
     if target is None or "-" in typed:
         return ""
     values, _, order = context.command.make_parser(context).parse_args(list(typed))
-    robot = [word for name in _ROBOT_ARGUMENTS for word in _list_values(values.get(name))]
+    named = [word for name in _ROBOT_ARGUMENTS for word in _list_values(values.get(name))]
+    robot = named if step.robot_typed else []
     taken = [one for one in target.params if one.name in _ROBOT_ARGUMENTS]
     several = any(one.nargs == -1 for one in taken)
-    if len(robot) < sum(one.required for one in taken) or (taken and not (robot or several)):
+    lacking = len(robot) < sum(one.required for one in taken) or (taken and not (robot or several))
+    if step.robot_typed and lacking:
         return ""
     if not several:
         robot = robot[: len(taken)]

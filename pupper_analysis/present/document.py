@@ -443,10 +443,13 @@ class NextStep:
     Attributes:
         command: Name of the command.
         words: Further arguments and options, such as ``("--kp", "10")``.
+        robot_typed: True if the next command gets the typed robot; False if ``words`` contain its
+            files.
     """
 
     command: str
     words: tuple[str, ...] = ()
+    robot_typed: bool = True
 
 
 @dataclass(frozen=True)

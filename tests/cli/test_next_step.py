@@ -43,6 +43,18 @@ def complete(typed: str, step: NextStep | None) -> str:
         ("stand a.urdf b.xml", NextStep("crosscheck"), "crosscheck a.urdf b.xml"),
         ("crosscheck a.urdf b.xml --frame FL", NextStep("sync"), "sync a.urdf b.xml"),
         ("best margin v3", NextStep("workspace"), "workspace v3"),
+        (
+            "convert a.urdf -o b.xml",
+            NextStep("stand", ("b.xml",), robot_typed=False),
+            "stand b.xml",
+        ),
+        (
+            "convert a.urdf -o b.xml",
+            NextStep("crosscheck", ("a.urdf", "b.xml"), robot_typed=False),
+            "crosscheck a.urdf b.xml",
+        ),
+        ("study s.toml -o d", NextStep("study", ("-o", "d", "--minimise", "sag")),
+         "study s.toml -o d --minimise sag"),
         ("stand a.urdf", NextStep("sync"), ""),
         ("stand -", NextStep("payload"), ""),
         ("stand v3", NextStep("no-such-command"), ""),

@@ -50,7 +50,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         verdict=agree if contract.passed else text("contract-differ"),
         warned=contract.passed and has_findings,
         findings=(message, *_describe_first(contract)),
-        next_step=doc.NextStep("stand", (contract.model,)),
+        next_step=doc.NextStep("stand", (contract.model,), robot_typed=False),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
 

@@ -38,12 +38,16 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
-    """Return the command that shows the cause, or the stand of the new file."""
+    """Return the command that shows the cause, or that simulates the new file.
+
+    Without a simulated stand, the base of the new file is fixed.
+    """
     if not conversion.agree:
-        return doc.NextStep("crosscheck", (conversion.source, conversion.output))
+        return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
     if not conversion.passed:
-        return doc.NextStep("audit", (conversion.source,))
-    return doc.NextStep("stand", (conversion.output,))
+        return doc.NextStep("audit")
+    command = "hold" if conversion.verification is None else "stand"
+    return doc.NextStep(command, (conversion.output,), robot_typed=False)
 
 
 def _verdict(conversion: Conversion) -> str:

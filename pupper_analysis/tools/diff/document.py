@@ -36,7 +36,9 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         verdict=text("same") if diff.same else text("different"),
         findings=(text("no-change") if diff.same else changes, *_describe_mass(diff)),
         notes=tuple(map(doc.diagnostic_text, diff.notes)),
-        next_step=None if ":" in diff.new else doc.NextStep("audit", (diff.new,)),
+        next_step=None
+        if ":" in diff.new
+        else doc.NextStep("audit", (diff.new,), robot_typed=False),
     )
 
 
