@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath
 from pupper_analysis.present.document import NextStep
 
@@ -52,7 +53,7 @@ def complete_command(step: NextStep | None) -> str:
     )
     first, last = step.words[:split], step.words[split:]
     line = shlex.join([step.command, *first, *robot, *options, *last])
-    return f"{root.info_name} {line}"
+    return f"{GENERATOR_NAME} {line}"
 
 
 def print_next_step(step: NextStep | None) -> None:
