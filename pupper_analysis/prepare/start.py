@@ -82,7 +82,7 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
 
     Returns:
         {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model
-            has exactly one free joint.
+        has exactly one free joint.
     """
     found, free = {}, free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():

@@ -92,7 +92,7 @@ def search_stand(
 
     Returns:
         A solved stand. Otherwise the best failure: feet in place with another violation, or the
-            smallest foot error.
+        smallest foot error.
     """
     there = _Search(context, goal)
     found = there.try_starts(posture_seeds(context.robot, goal))
@@ -494,7 +494,7 @@ Measured: with 5, a stand was missed."""
 _MAX_TRIED_COMBINATIONS = 64
 """Upper bound of the combinations of IK branches that are evaluated per displaced base position.
 Measured: with 16, the combination with which a Mini Cheetah stands on a slope of 62 deg was
-    missed."""
+missed."""
 
 _SEEDS_PER_PLACE = 4
 """Number of initial guesses per displaced base position, in ascending order of violation.

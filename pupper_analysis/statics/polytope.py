@@ -1,10 +1,10 @@
 """Force polytope: external forces on a point of a robot that its motors withstand.
 
 With the static load l, the Jacobian J (3, nu) of the point and the effort limits, an external force
-f on the point is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to
-the motors. The base is held. These forces form a convex polytope, with one pair of parallel faces
-per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force ellipsoid for
-redundant manipulators").
+f on the point is withstood if ``|l - J^T f| <= limits``. Loops and couplings transfer l and J^T f
+to the motors. The base is held. These forces form a convex polytope, with one pair of parallel
+faces per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force ellipsoid
+for redundant manipulators").
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ the largest coordinate of a vertex. Chosen, not tuned."""
 class ForcePolytope(Tabular):
     """External forces on a point of a robot that its motors withstand while the base is held.
 
-    A force f on the point is withstood if |l - J^T f| <= limits, with l the static load of the
+    A force f on the point is withstood if ``|l - J^T f| <= limits``, with l the static load of the
     motors. The robot pushes with -f against its environment.
 
     Attributes:

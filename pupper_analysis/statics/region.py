@@ -71,7 +71,7 @@ def support_region(
     The joints and the weight are those of the configuration, and the CoM moves as if mass moved
     inside the base: the load of the joints behind the base is unchanged. A CoM position belongs to
     the region if contact forces f in the friction cones exist with sum f = m g e_z and
-    sum p x f = m g com x e_z, and with |l - J^T f| <= limits if ``torque_limits`` is True.
+    sum p x f = m g com x e_z, and with ``|l - J^T f| <= limits`` if ``torque_limits`` is True.
 
     On level ground without torque limits, the region is the convex hull of the contact points.
     Otherwise it is the convex hull of its extreme points in 48 directions, which lies inside.

@@ -1,8 +1,8 @@
 """Compute the external forces on a tool that the motors withstand in a posture.
 
 With the static load l, the Jacobian J (3, nu) of the tool and the effort limits, an external force
-f on the tool is withstood if |l - J^T f| <= limits. Loops and couplings transfer l and J^T f to the
-motors. These forces form a convex polytope (`statics.polytope`). Each face is the limit of a
+f on the tool is withstood if ``|l - J^T f| <= limits``. Loops and couplings transfer l and J^T f to
+the motors. These forces form a convex polytope (`statics.polytope`). Each face is the limit of a
 single motor. `tool_force` returns the extent along the world axes, in three plane sections, and in
 the weakest direction.
 """
@@ -36,7 +36,7 @@ _NUM_SECTION_DIRECTIONS = 72
 class ToolForce(Tabular):
     """Largest external forces on a tool that the motors withstand in a posture.
 
-    A force is withstood if |l - J^T f| <= limits (see the module). If the static load alone
+    A force is withstood if ``|l - J^T f| <= limits`` (see the module). If the static load alone
     exceeds the limit of a motor, no force is withstood: forces are 0, also in directions that would
     relieve that motor.
 

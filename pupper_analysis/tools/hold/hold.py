@@ -180,7 +180,7 @@ def tool_payload(
     Args:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
-        tool: Point that carries the mass.
+        tool: Point with the mass.
         worst: Worst postures without the mass.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
@@ -277,7 +277,7 @@ def servo_payload(
     Args:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
-        tool: Point that carries the mass.
+        tool: Point with the mass.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
     Returns:

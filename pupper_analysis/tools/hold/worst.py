@@ -63,7 +63,7 @@ class TorqueSearch:
     Args:
         robot: Robot with a fixed base.
         motions: Motions of the joints.
-        tool: Point that carries the payload.
+        tool: Point with the payload.
         payload: Point mass at the tool [kg].
 
     Attributes:
@@ -327,7 +327,7 @@ def worst_postures(
     Args:
         robot: Robot with a fixed base.
         posture: One of the start postures, with closed loops.
-        tool: Point that carries the payload.
+        tool: Point with the payload.
         payload: Point mass at the tool [kg].
         near: Worst postures for another payload, from which searches start first.
         bearing: True if a motor may bear the payload, shape (nu,). The results of all other motors

@@ -193,7 +193,7 @@ def format_drop(result: Drop) -> str:
 
 
 class DisplayError(PupperAnalysisError):
-    """The viewer cannot open a window here; the message says what to do instead."""
+    """The viewer cannot open a window here; the message states the alternative."""
 
 
 def check_display() -> None:

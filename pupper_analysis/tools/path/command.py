@@ -40,7 +40,7 @@ def command(
     """Plan a path from the nominal stand to a stance, and simulate the path.
 
     The feet start at their positions in the stance. Before a foot is lifted, the weight is shifted
-    onto the other feet. Every sample is a stand in dynamic balance, along a minimum-jerk law. Robot
+    onto the other feet. Every sample is in dynamic balance, along a minimum-jerk law. Robot
     and stance are given as for `stand`.
 
     \b

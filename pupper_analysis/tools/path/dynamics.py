@@ -225,13 +225,13 @@ def rolling_levers(
     MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, and rolling, by at
     most mu_j f_n, with mu_j [m] the coefficients of the contact. As for sliding friction, the
     moment is regularised: below the limit it is mu_j^2 / mu_1^2 (alpha + b omega) / R. The limit is
-    reached at about 0.1 rad/s. The moment is evaluated for a foot that carries an equal fraction of
+    reached at about 0.1 rad/s. The moment is evaluated for a foot with an equal fraction of
     the weight.
 
     Args:
         config: State of the robot, with ``qvel``.
         qacc: Shape (nv,); generalised acceleration.
-        normals: Unit normal, shape (3,), of each foot that carries load.
+        normals: Unit normal, shape (3,), of each loaded foot.
 
     Returns:
         For each foot with such a contact, moment / normal force, shape (3,) [m], in world axes.

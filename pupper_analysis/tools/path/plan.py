@@ -157,13 +157,13 @@ class StancePath(Tabular):
         qvel: Shape (n, nv); generalised velocities.
         qacc: Shape (n, nv); generalised accelerations.
         torques: Shape (n, nu); motor torques of the motion.
-        stance_feet: Shape (n, feet); True if a foot carries load.
+        stance_feet: Shape (n, feet); True if a foot is loaded.
         forces: Shape (n, feet, 3); force of the ground on each foot, in world axes.
         moments: Shape (n, feet, 3); moment with which the ground resists rolling and spinning, in
             world axes.
         loads: Shape (n, feet); vertical component of ``forces``.
         friction_utilisation: Shape (n, feet); tangential force / (friction coefficient x normal
-            force). Zero if a foot carries no load.
+            force). Zero for an unloaded foot.
         zero_moment_point: Shape (n, 3), in the world frame. NaN if the ground would have to pull.
         zmp_margin: Shape (n,); distance from the projected zero-moment point to the edge of the
             support polygon, positive inside.
@@ -254,7 +254,7 @@ def stance_path(
     dry friction of the joints and the ground's resistance to rolling feet, with minimum tangential
     forces.
 
-    A foot that is lifted in a stance carries no load from the previous to the next stance, so the
+    A foot that is lifted in a stance is unloaded from the previous to the next stance, so the
     CoM must already be above the other feet in these stances. On the segments before and after, its
     load fades out or in, so that torques are continuous.
 

@@ -178,7 +178,7 @@ class PayloadLimit(Result):
         mass: Largest payload [kg], equal to ``at_most``; not a number if ``code`` is ``unknown``
             and ``at_most`` is not 0.
         at_most: Smallest of the four bounds [kg]; motors with an unknown torque limit set no bound.
-        code: ``unknown`` if a motor that carries the load has an unknown torque limit, or if the
+        code: ``unknown`` if a loaded motor has an unknown torque limit, or if the
             stance holds and a moving link has an unknown mass; else ``zero`` if a motor has no
             torque, else ``stated``.
         binding: Name of the smallest bound: ``stance``, ``motors``, ``servos`` or ``simulation``.
@@ -193,7 +193,7 @@ class PayloadLimit(Result):
             simulation. Infinite if the smallest of the other bounds holds, or is 0 or infinite; 0
             if the stance fails without payload.
         point: (3,) position of the payload in the frame of ``link`` [m].
-        link: Link of the URDF that carries the payload.
+        link: Link of the URDF with the payload.
         unknown_limits: Motors that carry the load and whose torque limit no file states.
         stand: Loaded stand with ``at_most``; stand without payload if ``at_most`` is infinite.
         offset: (2,) position of the base of ``stand`` from the centre of the feet, as
@@ -257,7 +257,7 @@ class PayloadLimit(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot carries a known payload: ``mass`` > 0, and the simulations hold.
+        """Whether the payload is known and positive, and the simulations hold.
 
         False if the mass is unknown (NaN).
         """

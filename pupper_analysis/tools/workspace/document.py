@@ -12,13 +12,15 @@ from pupper_analysis.present.documents.standing import quantity_columns, robot_n
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
-_ANGLES = ("roll", "pitch", "yaw")
+_ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
 """Directions that are angles."""
 
 
-def _select(ranges: dict[str, doc.Text], *, angles: bool) -> list[doc.Text]:
+def _select_ranges(ranges: dict[str, doc.Text], *, angles: bool) -> list[doc.Text]:
     """Return the ranges of the angles, or those of the lengths."""
-    return [line for direction, line in ranges.items() if (direction in _ANGLES) is angles]
+    return [
+        line for direction, line in ranges.items() if (direction in _ANGLE_DIRECTIONS) is angles
+    ]
 
 
 @build_document.register(BaseWorkspace)
@@ -30,7 +32,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     rows: list[tuple[doc.Cell, ...]] = []
     ranges = {}
     for direction, interval in workspace.intervals.items():
-        angle = direction in _ANGLES
+        angle = direction in _ANGLE_DIRECTIONS
         scale, unit = (math.degrees(1.0), "°") if angle else (1e3, "mm")
         low, high = (
             doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high)
@@ -49,8 +51,8 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         findings=(
-            text("range-in-short", ranges=join_words(_select(ranges, angles=False))),
-            text("range-of-angles", ranges=join_words(_select(ranges, angles=True))),
+            text("range-in-short", ranges=join_words(_select_ranges(ranges, angles=False))),
+            text("range-of-angles", ranges=join_words(_select_ranges(ranges, angles=True))),
         ),
         details=(task_text(workspace.start.task),),
         brief=True,
