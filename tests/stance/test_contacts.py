@@ -486,7 +486,9 @@ def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> No
 def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> None:
     with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
         pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
-    with pytest.raises(pa.UnknownNameError, match="no foot or frame 'LF'; there are: FR, FL"):
+    with pytest.raises(
+        pa.UnknownNameError, match="no foot or frame 'LF'; the most similar names are: RL, FR, FL"
+    ):
         pa.solve_stand(load("v3"), pa.StandTask(contacts={"LF": plane()}))
     calf = pa.StandTask(contacts={"FL_knee_body": plane()})
     with pytest.raises(pa.UnknownNameError):

@@ -292,7 +292,7 @@ def test_a_list_of_another_length_is_of_no_joints(
 ) -> None:
     alone = sources["deploy.yaml"].with_name("alone.yaml")
     alone.write_text(f"kps: {listed(given)}\n")
-    with pytest.raises(ModelError, match=rf"kp is a list of {len(given)} for 12 joints"):
+    with pytest.raises(ModelError, match=rf"kp has {len(given)} values for 12 joints"):
         contract(alone)
     for name in ("deploy.yaml", "config.yaml"):  # with motor numbers, and with names
         text = sources[name].read_text()
