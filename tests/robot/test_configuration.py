@@ -200,7 +200,7 @@ def test_bad_state_is_refused(qpos: object, qvel: object, field: str) -> None:
 def test_unknown_frame_and_foot_are_refused_with_the_valid_names() -> None:
     config = pa.Configuration(load("v3"), load("v3").neutral())
     with pytest.raises(
-        pa.UnknownNameError, match="no link 'tail'; the most similar .* 13 more"
+        pa.UnknownNameError, match=r"no link 'tail'; the most similar .* 13 more"
     ) as link:
         config.frame_position("tail")
     assert (link.value.kind, link.value.name) == ("link", "tail")
