@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
 from pupper_analysis.base.kinds import GENERATOR_NAME
-from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath
+from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath, sort_model_paths
 from pupper_analysis.present.document import NextStep
 
 _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
@@ -38,9 +39,21 @@ def complete_command(step: NextStep | None) -> str:
     if target is None or "-" in typed:
         return ""
     values, _, order = context.command.make_parser(context).parse_args(list(typed))
-    named = [word for name in _ROBOT_ARGUMENTS for word in _list_values(values.get(name))]
+    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    named = [
+        word
+        for name in _ROBOT_ARGUMENTS
+        if name in arguments
+        for word in _list_values(values.get(name))
+    ]
+    if arguments >= {"urdf", "mjcf"} and len(named) == len(arguments):  # typed in any order
+        named = [str(path) for path in sort_model_paths(*map(Path, named))]
     robot = named if step.robot_typed else []
-    taken = [one for one in target.params if one.name in _ROBOT_ARGUMENTS]
+    taken = [
+        one
+        for one in target.params
+        if isinstance(one, click.Argument) and one.name in _ROBOT_ARGUMENTS
+    ]
     several = any(one.nargs == -1 for one in taken)
     lacking = len(robot) < sum(one.required for one in taken) or (taken and not (robot or several))
     if step.robot_typed and lacking:

@@ -98,4 +98,5 @@ def test_the_order_of_a_urdf_and_an_mjcf_does_not_matter(command: str, tmp_path:
     assert answer(command, *reversed(files)) == expected
     swapped = answer(command, files[1], "robot.xml", folder=tmp_path)
     assert swapped.returncode == 0
-    assert swapped.stdout == expected.stdout.replace("pupper_v3.urdf", "robot.xml")
+    renamed = expected.stdout.replace(files[0], "robot.xml").replace("pupper_v3.urdf", "robot.xml")
+    assert swapped.stdout == renamed

@@ -55,6 +55,8 @@ def complete(typed: str, step: NextStep | None) -> str:
         ),
         ("study s.toml -o d", NextStep("study", ("-o", "d", "--minimise", "sag")),
          "study s.toml -o d --minimise sag"),
+        ("stand --urdf a.urdf --mjcf b.xml", NextStep("payload"),
+         "payload --urdf a.urdf --mjcf b.xml"),
         ("stand a.urdf", NextStep("sync"), ""),
         ("stand -", NextStep("payload"), ""),
         ("stand v3", NextStep("no-such-command"), ""),
