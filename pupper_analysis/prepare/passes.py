@@ -30,7 +30,7 @@ from pupper_analysis.models.additions import (
     Options,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import has_free_joint, name_elements
+from pupper_analysis.models.mjcf import has_free_joint, name_elements, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
@@ -67,7 +67,7 @@ from pupper_analysis.robot.build import build_robot, copy_metadata, with_additio
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, defer_stages
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
@@ -197,6 +197,8 @@ class Pass:
         apply: Function that returns the new draft with the notes of the pass.
         condition: Function that returns True if a draft needs the pass.
         after_refusal: True if the pass is also applied to drafts with `Draft.refused`.
+        deferred: True if the pass is applied when a robot is first simulated or drawn, instead of
+            when it is loaded.
     """
 
     name: str
@@ -204,6 +206,7 @@ class Pass:
     apply: Callable[[Draft], PassOutput]
     condition: Callable[[Draft], bool]
     after_refusal: bool = False
+    deferred: bool = False
 
     def applies(self, draft: Draft) -> bool:
         """Return True if the pass is to be applied to a draft."""
@@ -214,14 +217,18 @@ _registered_passes: list[Pass] = []
 
 
 def _register_pass(
-    does: Term, condition: Callable[[Draft], bool], *, after_refusal: bool = False
+    does: Term,
+    condition: Callable[[Draft], bool],
+    *,
+    after_refusal: bool = False,
+    deferred: bool = False,
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
     """Return a decorator that appends a function to the passes, under the function's name."""
 
     def added(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
         """Register a function as the next pass."""
         name = apply.__name__.strip("_").replace("_", "-")
-        _registered_passes.append(Pass(name, does, apply, condition, after_refusal))
+        _registered_passes.append(Pass(name, does, apply, condition, after_refusal, deferred))
         return apply
 
     return added
@@ -516,7 +523,30 @@ def _tell_what_follows(draft: Draft) -> PassOutput:
     )
 
 
-@_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos)
+@_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
+def _hold_base(draft: Draft) -> PassOutput:
+    """Prepare the robot again with the base fixed, because the robot does not stand.
+
+    Raises:
+        ModelError: Error of the preparation with a free base, if there is such an error; otherwise
+            the error with a fixed base.
+    """
+    refused, request = draft.refused, replace(draft.request, fixed_base=True)
+    why = diagnose("stands-on-no-feet") if refused is None else refused.cause
+    try:
+        fixed = _run_passes(
+            _IMMEDIATE_PASSES, Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec)
+        )
+    except ModelError:
+        if refused is None:
+            raise
+        raise refused from None
+    if refused is None:
+        why = (*report_sideways_limbs(fixed.robot), why)[0]
+    return fixed, (diagnose("base-kept-in-the-world", why=why),)
+
+
+@_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos, deferred=True)
 def _add_servos(draft: Draft) -> PassOutput:
     """Add position servos to joints without one, except dependent joints."""
     robot = draft.robot
@@ -528,7 +558,11 @@ def _add_servos(draft: Draft) -> PassOutput:
     return draft, ()
 
 
-@_register_pass(Term("has the start pose that was found as the robot rests in it"), _may_be_altered)
+@_register_pass(
+    Term("has the start pose that was found as the robot rests in it"),
+    _may_be_altered,
+    deferred=True,
+)
 def _rest_at_start(draft: Draft) -> PassOutput:
     """Replace a searched start pose by the stand on soft ground.
 
@@ -547,7 +581,9 @@ def _rest_at_start(draft: Draft) -> PassOutput:
     return draft, ()
 
 
-@_register_pass(Term("builds the robot with all that is seen of it"), _applies_always)
+@_register_pass(
+    Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
+)
 def _build_whole(draft: Draft) -> PassOutput:
     """Build the robot again with visual geoms if previously dropped."""
     robot = draft.robot
@@ -559,39 +595,27 @@ def _build_whole(draft: Draft) -> PassOutput:
     return replace(draft, built=copy_metadata(built, robot)), ()
 
 
-@_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
-def _hold_base(draft: Draft) -> PassOutput:
-    """Prepare the robot again with the base fixed, because the robot does not stand.
-
-    Raises:
-        ModelError: Error of the preparation with a free base, if there is such an error; otherwise
-            the error with a fixed base.
-    """
-    refused, request = draft.refused, replace(draft.request, fixed_base=True)
-    why = diagnose("stands-on-no-feet") if refused is None else refused.cause
-    try:
-        fixed = _run_passes(Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec))
-    except ModelError:
-        if refused is None:
-            raise
-        raise refused from None
-    if refused is None:
-        why = (*report_sideways_limbs(fixed.robot), why)[0]
-    return fixed, (diagnose("base-kept-in-the-world", why=why),)
-
-
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
     """Return the additions of a robot that has only a URDF: a floor, and stiff friction."""
     held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 
+_HOLD_BASE = "hold-base"
+"""Name of the pass that fixes the base."""
+
 PREPARATION_PASSES = tuple(_registered_passes)
 """All passes, in the order of application, which is that of the functions above."""
 
+_IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferred)
+"""Passes that are applied when a robot is loaded: models, feet and start pose."""
 
-def _run_passes(draft: Draft) -> Draft:
-    """Apply all passes to a draft.
+_DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
+"""Passes that are applied when a robot is first simulated or drawn: servos and visual meshes."""
+
+
+def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
+    """Apply passes to a draft.
 
     If a pass raises a `ModelError` and the base may be fixed, the remaining passes are skipped
     except passes with `Pass.after_refusal`.
@@ -600,13 +624,13 @@ def _run_passes(draft: Draft) -> Draft:
         ModelError: If no robot can be made.
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """
-    for step in PREPARATION_PASSES:
+    for step in passes:
         if step.applies(draft):
             try:
                 draft, done = step.apply(draft)
             except ModelError as error:
                 error = explain_refused_body(error, draft.urdf, draft.mjcf)
-                if draft.refused or not draft.may_fix_base:
+                if step.deferred or draft.refused or not draft.may_fix_base:
                     raise error from error.__cause__
                 draft = replace(draft, refused=error)
             else:
@@ -628,10 +652,13 @@ def make_robot(
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
     as_is: bool = False,
+    finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
-    """Prepare a robot from two files as read, in memory.
+    """Prepare a robot from two files as read, in memory; defer servos and visual meshes.
 
-    The options are those of `load_robot`, which reads the files.
+    The options are those of `load_robot`, which reads the files. The deferred passes are applied
+    when the robot is first simulated, drawn, pickled or copied; see `defer_stages`. The function
+    ``finish``, if any, is then applied to the robot.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -640,14 +667,20 @@ def make_robot(
     """
     frames = None if feet is None else parse_feet(feet)
     request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is)
-    robot, _ = prepare_robot(urdf, mjcf, request)
-    return robot
+    draft = _begin_preparation(urdf, mjcf, request)
+
+    def complete() -> Robot:
+        """Apply the deferred passes."""
+        robot, _ = _complete_preparation(draft)
+        return robot if finish is None else finish(robot)
+
+    return defer_stages(draft.robot, complete)
 
 
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Prepare a robot from two files as read.
+    """Prepare a robot from two files as read; apply all passes.
 
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.
@@ -656,11 +689,24 @@ def prepare_robot(
         ModelError: If no robot can be made of the files.
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """
+    return _complete_preparation(_begin_preparation(urdf, mjcf, request))
+
+
+def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
+    """Return the draft after the passes that are applied when a robot is loaded."""
     check_simulable(mjcf)
-    draft = _run_passes(Draft(urdf, mjcf, request, mjcf.spec))
-    messages = (note for run in draft.runs for note in run.done)
+    return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
+
+
+@silence_mujoco()
+def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
+    """Apply the deferred passes; return the robot with all notes, and the passes that were run."""
+    draft = _run_passes(_DEFERRED_PASSES, draft)
+    # The reason for a fixed base is the last note.
+    runs = sorted(draft.runs, key=lambda run: run.name == _HOLD_BASE)
+    messages = (note for run in runs for note in run.done)
     robot = draft.robot
-    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
+    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), runs
 
 
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:

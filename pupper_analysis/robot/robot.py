@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -217,6 +217,17 @@ def with_friction(
     return MappingProxyType({**contacts, **changed}) if changed else contacts
 
 
+def _make_none() -> None:
+    """Return None, as default of a field."""
+
+
+_DEFERRED_STAGES = "_deferred_stages"
+"""Instance attribute with the function that runs the deferred stages; see `defer_stages`."""
+
+_stages_lock = Lock()
+"""Guards the replacement of the deferred fields of a robot."""
+
+
 @dataclass(frozen=True, eq=False)
 class Robot(EngineModels):
     """Robot with a URDF and an MJCF, and the maps between the two models.
@@ -277,10 +288,40 @@ class Robot(EngineModels):
     pin_convention: PinocchioConvention
     mj_convention: MujocoConvention
     fingerprint: str
-    notes: tuple[Diagnostic, ...] = field(default=())
-    published: PublishedFile | None = None
+    # Defaults are made by functions, so that the class has no attribute of that name: Python calls
+    # `__getattr__` for missing attributes only.
+    notes: tuple[Diagnostic, ...] = field(default_factory=tuple)
+    published: PublishedFile | None = field(default_factory=_make_none)
     touching: Mapping[str, Touching] = field(default_factory=FrozenDict)
-    bare: Robot | None = None
+    bare: Robot | None = field(default_factory=_make_none)
+
+    if not TYPE_CHECKING:  # mypy would accept any attribute name
+
+        def __getattr__(self, name: str) -> Any:
+            """Run the deferred stages if a field of the completed robot is read."""
+            if name in _FIELD_NAMES:
+                self.complete_stages()
+            if name in vars(self):
+                return vars(self)[name]
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def complete_stages(self) -> None:
+        """Run the stages of the preparation that are still deferred; see `defer_stages`.
+
+        Threads that read a deferred field at the same time each run the stages, and the result of
+        the first is used: waiting for another thread could block both.
+
+        Raises:
+            ModelError: If MuJoCo refuses the robot with the additions of these stages.
+        """
+        complete = vars(self).get(_DEFERRED_STAGES)
+        if complete is None:
+            return
+        completed = vars(complete())
+        with _stages_lock:
+            if vars(self).pop(_DEFERRED_STAGES, None) is not None:
+                own = vars(self)
+                own.update({n: completed[n] for n in _FIELD_NAMES if n not in own})
 
     def __repr__(self) -> str:
         base = "a free base" if self.floating else "a fixed base"
@@ -305,6 +346,7 @@ class Robot(EngineModels):
         return render_table(f"Robot {self.name}", rows)
 
     def __getstate__(self) -> dict[str, Any]:
+        self.complete_stages()
         state = dict(vars(self))
         for made in _CACHED_ATTRIBUTES:
             state.pop(made, None)
@@ -663,6 +705,32 @@ class Robot(EngineModels):
         if self.floating:
             qpos[3] = 1.0
         return qpos
+
+
+_FIELD_NAMES = frozenset(field.name for field in fields(Robot))
+
+_EARLY_FIELDS = (
+    *("name", "pin_model", "floating", "base", "mj_base", "joint_names", "pin_convention"),
+    *("contact_points", "contact_frames", "contact_radius", "feet", "nominal", "stand_height"),
+    *("imu", "fingerprint", "touching", "bare"),
+)
+"""Fields that servos and visual meshes do not change."""
+
+
+def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
+    """Return a robot whose remaining stages of preparation run when they are first needed.
+
+    Fields in `_EARLY_FIELDS` are those of ``robot``. All other fields are those of the completed
+    robot: the first access to such a field, pickling, and copying run ``complete`` once.
+
+    Args:
+        robot: Robot before the deferred stages.
+        complete: Function that returns the robot after the deferred stages.
+    """
+    deferred = object.__new__(Robot)
+    vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
+    vars(deferred)[_DEFERRED_STAGES] = complete
+    return deferred
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:

@@ -196,6 +196,10 @@ def load_robot(
     zero, and a floor, a free base and position servos are added. If the robot does not stand in
     a keyframe of the MJCF, a stand is searched.
 
+    Errors in the files are raised here. Servos and visual meshes are made when they are first
+    needed: by the first access to, for example, ``mj_model``, ``description`` or ``notes``, not by
+    ``pin_model``, joint names or feet. Mesh files are read again then.
+
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; or a robot in memory: its
             XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``, or ``pin.Model``
@@ -230,7 +234,9 @@ def load_robot(
             names.
     """
     pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
-    robot = make_robot(
+    file = None if pair.converted == "mjcf" else pair.mjcf
+    published = PublishedFile(file, keyframe, pair.imported)
+    return make_robot(
         pair.urdf,
         pair.mjcf,
         feet=feet,
@@ -239,7 +245,5 @@ def load_robot(
         joints=joints,
         keyframe=keyframe,
         as_is=as_is,
+        finish=lambda robot: pair.mark(replace(robot, published=published)),
     )
-    file = None if pair.converted == "mjcf" else pair.mjcf
-    published = PublishedFile(file, keyframe, pair.imported)
-    return pair.mark(replace(robot, published=published))
