@@ -518,6 +518,9 @@ class MjcfFile:
             of another format; None if the format has no servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
             contacts.
+        deferred_visuals: Function that converts the visual meshes of a URDF, puts them into a spec
+            in place, and returns notes on meshes that were removed. None if no mesh is deferred;
+            otherwise ``spec`` and ``model`` contain small tetrahedra instead.
     """
 
     path: Path
@@ -533,6 +536,7 @@ class MjcfFile:
     of_urdf: bool = False
     stands_for: str = ""
     gains: Mapping[str, tuple[float, float]] | None = None
+    deferred_visuals: Callable[[mujoco.MjSpec], list[Diagnostic]] | None = None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Return the location of an element, in the file that contains it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -85,7 +85,13 @@ def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return notes
 
 
-def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) -> list[Diagnostic]:
+def place_base_frame(
+    spec: mujoco.MjSpec,
+    file: mujoco.MjModel,
+    source: Path,
+    *,
+    insert_visuals: Callable[[mujoco.MjSpec], object] | None = None,
+) -> list[Diagnostic]:
     """Raise the frame of a free base to the height of its CoM if no limb ends below the frame.
 
     The frame is kept if tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs
@@ -98,6 +104,8 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
         file: Compiled model of the file; the same, unless the base has been freed.
         source: File.
+        insert_visuals: Function that puts deferred visual meshes into a spec; None if no mesh is
+            deferred. It is called if the collision geoms do not decide.
 
     Returns:
         Notes.
@@ -135,10 +143,15 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    for geoms in (below & touching, below):  # collision geoms first, then visual geoms
-        bottom = compute_lowest_height(model, data, np.flatnonzero(geoms).tolist())
-        if data.xpos[body][2] > bottom + _GROUND_ATOL:
-            return []
+    bottom = compute_lowest_height(model, data, np.flatnonzero(below & touching).tolist())
+    if data.xpos[body][2] > bottom + _GROUND_ATOL:
+        return []
+    if insert_visuals is None:
+        bottom = compute_lowest_height(model, data, np.flatnonzero(below).tolist())
+    else:
+        bottom = _compute_visual_bottom(spec, ends, insert_visuals, source)
+    if data.xpos[body][2] > bottom + _GROUND_ATOL:
+        return []
     fixed = model.body_weldid == model.body_weldid[body]  # a root body may have no mass of its own
     com = model.body_mass[fixed] @ data.xipos[fixed] / model.body_mass[fixed].sum()
     rise = float(com[2] - data.xpos[body][2])
@@ -148,6 +161,23 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel, source: Path) ->
         return []
     _raise_frame(spec, base, address, rise, model)
     return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(rise, "m"))]
+
+
+def _compute_visual_bottom(
+    spec: mujoco.MjSpec,
+    ends: Sequence[int],
+    insert_visuals: Callable[[mujoco.MjSpec], object],
+    source: Path,
+) -> float:
+    """Return the lowest height [m] of all geoms of some bodies, with deferred visual meshes."""
+    complete = spec.copy()
+    complete.compiler.discardvisual = False
+    insert_visuals(complete)
+    model = compile_spec(complete, source)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    geoms = np.isin(model.body_weldid[model.geom_bodyid], ends)
+    return compute_lowest_height(model, data, np.flatnonzero(geoms).tolist())
 
 
 def _raise_frame(

@@ -313,7 +313,11 @@ def _free_base(draft: Draft) -> PassOutput:
 @_register_pass(Term("lifts the base's frame off the ground"), _has_free_base_request)
 def _place_base_frame(draft: Draft) -> PassOutput:
     """Raise the frame of the base; see `place_base_frame`."""
-    return draft, place_base_frame(draft.spec, draft.mjcf.model, draft.mjcf.path)
+    file = draft.mjcf
+    messages = place_base_frame(
+        draft.spec, file.model, file.path, insert_visuals=file.deferred_visuals
+    )
+    return draft, messages
 
 
 @_register_pass(Term("finds whose joint is whose"), _applies_always)
@@ -585,14 +589,16 @@ def _rest_at_start(draft: Draft) -> PassOutput:
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
 def _build_whole(draft: Draft) -> PassOutput:
-    """Build the robot again with visual geoms if previously dropped."""
-    robot = draft.robot
+    """Build the robot again with visual geoms if previously dropped; convert deferred meshes."""
+    robot, insert_visuals = draft.robot, draft.mjcf.deferred_visuals
     spec = robot.description.mjcf.copy()
-    if not copy_visual_option(spec, draft.mjcf.spec):
+    is_changed = copy_visual_option(spec, draft.mjcf.spec)
+    if not is_changed and insert_visuals is None:
         return draft, ()
+    messages = [] if insert_visuals is None else insert_visuals(spec)
     whole = replace(robot.description, mjcf=spec)
     built = build_robot(whole, fixed_base=draft.request.fixed_base)
-    return replace(draft, built=copy_metadata(built, robot)), ()
+    return replace(draft, built=copy_metadata(built, robot)), messages
 
 
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
@@ -601,8 +607,8 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
     return Floor(diagnose("ground-added")), held
 
 
-_HOLD_BASE = "hold-base"
-"""Name of the pass that fixes the base."""
+_MATCH, _HOLD_BASE, _BUILD_WHOLE = "match", "hold-base", "build-whole"
+"""Names of the passes whose notes have another position than the pass."""
 
 PREPARATION_PASSES = tuple(_registered_passes)
 """All passes, in the order of application, which is that of the functions above."""
@@ -704,7 +710,11 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
     draft = _run_passes(_DEFERRED_PASSES, draft)
     # The reason for a fixed base is the last note.
     runs = sorted(draft.runs, key=lambda run: run.name == _HOLD_BASE)
-    messages = (note for run in runs for note in run.done)
+    notes_by_pass = {run.name: run.done for run in runs}
+    # Meshes that were left out are reported with the other parts of the files that were left out.
+    left_meshes = notes_by_pass.pop(_BUILD_WHOLE, ())
+    notes_by_pass[_MATCH] = (*notes_by_pass[_MATCH], *left_meshes)
+    messages = (note for done in notes_by_pass.values() for note in done)
     robot = draft.robot
     return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), runs
 

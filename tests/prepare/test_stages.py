@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare import passes
+from pupper_analysis.prepare.convert import meshes
+from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
 from tests.support.legged import quadruped
 
@@ -95,3 +98,82 @@ def test_unknown_attribute_raises_without_further_stages(tmp_path: Path, runs: l
     with pytest.raises(AttributeError, match="no attribute 'mjmodel'"):
         _ = robot.mjmodel  # type: ignore[attr-defined]
     assert not runs
+
+
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="{count}">{places}</float_array><technique_common>
+<accessor source="#a" count="{points}" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="{faces}"><input semantic="VERTEX" source="#v" offset="0"/><p>{corners}</p>
+</triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def _write_collada(path: Path, places: list[float], corners: list[int]) -> None:
+    """Write a mesh with vertices (x, y, z, ...) [m] and triangles."""
+    path.write_text(
+        COLLADA.format(
+            count=len(places),
+            places=" ".join(map(str, places)),
+            points=len(places) // 3,
+            faces=len(corners) // 3,
+            corners=" ".join(map(str, corners)),
+        )
+    )
+
+
+TETRAHEDRON = [0.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.1]
+SIDES = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+
+
+def _with_visual_meshes(folder: Path) -> Path:
+    """Return a URDF with spherical feet, and a valid and an invalid visual mesh in COLLADA."""
+    pair = quadruped(folder)
+    _write_collada(folder / "seen.dae", TETRAHEDRON, SIDES)
+    _write_collada(folder / "flat.dae", TETRAHEDRON[:9], SIDES[:3])
+    root = etree.parse(str(pair.urdf)).getroot()
+    for link, file in zip(root.findall("link")[:2], ("seen.dae", "flat.dae"), strict=True):
+        shape = etree.SubElement(link, "visual")
+        etree.SubElement(etree.SubElement(shape, "geometry"), "mesh", filename=file)
+    for joint in root.iterfind("joint[@type='revolute']"):
+        [shank] = root.findall(f"link[@name='{joint.find('child').get('link')}']")
+        if joint.get("name").endswith("knee"):
+            foot = etree.SubElement(shank, "collision")
+            etree.SubElement(foot, "origin", xyz="0 0 -0.2")
+            etree.SubElement(etree.SubElement(foot, "geometry"), "sphere", radius="0.02")
+    pair.urdf.write_bytes(etree.tostring(root))
+    return pair.urdf
+
+
+def test_visual_meshes_are_converted_when_the_model_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: vertices of the file, and the same robot of a conversion that defers nothing."""
+    urdf = _with_visual_meshes(tmp_path)
+    converted = []
+    convert = meshes._convert_content
+    monkeypatch.setattr(
+        meshes, "_convert_content", lambda *given: converted.append(given) or convert(*given)
+    )
+    robot = pa.load_robot(urdf)
+    assert robot.pin_model.nv == 18
+    assert not converted
+    model = robot.mj_model
+    assert len(converted) == 2
+    [mesh] = [mesh for mesh in range(model.nmesh) if model.mesh(mesh).name == "seen"]
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    spans = np.sort(np.ptp(model.mesh_vert[first : first + count], axis=0))
+    assert count == 4
+    assert spans[-1] > 0.2  # the mesh is 0.3 m long, the placeholder 0.01 m
+    left = [note for note in robot.notes if note.code == "meshes-left"]
+    assert [note.values["files"] for note in left] == [("flat.dae",)]
+    pair = read_pair(urdf)
+    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
+    assert whole.mj_model.ngeom == model.ngeom
+    np.testing.assert_array_equal(whole.mj_model.mesh_vert, model.mesh_vert)
+    np.testing.assert_array_equal(whole.mj_model.body_mass, model.body_mass)
+    assert [note.code for note in pair.mark(whole).notes] == [note.code for note in robot.notes]

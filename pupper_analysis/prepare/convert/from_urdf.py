@@ -433,6 +433,7 @@ class MjcfOptions:
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
             mass.
         copy_meshes: True to copy all meshes to a folder beside the MJCF.
+        defer_visuals: True to convert visual meshes later; see `DeferredMeshes`.
     """
 
     feet: Feet | None = None
@@ -440,6 +441,7 @@ class MjcfOptions:
     armature: Mapping[str, float] | None = None
     repair_inertia: bool = False
     copy_meshes: bool = False
+    defer_visuals: bool = False
 
 
 @dataclass(frozen=True)
@@ -491,7 +493,8 @@ class ConvertedMjcf:
         moved_shapes = move_massless_shapes(links)
         if moved_shapes:
             notes.append(diagnose("shapes-carried", links=moved_shapes))
-        meshes, rotors = MeshFiles(urdf, output, copied=options.copy_meshes), options.armature or {}
+        meshes = MeshFiles(urdf, output, copied=options.copy_meshes, defers=options.defer_visuals)
+        rotors = options.armature or {}
         bodies = UrdfBodies(urdf, tree, meshes, rotors)
         mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
         bodies.add(mjcf, free=has_free_base)
@@ -537,12 +540,18 @@ class ConvertedMjcf:
         return UrdfImport(self.urdf.path, to_text(tree.root), assets)
 
 
-def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
+def convert_urdf_in_memory(
+    urdf: UrdfFile, *, defer_visuals: bool = False
+) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
     Invalid inertias become the nearest valid inertias; a moving link gets 1 g if the link and all
     links fixed to the link have no mass. The notes
     of the MJCF report the repairs.
+
+    Args:
+        urdf: URDF.
+        defer_visuals: True to convert visual meshes later, by ``MjcfFile.deferred_visuals``.
 
     Returns:
         URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
@@ -551,7 +560,8 @@ def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImpo
         ModelError: If MuJoCo cannot represent the robot, no joint moves, or no moving link has a
             mass.
     """
-    converted = ConvertedMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
+    options = MjcfOptions(repair_inertia=True, defer_visuals=defer_visuals)
+    converted = ConvertedMjcf.of(urdf, urdf.path, options, free=False)
     massless = {repair.link for repair in converted.repairs if not repair.mass > 0}
     if {joint.child for joint in converted.bodies.tree.moving} <= massless:
         # All torques would depend on masses that the file does not state.
@@ -561,7 +571,12 @@ def convert_urdf_in_memory(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImpo
         if geom.get("name") not in stated:
             geom.attrib.pop("name", None)  # a foot is then named after its link
     left = (*converted.bodies.notes, *converted.meshes.notes)
-    mjcf = replace(converted.file(visuals=True), notes=(*converted.notes, *left))
+    deferred = converted.meshes.deferred
+    mjcf = replace(
+        converted.file(visuals=True),
+        notes=(*converted.notes, *left),
+        deferred_visuals=None if deferred is None else deferred.insert,
+    )
     return converted.urdf, mjcf, converted.imported()
 
 

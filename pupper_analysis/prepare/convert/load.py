@@ -54,15 +54,19 @@ class ModelPair:
     imported: UrdfImport | None = None
 
     @staticmethod
-    def of(file: UrdfFile | MjcfFile) -> ModelPair:
+    def of(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
         """Make the other model of a file, in memory.
+
+        Args:
+            file: URDF or MJCF.
+            defer_visuals: True to convert the visual meshes of a URDF later, in the preparation.
 
         Raises:
             ModelError: If the other format cannot represent the robot, for example because no
                 joint moves.
         """
         if isinstance(file, UrdfFile):
-            urdf, mjcf, imported = convert_urdf_in_memory(file)
+            urdf, mjcf, imported = convert_urdf_in_memory(file, defer_visuals=defer_visuals)
             return ModelPair(urdf, mjcf, "mjcf", imported)
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
@@ -102,6 +106,7 @@ def read_pair(
     take: str | None = None,
     body: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
+    defer_visuals: bool = False,
 ) -> ModelPair:
     """Read the files of a robot, and make the missing model.
 
@@ -113,6 +118,7 @@ def read_pair(
         body: Root body of the robot in an MJCF with several, or any body of the robot; without a
             URDF detected if possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
+        defer_visuals: True to convert the visual meshes of a URDF later, in the preparation.
 
     Raises:
         ConfigurationError: If there is no file, if there are two files of the same format, if
@@ -170,7 +176,7 @@ def _pair_files(
             mjcf_file = with_one_robot(mjcf_file, body)
     if isinstance(urdf_file, UrdfFile) and isinstance(mjcf_file, MjcfFile):
         return ModelPair(urdf_file, mjcf_file)
-    return ModelPair.of(mjcf_file or next(iter(found.values())))
+    return ModelPair.of(mjcf_file or next(iter(found.values())), defer_visuals=defer_visuals)
 
 
 @check_arguments
@@ -233,7 +239,15 @@ def load_robot(
         UnknownNameError: If a foot, joint, keyframe or body does not exist; the message lists valid
             names.
     """
-    pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
+    pair = read_pair(
+        *models,
+        urdf=urdf,
+        mjcf=mjcf,
+        take=take,
+        body=body,
+        packages=packages,
+        defer_visuals=feet is None,  # a named foot may be a visual geom
+    )
     file = None if pair.converted == "mjcf" else pair.mjcf
     published = PublishedFile(file, keyframe, pair.imported)
     return make_robot(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,10 +30,14 @@ class MeshFiles:
     Attributes:
         copied: True to copy all meshes to a folder beside the MJCF.
         made: {path in the MJCF: content} of the mesh files to be written: converted or copied.
+        defers: True to convert meshes that are only visual later; see `DeferredMeshes`.
     """
 
-    def __init__(self, urdf: UrdfFile, output: Path, *, copied: bool = False) -> None:
-        self.urdf, self.output, self.copied = urdf, output, copied
+    def __init__(
+        self, urdf: UrdfFile, output: Path, *, copied: bool = False, defers: bool = False
+    ) -> None:
+        self.urdf, self.output, self.copied, self.defers = urdf, output, copied, defers
+        self._deferred: dict[tuple[Path, str], _DeferredFile] = {}
         self.made: dict[Path, bytes] = {}
         self._left: dict[Diagnostic, list[str]] = {}
         self._lost: dict[Diagnostic, list[str]] = {}
@@ -100,14 +105,19 @@ class MeshFiles:
             hulled = self.name(mesh, touches=True)
             if hulled is not None:
                 return hulled
+        defers = self.defers and not touches and path.suffix.lower() in _CONVERTIBLE_SUFFIXES
         try:
-            self._add_content(path)
+            if defers:
+                self._deferred[path, scale] = _DeferredFile(path, scale, file, read_mesh(path))
+            else:
+                self._add_content(path)
         except UnreadableError as error:
             self._record_loss(error.reason, file, touches=touches)
             return None
         content = self.made.get(self._choose_path(path))
         try:
-            _test_compile(content, path, scale, touches=touches, shell=path in self._shells)
+            if not defers:
+                _test_compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
             if flat_mesh(error) is None:
                 self._record_loss(
@@ -118,6 +128,7 @@ class MeshFiles:
             return self.name(mesh, touches=touches)
         if touches:
             self._touching.add((path, scale))
+            self._deferred.pop((path, scale), None)
         if (path, scale) not in self._names:
             self._names[path, scale] = make_unique_name(path.stem, self._taken)
         return self._names[path, scale]
@@ -161,7 +172,10 @@ class MeshFiles:
                 continue
             place = self._choose_path(path)
             file = self._make_relative(place)
-            if assets is not None:
+            if (path, scale) in self._deferred and assets is not None:
+                file = _PLACEHOLDER_FILE
+                assets[file] = _PLACEHOLDER
+            elif assets is not None:
                 file = str(place)
                 if place in self.made:
                     file = place.name
@@ -176,6 +190,12 @@ class MeshFiles:
                 scale=scale if scaled else None,
                 inertia="shell" if path in self._shells else None,
             )
+
+    @property
+    def deferred(self) -> DeferredMeshes | None:
+        """Meshes whose conversion was deferred; None if there are none."""
+        files = {self._names[key]: file for key, file in self._deferred.items()}
+        return DeferredMeshes(files) if files else None
 
     def _make_relative(self, path: Path) -> str:
         """Return a path relative to the folder of the MJCF."""
@@ -212,6 +232,100 @@ class MeshFiles:
             files = found.setdefault(why, [])
             if file not in files:
                 files.append(file)
+
+
+_PLACEHOLDER_FILE = "deferred_visual_mesh.obj"
+"""Name of the file that represents deferred meshes."""
+
+_PLACEHOLDER = b"""v 0 0 0
+v 0.01 0 0
+v 0 0.01 0
+v 0 0 0.01
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+"""OBJ of a tetrahedron with edges of 1 cm, which represents deferred meshes: MuJoCo refuses a geom
+without mesh."""
+
+
+@dataclass(frozen=True)
+class _DeferredFile:
+    """Visual mesh file that is not converted yet.
+
+    Attributes:
+        path: File.
+        scale: Scale of the mesh, as text.
+        name: File name in the URDF.
+        content: Content of the file.
+    """
+
+    path: Path
+    scale: str
+    name: str
+    content: bytes
+
+
+class DeferredMeshes:
+    """Visual meshes of a URDF whose conversion takes seconds, and is deferred.
+
+    In the MJCF, a tetrahedron represents each mesh until `insert` is called.
+    """
+
+    def __init__(self, files: Mapping[str, _DeferredFile]) -> None:
+        self._files = dict(files)
+
+    def insert(self, spec: mujoco.MjSpec) -> list[Diagnostic]:
+        """Convert the meshes, and put them into a spec, in place.
+
+        Meshes that cannot be converted, or that MuJoCo refuses, are removed with their geoms.
+
+        Returns:
+            Notes on the meshes that were removed, one per reason.
+        """
+        removed: dict[Diagnostic, list[str]] = {}
+        assets = dict(spec.assets)
+        for mesh in list(spec.meshes):
+            file = self._files.get(mesh.name)
+            if file is None:
+                continue
+            try:
+                asset, content, shell = self._convert(mesh.name)
+            except UnreadableError as error:
+                files = removed.setdefault(error.reason, [])
+                files += [] if file.name in files else [file.name]
+                for geom in [geom for geom in spec.geoms if geom.meshname == mesh.name]:
+                    spec.delete(geom)
+                spec.delete(mesh)
+                continue
+            mesh.file, assets[asset] = asset, content
+            if shell:
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.assets = assets
+        return [
+            diagnose("meshes-left", files=files, why=why, package="")
+            for why, files in removed.items()
+        ]
+
+    def _convert(self, name: str) -> tuple[str, bytes, bool]:
+        """Return file name and content of a mesh as OBJ, and whether it is a shell.
+
+        Raises:
+            UnreadableError: If the file is broken, or MuJoCo refuses the mesh.
+        """
+        file = self._files[name]
+        content = _convert_content(file.content, file.path.suffix.lower())
+        for shell in (False, True):
+            try:
+                _test_compile(content, file.path, file.scale, touches=False, shell=shell)
+            except ValueError as error:
+                if shell or flat_mesh(error) is None:
+                    problem = diagnose("mesh-refused", message=_extract_message(error))
+                    raise UnreadableError(problem) from error
+            else:
+                break
+        return f"{name}.obj", content, shell
 
 
 def _test_compile(
@@ -288,9 +402,17 @@ def convert_to_obj(path: Path) -> bytes:
     if ending not in _CONVERTIBLE_SUFFIXES:
         formats = (*MUJOCO_MESH_SUFFIXES, *_CONVERTIBLE_SUFFIXES)
         raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
+    return _convert_content(read_mesh(path), ending)
+
+
+def _convert_content(data: bytes, ending: str) -> bytes:
+    """Return the content of a mesh file with a suffix such as ``.dae`` as OBJ.
+
+    Raises:
+        UnreadableError: If the mesh is broken, or has too many vertices.
+    """
     import trimesh  # comes with yourdfpy, and is slow to import
 
-    data = read_mesh(path)
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
         count = sum(
