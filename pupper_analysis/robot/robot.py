@@ -729,6 +729,8 @@ def defer_stages(robot: Robot, complete: Callable[[], Robot]) -> Robot:
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
+    # A copy, because the caller may change the model before the deferred stages use the original.
+    vars(deferred)["pin_model"] = robot.pin_model.copy()
     vars(deferred)[_DEFERRED_STAGES] = complete
     return deferred
 

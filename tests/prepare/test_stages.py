@@ -74,6 +74,15 @@ def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -
     assert robot.pin_model is pin_model
 
 
+def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path) -> None:
+    """Reference: servos of the same robot without the change."""
+    pair = quadruped(tmp_path)
+    robot = pa.load_robot(*pair)
+    robot.pin_model.effortLimit[:] = 0.1
+    assert robot.description.made_servos == pa.load_robot(*pair).description.made_servos
+    assert robot.pin_model.effortLimit.max() == 0.1
+
+
 def test_pickled_and_copied_robots_are_complete(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     whole = pa.load_robot(*pair)
