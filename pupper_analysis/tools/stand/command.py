@@ -143,7 +143,7 @@ def _explain_preparation(
             take=options.get("take"),
             body=options.get("body"),
             packages=options.get("packages"),
-            defer_visuals=request.feet is None,
+            defer_visuals=load_request.feet is None,
         )
         preparation, robot = explain_loading(pair.urdf, pair.mjcf, load_request)
         preparation = replace(preparation, notes=pair.mark(robot).notes)
