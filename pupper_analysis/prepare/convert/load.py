@@ -118,7 +118,7 @@ def read_pair(
         body: Root body of the robot in an MJCF with several, or any body of the robot; without a
             URDF detected if possible.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
-        defer_visuals: True to convert the visual meshes of a URDF later, in the preparation.
+        defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
         ConfigurationError: If there is no file, if there are two files of the same format, if
@@ -137,7 +137,15 @@ def read_pair(
             paths.append(cast(str | Path, model))
     with read_objects(objects, folders) as in_memory:
         files = [*in_memory.files, *(read_model(path, folders) for path in paths)]
-        pair = _pair_files(files, urdf=urdf, mjcf=mjcf, take=take, body=body, folders=folders)
+        pair = _pair_files(
+            files,
+            urdf=urdf,
+            mjcf=mjcf,
+            take=take,
+            body=body,
+            folders=folders,
+            defer_visuals=defer_visuals and not objects,
+        )
         if in_memory.source is None or pair.converted != "mjcf":
             return pair
         # MuJoCo's import of the URDF would lack the armature.
@@ -152,6 +160,7 @@ def _pair_files(
     take: str | None,
     body: str | None,
     folders: Mapping[str, Path],
+    defer_visuals: bool,
 ) -> ModelPair:
     """Read the files of keyword arguments, and make the missing model; see `read_pair`."""
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
