@@ -663,8 +663,9 @@ def make_robot(
     """Prepare a robot from two files as read, in memory; defer servos and visual meshes.
 
     The options are those of `load_robot`, which reads the files. The deferred passes are applied
-    when the robot is first simulated, drawn, pickled or copied; see `defer_stages`. The function
-    ``finish``, if any, is then applied to the robot.
+    when the robot is first simulated, drawn, pickled or copied (see `defer_stages`); immediately if
+    servos may change the order of the joints. The function ``finish``, if any, is applied to the
+    robot after all passes.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -680,7 +681,22 @@ def make_robot(
         robot, _ = _complete_preparation(draft)
         return robot if finish is None else finish(robot)
 
-    return defer_stages(draft.robot, complete)
+    return defer_stages(draft.robot, complete) if _keeps_joint_order(draft.robot) else complete()
+
+
+def _keeps_joint_order(robot: Robot) -> bool:
+    """Return True if the joint order does not change when servos are added.
+
+    Joints are in actuator order. Servos are added in this order to all joints, or to none; the
+    order may change if some joints have no actuator, a servo of their own, or follow others.
+    """
+    driven = robot.mj_convention.actuator_index >= 0
+    num_servos = len(list_position_servos(robot))
+    return (
+        robot.closure is None
+        and (bool(driven.all()) or not bool(driven.any()))
+        and num_servos in (0, robot.nu)
+    )
 
 
 def prepare_robot(

@@ -74,6 +74,24 @@ def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -
     assert robot.pin_model is pin_model
 
 
+def test_joint_order_with_a_partly_driven_robot_is_final_after_loading(tmp_path: Path) -> None:
+    """Reference: the robot of which all passes are applied at once."""
+    pair = quadruped(tmp_path)
+    root = etree.parse(str(pair.mjcf)).getroot()
+    actuators = root.find("actuator")
+    first_joint = actuators[0].get("joint")
+    actuators.remove(actuators[0])
+    pair.mjcf.write_bytes(etree.tostring(root))
+    robot = pa.load_robot(*pair)
+    order = robot.joint_names
+    whole, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest())
+    assert first_joint in order
+    assert order == whole.joint_names == robot.joint_names
+    np.testing.assert_array_equal(
+        robot.mj_convention.actuator_index, whole.mj_convention.actuator_index
+    )
+
+
 def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path) -> None:
     """Reference: servos of the same robot without the change."""
     pair = quadruped(tmp_path)
