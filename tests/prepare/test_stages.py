@@ -74,19 +74,23 @@ def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -
     assert robot.pin_model is pin_model
 
 
-def test_joint_order_with_a_partly_driven_robot_is_final_after_loading(tmp_path: Path) -> None:
+def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path) -> None:
     """Reference: the robot of which all passes are applied at once."""
     pair = quadruped(tmp_path)
     root = etree.parse(str(pair.mjcf)).getroot()
     actuators = root.find("actuator")
-    first_joint = actuators[0].get("joint")
-    actuators.remove(actuators[0])
+    follower, leader = (actuators[0].get("joint"), actuators[1].get("joint"))
+    for _ in range(2):
+        actuators.remove(actuators[0])
+    equality = etree.SubElement(root, "equality")
+    etree.SubElement(equality, "joint", joint1=follower, joint2=leader)
     pair.mjcf.write_bytes(etree.tostring(root))
-    robot = pa.load_robot(*pair)
+    robot = pa.load_robot(*pair, fixed_base=True)
     order = robot.joint_names
-    whole, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest())
-    assert first_joint in order
+    request = LoadRequest(fixed_base=True)
+    whole, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), request)
     assert order == whole.joint_names == robot.joint_names
+    assert order.index(leader) < order.index(follower)
     np.testing.assert_array_equal(
         robot.mj_convention.actuator_index, whole.mj_convention.actuator_index
     )
