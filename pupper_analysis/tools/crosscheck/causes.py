@@ -756,7 +756,7 @@ def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
 
     L is the larger of the radius of gyration and the distance of the CoM [m].
     """
-    mass = max(first.mass, second.mass)
+    mass = max(abs(first.mass), abs(second.mass))
     inertia_trace = max(float(np.trace(body.inertia)) for body in (first, second))
     com_distance = max(float(np.linalg.norm(body.com)) for body in (first, second))
     length = max(math.sqrt(max(inertia_trace, 0.0) / mass), com_distance, 1e-6)
@@ -805,7 +805,9 @@ def _describe_scaled_links(slips: Sequence[_LinkSlip]) -> Diagnostic:
 
 
 def _is_power_of_ten(factor: float) -> bool:
-    """Return True if a factor is a power of ten other than 1."""
+    """Return True if a factor is a power of ten other than 1; False for a change of sign."""
+    if factor <= 0:
+        return False
     power = math.log10(factor)
     return math.isclose(power, round(power), abs_tol=1e-3) and round(power) != 0
 
