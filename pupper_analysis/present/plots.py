@@ -1,24 +1,22 @@
 """Plots of results in figures of ``pyplot``, for notebooks: ``Result.plot`` calls `plot_result`.
 
 A result type with a plot of its own registers it (``@draw_result.register``) in the module that
-contains the builder of its document. Other results are drawn by the plots of their documents.
-Matplotlib is imported at the first plot.
+contains the builder of its document; stands and their verification register theirs in
+``present.stand_plots``. Other results are drawn by the plots of their documents. Matplotlib is
+imported at the first plot.
 """
 
 from __future__ import annotations
 
 from functools import singledispatch
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.document import Plot
 from pupper_analysis.present.documents.registry import load_builder, make_document
-from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.verify import StandVerification
-from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.stand import stand_statics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +32,8 @@ def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     Raises:
         ConfigurationError: If the result has no plot, or the robot is missing.
     """
+    import_module("pupper_analysis.present.stand_plots")  # registers its plots
+
     load_builder(type(result))
     return draw_result(result, robot)
 
@@ -50,35 +50,8 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     document = make_document(result, robot)
     plots = [block for block in document.blocks if isinstance(block, Plot)]
     if not plots:
-        raise ConfigurationError("plot", diagnose("result-without-plot", kind=_name_kind(result)))
-    return tuple(make_plots_figure(plots, create=_create_figure).axes)
-
-
-@draw_result.register(Stand)
-def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw skeleton, contact forces, CoM and support polygon, obliquely and from above.
-
-    Raises:
-        ConfigurationError: If the robot is missing or another one, or stands on no foot.
-    """
-    from pupper_analysis.present.figures.pose import make_pose_figure
-
-    if robot is None:
-        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=_name_kind(stand)))
-    robot = stand.check(robot)
-    if not stand.stance_feet:
-        raise ConfigurationError("robot", diagnose("plot-without-feet", robot=robot.name))
-    statics = stand_statics(robot, stand)
-    return tuple(make_pose_figure(robot, stand, statics, _create_figure).axes)
-
-
-@draw_result.register(StandVerification)
-def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the height of the base over the simulated time."""
-    from pupper_analysis.present.figures.drawing import make_plots_figure
-
-    height = run.base_height + run.height_loss
-    return tuple(make_plots_figure([height_plot([run], height)], create=_create_figure).axes)
+        raise ConfigurationError("plot", diagnose("result-without-plot", kind=name_kind(result)))
+    return tuple(make_plots_figure(plots, create=create_figure).axes)
 
 
 def make_axes(title: str, height: float) -> Axes:
@@ -90,16 +63,17 @@ def make_axes(title: str, height: float) -> Axes:
     """
     from pupper_analysis.present.figures.drawing import make_page_figure
 
-    figure = make_page_figure(title, height, layout="constrained", create=_create_figure)
+    figure = make_page_figure(title, height, layout="constrained", create=create_figure)
     return figure.add_subplot()
 
 
-def _create_figure(**options: Any) -> Figure:
+def create_figure(**options: Any) -> Figure:
     """Create a figure of ``pyplot``, which notebooks show, with the resolution of a screen."""
     import matplotlib.pyplot as plt
 
     return plt.figure(**{**options, "dpi": SCREEN_DPI})
 
 
-def _name_kind(result: object) -> str:
+def name_kind(result: object) -> str:
+    """Return the name of the type of a result."""
     return type(result).__name__

@@ -15,7 +15,7 @@ import numpy as np
 import placo
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -151,7 +151,9 @@ def solve_posture(
         UnknownNameError: If a link, joint or contact point is unknown.
     """
     robot.check_tree("a whole-body posture")
-    requested = tuple(tasks)
+    requested = tuple(tasks) if isinstance(tasks, Iterable) else (tasks,)
+    for task in requested:
+        check_type("tasks", task, PostureTask)
     if not requested:
         raise ConfigurationError("tasks", diagnose("no-posture-task"))
     _check_names(robot, requested)

@@ -22,8 +22,10 @@ def outputs(cell: dict[str, Any]) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_notebook_shows_tables_and_figures(tmp_path: Path) -> None:
+def test_notebook_shows_tables_and_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Executed by a kernel of this Python, as Jupyter does."""
+    # Commands that ran in this process chose the backend for files.
+    monkeypatch.delenv("MPLBACKEND", raising=False)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Jupyter's own packages
         nbclient = pytest.importorskip("nbclient")

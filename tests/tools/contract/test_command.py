@@ -26,7 +26,7 @@ BAD = {
     "text.txt": ("x", "it is of no kind that is read"),
     "other.py": ("C = ACfg(init_state=S(joint_pos={'knee': 1.0}), "
                  "actuators={'a': B(joint_names_expr=['knee'], stiffness=2.0)})\n",
-                 "no joint of it is one of pupper_v3.urdf"),
+                 "no joint of it matches a joint of pupper_v3.urdf"),
 }  # fmt: skip
 
 

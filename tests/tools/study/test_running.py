@@ -491,8 +491,8 @@ def test_the_study_command_writes_its_results(
     assert "2 no equilibrium" in out
     table = pa.read_study(folder)
     _, unit, *line = next(row for row in out.splitlines() if row.startswith("servo_sag")).split()
-    assert unit == "(m)"
-    least, most = table["servo_sag"].min(), table["servo_sag"].max()
+    assert unit == "(mm)"  # the table of the study is in m
+    least, most = 1e3 * table["servo_sag"].min(), 1e3 * table["servo_sag"].max()
     assert [float(line[0]), float(line[2])] == pytest.approx([least, most], rel=1e-4)
     assert line[3] == "2"
     written = tmp_path / "study.json"
