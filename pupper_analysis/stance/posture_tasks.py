@@ -98,7 +98,7 @@ class PositionTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
-        _set(self, "position", _vector("position", self.position))
+        _freeze_array(self, "position", _make_vector("position", self.position))
         _check_axes(self.axes)
 
     @property
@@ -109,7 +109,7 @@ class PositionTask(PostureTask):
     def residual(self, body: WholeBody) -> float:
         """Return the distance [m] to the target along ``axes``."""
         gap = body.pose(self.frame)[1] - np.asarray(self.position)
-        return float(np.linalg.norm(gap[_select(self.axes)]))
+        return float(np.linalg.norm(gap[_select_axes(self.axes)]))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
         """Add PlaCo's position task."""
@@ -133,7 +133,7 @@ class OrientationTask(PostureTask):
     unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
-        _set(self, "rotation", _rotation(self.rotation))
+        _freeze_array(self, "rotation", _make_rotation(self.rotation))
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -167,7 +167,7 @@ class RelativePositionTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
-        _set(self, "position", _vector("position", self.position))
+        _freeze_array(self, "position", _make_vector("position", self.position))
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -200,12 +200,14 @@ class CoMTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
-        _set(self, "position", _vector("position", self.position))
+        _freeze_array(self, "position", _make_vector("position", self.position))
         _check_axes(self.axes)
 
     def residual(self, body: WholeBody) -> float:
         """Return the distance [m] of the CoM to the target along ``axes``."""
-        return float(np.linalg.norm((body.com() - np.asarray(self.position))[_select(self.axes)]))
+        return float(
+            np.linalg.norm((body.com() - np.asarray(self.position))[_select_axes(self.axes)])
+        )
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
         """Add PlaCo's CoM task."""
@@ -234,13 +236,13 @@ class AxisAlignTask(PostureTask):
     unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
-        _set(self, "axis", _direction("axis", self.axis))
+        _freeze_array(self, "axis", _make_direction("axis", self.axis))
         if (self.direction is None) == (self.point is None):
             raise ConfigurationError("direction", diagnose("direction-or-point"))
         if self.direction is not None:
-            _set(self, "direction", _direction("direction", self.direction))
+            _freeze_array(self, "direction", _make_direction("direction", self.direction))
         else:
-            _set(self, "point", _vector("point", self.point))
+            _freeze_array(self, "point", _make_vector("point", self.point))
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -303,12 +305,12 @@ class JointsTask(PostureTask):
         return PlacoTask(task)
 
 
-def _set(task: object, name: str, value: Array) -> None:
+def _freeze_array(task: object, name: str, value: Array) -> None:
     value.setflags(write=False)
     object.__setattr__(task, name, value)  # the dataclass is frozen
 
 
-def _vector(name: str, value: Any) -> Array:
+def _make_vector(name: str, value: Any) -> Array:
     """Return a vector (3,); ConfigurationError if it is none."""
     vector = real_array(name, value)
     if vector.shape != (3,) or not np.isfinite(vector).all():
@@ -316,16 +318,16 @@ def _vector(name: str, value: Any) -> Array:
     return np.array(vector)
 
 
-def _direction(name: str, value: Any) -> Array:
+def _make_direction(name: str, value: Any) -> Array:
     """Return a unit vector (3,); ConfigurationError if the vector is zero."""
-    vector = _vector(name, value)
+    vector = _make_vector(name, value)
     if not vector.any():
         raise ConfigurationError(name, diagnose("direction-not-a-vector", given=repr(value)))
     unit: Array = vector / np.linalg.norm(vector)
     return unit
 
 
-def _rotation(value: Any) -> Array:
+def _make_rotation(value: Any) -> Array:
     """Return a rotation matrix (3, 3); ConfigurationError if it is none."""
     matrix = real_array("rotation", value)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
@@ -342,7 +344,7 @@ def _check_axes(axes: str) -> None:
         raise ConfigurationError("axes", diagnose("not-one-of", given=axes, known=known))
 
 
-def _select(axes: str) -> list[int]:
+def _select_axes(axes: str) -> list[int]:
     return ["xyz".index(axis) for axis in sorted(set(axes))]
 
 

@@ -6,6 +6,7 @@ import math
 from decimal import Decimal, InvalidOperation
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lxml import etree
@@ -188,10 +189,8 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
         path: The file.
         _changed: Modification time [ns]; only a part of the cache key.
     """
-    import trimesh  # slow to import; yourdfpy depends on it
-
     try:
-        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        mesh = _load_mesh(path, merge=False)
         points = np.asarray(mesh.vertices, dtype=float)
         faces = np.asarray(mesh.faces)
     except Exception as error:  # parsers raise various exceptions for broken meshes
@@ -205,6 +204,13 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     return Mesh(points, faces).hull()
 
 
+def _load_mesh(path: Path, *, merge: bool) -> Any:
+    """Read all parts of a mesh file as one mesh of trimesh, with equal vertices merged or not."""
+    import trimesh  # slow to import; yourdfpy depends on it
+
+    return trimesh.load(path, force="mesh", process=merge, skip_materials=True)
+
+
 @lru_cache(maxsize=256)
 def read_mesh_volume(path: Path, _changed: int) -> float | None:
     """Return the volume enclosed by a mesh file; None if its surface is not closed, or unreadable.
@@ -216,10 +222,8 @@ def read_mesh_volume(path: Path, _changed: int) -> float | None:
     Returns:
         Volume in the cube of the file's unit of length.
     """
-    import trimesh  # slow to import; yourdfpy depends on it
-
     try:
-        mesh = trimesh.load(path, force="mesh", process=True, skip_materials=True)
+        mesh = _load_mesh(path, merge=True)
         return abs(float(mesh.volume)) if mesh.is_volume else None
     except Exception:  # parsers raise various exceptions for broken meshes; a rule names those
         return None
