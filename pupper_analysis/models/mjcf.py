@@ -40,24 +40,21 @@ class JointKind(IntEnum):
     HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 
 
-FREE, BALL, SLIDE, HINGE = JointKind
-
-
 def free_joints(model: mujoco.MjModel) -> list[int]:
     """Return the ids of the free joints."""
-    return [int(joint) for joint in np.flatnonzero(model.jnt_type == FREE)]
+    return [int(joint) for joint in np.flatnonzero(model.jnt_type == JointKind.FREE)]
 
 
 def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
     """Return the ids of the hinges and slides, the joints with a single coordinate."""
-    return np.flatnonzero(model.jnt_type >= min(SLIDE, HINGE))
+    return np.flatnonzero(model.jnt_type >= min(JointKind.SLIDE, JointKind.HINGE))
 
 
 def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
     """Return True if a model or spec has a free joint."""
     if isinstance(model, mujoco.MjSpec):
-        return any(joint.type == FREE for joint in model.joints)
-    return bool((model.jnt_type == FREE).any())
+        return any(joint.type == JointKind.FREE for joint in model.joints)
+    return bool((model.jnt_type == JointKind.FREE).any())
 
 
 GEOM_CONTACT_WORDS: Final = (

@@ -23,10 +23,10 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import Pose, Shape, read_shape
 from pupper_analysis.models.stated.model import (
-    BALL,
-    FREE,
-    HINGE,
-    SLIDE,
+    BALL_JOINT,
+    FREE_JOINT,
+    HINGE_JOINT,
+    SLIDE_JOINT,
     Array,
     Frame,
     Inertial,
@@ -37,10 +37,10 @@ from pupper_analysis.models.stated.model import (
 from pupper_analysis.models.stated.urdf import half_digit
 
 JOINT_KINDS: dict[int, str] = {
-    JointKind.FREE: FREE,
-    JointKind.BALL: BALL,
-    JointKind.SLIDE: SLIDE,
-    JointKind.HINGE: HINGE,
+    JointKind.FREE: FREE_JOINT,
+    JointKind.BALL: BALL_JOINT,
+    JointKind.SLIDE: SLIDE_JOINT,
+    JointKind.HINGE: HINGE_JOINT,
 }
 """{type of MuJoCo: kind of `stated.model`}."""
 
@@ -142,7 +142,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
     """Return qpos (nq,) with hinges and slides at zero; free and ball joints as in ``qpos0``."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
-        if JOINT_KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
+        if JOINT_KINDS[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):
             qpos[model.jnt_qposadr[joint]] = 0.0
     return qpos
 
@@ -181,7 +181,7 @@ def _make_joint(
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
     kind = JOINT_KINDS[int(model.jnt_type[joint])]
-    limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
+    limited = bool(model.jnt_limited[joint]) and kind in (HINGE_JOINT, SLIDE_JOINT)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
     limit = resolve_effort_limit(model, joint, null=null)
     effort = max(abs(limit.lower), abs(limit.upper))
@@ -192,7 +192,9 @@ def _make_joint(
         parent=names[int(model.body_parentid[body])],
         child=names[body],
         position=to_base.point(data.xanchor[joint]),
-        axis=to_base.rotation @ data.xaxis[joint] if kind in (HINGE, SLIDE) else np.zeros(3),
+        axis=to_base.rotation @ data.xaxis[joint]
+        if kind in (HINGE_JOINT, SLIDE_JOINT)
+        else np.zeros(3),
         raw_axis=np.array(model.jnt_axis[joint] if spec_joint is None else spec_joint.axis),
         stated=_stated_values(file, model, joint, names[body], spec_joint, limits),
         **limits,

@@ -24,8 +24,11 @@ from pupper_analysis.models.urdf_file import UrdfFile
 
 Array = NDArray[np.float64]
 
-
-HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
+HINGE_JOINT = "hinge"
+SLIDE_JOINT = "slide"
+BALL_JOINT = "ball"
+FREE_JOINT = "free"
+FIXED_JOINT = "fixed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ class Joint:
 
     Attributes:
         name: Name of the joint.
-        kind: ``HINGE``, ``SLIDE``, ``BALL``, ``FREE`` or ``FIXED``.
+        kind: ``HINGE_JOINT``, ``SLIDE_JOINT``, ``BALL_JOINT``, ``FREE_JOINT`` or ``FIXED_JOINT``.
         parent: Body that carries the joint.
         child: Body that the joint moves.
         position: Position (3,) [m] at zero angles, in the base frame.
@@ -107,12 +110,12 @@ class Joint:
     @property
     def moves(self) -> bool:
         """Whether the joint is a hinge or a slide."""
-        return self.kind in (HINGE, SLIDE)
+        return self.kind in (HINGE_JOINT, SLIDE_JOINT)
 
     @property
     def unit(self) -> str:
         """Unit of the joint coordinate."""
-        return "m" if self.kind == SLIDE else "rad"
+        return "m" if self.kind == SLIDE_JOINT else "rad"
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +156,7 @@ class Link:
     @property
     def moving(self) -> bool:
         """Whether the link can move relative to its parent."""
-        return any(joint.kind != FIXED for joint in self.joints)
+        return any(joint.kind != FIXED_JOINT for joint in self.joints)
 
     @property
     def mass(self) -> float:

@@ -17,10 +17,10 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
 from pupper_analysis.models.stated.model import (
-    FIXED,
-    FREE,
-    HINGE,
-    SLIDE,
+    FIXED_JOINT,
+    FREE_JOINT,
+    HINGE_JOINT,
+    SLIDE_JOINT,
     Inertial,
     Joint,
     Link,
@@ -30,7 +30,12 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
 from pupper_analysis.models.xml import parse_numbers
 
-_JOINT_KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
+_JOINT_KINDS = {
+    "revolute": HINGE_JOINT,
+    "continuous": HINGE_JOINT,
+    "prismatic": SLIDE_JOINT,
+    "fixed": FIXED_JOINT,
+}
 
 
 def read_urdf_model(file: UrdfFile) -> UrdfModel:
@@ -68,7 +73,7 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
     limited = joint.kind in ("revolute", "prismatic") and limit is not None
     return Joint(
         name=joint.name,
-        kind=_JOINT_KINDS.get(joint.kind, FREE),
+        kind=_JOINT_KINDS.get(joint.kind, FREE_JOINT),
         parent=joint.parent,
         child=joint.child,
         position=pose.position,

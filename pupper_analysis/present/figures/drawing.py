@@ -22,24 +22,30 @@ from pupper_analysis.base.provenance import collect_provenance
 from pupper_analysis.present.document import Plot, Words, get_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
-DPI = 180
+FIGURE_DPI = 180
+"""Resolution of figures [pixels per inch]."""
 FONT_SIZE = 8
 """Font size of figures [pt]."""
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
-BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#D55E00",
-    "#56B4E9",
-    "#000000",
-    "#6B7280",
-)
+BLUE_COLOUR = "#0072B2"
+ORANGE_COLOUR = "#E69F00"
+GREEN_COLOUR = "#009E73"
+RED_COLOUR = "#D55E00"
+SKY_BLUE_COLOUR = "#56B4E9"
+BLACK_COLOUR = "#000000"
+GREY_COLOUR = "#6B7280"
 
 GRID_COLOUR = "#E3E6EB"
 """Colour of grid lines."""
-SERIES_COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+SERIES_COLOURS = (
+    BLUE_COLOUR,
+    RED_COLOUR,
+    GREEN_COLOUR,
+    ORANGE_COLOUR,
+    SKY_BLUE_COLOUR,
+    BLACK_COLOUR,
+)
 """Colours of the lines of a plot, in plotting order."""
 
 PAGE_WIDTH = 178 / 25.4
@@ -47,10 +53,10 @@ PAGE_WIDTH = 178 / 25.4
 
 _CLASS_COLOURS = {
     **{f"s{index}": colour for index, colour in enumerate(SERIES_COLOURS)},
-    "bar": SKY,
-    "other": BLACK,
-    "limit": RED,
-    "axis": GREY,
+    "bar": SKY_BLUE_COLOUR,
+    "other": BLACK_COLOUR,
+    "limit": RED_COLOUR,
+    "axis": GREY_COLOUR,
     "grid": GRID_COLOUR,
     "empty": "0.93",
 }
@@ -176,7 +182,7 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
         kind: Class.
         width: Default line width [pt].
     """
-    colour = _CLASS_COLOURS.get(kind, GREY)
+    colour = _CLASS_COLOURS.get(kind, GREY_COLOUR)
     return {
         "color": colour,
         "ls": _CLASS_DASHES.get(kind, "-"),
@@ -223,7 +229,7 @@ def make_page_figure(
         create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``: ``Figure``, or
             ``pyplot.figure`` for a figure that notebooks show.
     """
-    figure = create(figsize=(PAGE_WIDTH, height), dpi=DPI, layout=layout)
+    figure = create(figsize=(PAGE_WIDTH, height), dpi=FIGURE_DPI, layout=layout)
     figure.suptitle(title, x=0.012, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False)
     return figure
 

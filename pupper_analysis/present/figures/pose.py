@@ -140,10 +140,10 @@ _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT_COLOUR = "#CFE8F7"
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
-_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.GREEN, "mew": 2.2, "ms": 8}
-_SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.BLACK, "mew": 1.6}
+_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.GREEN_COLOUR, "mew": 2.2, "ms": 8}
+_SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.BLACK_COLOUR, "mew": 1.6}
 _COM_PROJECTION_STYLE: dict[str, Any] = {
-    "color": drawing.GREEN,
+    "color": drawing.GREEN_COLOUR,
     "marker": "x",
     "ls": "",
     "mew": 2.2,
@@ -195,17 +195,28 @@ def make_pose_figure(
         _draw_forces(axes, projection, seen)
         drawing.title_panel(axes, side)
         axes.set_axis_off()
-    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK, "ms": 4}
+    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
-        Line2D([], [], color=drawing.BLACK, marker="o", ls="", ms=6, label="foot"),
+        Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
-        Line2D([], [], color=drawing.RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
+        Line2D(
+            [],
+            [],
+            color=drawing.RED_COLOUR,
+            marker=r"$\uparrow$",
+            ls="",
+            ms=9,
+            label="contact force",
+        ),
         Line2D([], [], **_COM_STYLE, label="com"),
         Line2D([], [], **_COM_PROJECTION_STYLE, label="com's projection"),
         Patch(
-            facecolor=_SUPPORT_COLOUR, edgecolor=drawing.BLUE, hatch="//", label="support polygon"
+            facecolor=_SUPPORT_COLOUR,
+            edgecolor=drawing.BLUE_COLOUR,
+            hatch="//",
+            label="support polygon",
         ),
     ]
     drawing.add_legend(figure, handles)
@@ -226,7 +237,7 @@ def _draw_stand(
         axes.add_patch(base)
     support: dict[str, Any] = {
         "fc": _SUPPORT_COLOUR,
-        "ec": drawing.BLUE,
+        "ec": drawing.BLUE_COLOUR,
         "hatch": "//",
         "zorder": 1,
     }
@@ -240,12 +251,22 @@ def _draw_stand(
         order = 4 if near else 2
         colour = _NEAR_COLOUR if near else _FAR_COLOUR
         line(leg, color=colour, lw=4, solid_capstyle="round", zorder=order)
-        line(leg[:-1], "o", color="white", mec=drawing.BLACK, mew=0.8, ms=4, zorder=order)
-        mark = _SWING_STYLE if foot in stand.task.swing else {"color": drawing.BLACK, "marker": "o"}
+        line(leg[:-1], "o", color="white", mec=drawing.BLACK_COLOUR, mew=0.8, ms=4, zorder=order)
+        mark = (
+            _SWING_STYLE
+            if foot in stand.task.swing
+            else {"color": drawing.BLACK_COLOUR, "marker": "o"}
+        )
         line(leg[-1], **mark, ms=7 * small, zorder=order)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
-    line(np.array([seen.com, seen.com_projection]), color=drawing.GREEN, ls="--", lw=1.2, zorder=6)
+    line(
+        np.array([seen.com, seen.com_projection]),
+        color=drawing.GREEN_COLOUR,
+        ls="--",
+        lw=1.2,
+        zorder=6,
+    )
     line(seen.com, **_COM_STYLE, zorder=6)
     line(seen.com_projection, **_COM_PROJECTION_STYLE, zorder=6)
     axes.set_aspect("equal")
@@ -256,7 +277,13 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     """Draw contact forces as arrows that end at the feet, in a projection of shape (2, 3)."""
     largest = max(float(np.linalg.norm(contact.force)) for contact in seen.contacts)
     scale = _MAX_ARROW_RATIO * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
-    arrow = {"arrowstyle": "-|>", "color": drawing.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+    arrow = {
+        "arrowstyle": "-|>",
+        "color": drawing.RED_COLOUR,
+        "lw": 1.8,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     for contact in seen.contacts:
         tail = contact.point - scale * contact.force
         tip, end = (tuple(projection @ place) for place in (contact.point, tail))

@@ -115,15 +115,19 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     for analysis, axes in panels:
         task = float(analysis.stand.qpos[2])
         for run, name, style in (
-            (analysis.verification, "with feed-forward", {"color": drawing.BLUE}),
-            (analysis.sagging, "position commands only", {"color": drawing.RED, "ls": (0, (6, 2))}),
+            (analysis.verification, "with feed-forward", {"color": drawing.BLUE_COLOUR}),
+            (
+                analysis.sagging,
+                "position commands only",
+                {"color": drawing.RED_COLOUR, "ls": (0, (6, 2))},
+            ),
         ):
             heights = 1e3 * (np.asarray(run.height, float) - task)
             last = heights[run.time > run.time[-1] - _LOSS_WINDOW].mean()
             label = f"{name}: {round(last, 2) + 0.0:.2f} mm{' (FAILS)' if run.failures else ''}"
             axes.plot(run.time, heights, lw=1.4, label=label, **style)
             _mark_first_contact(axes, run, heights)
-        axes.axhline(0.0, color=drawing.GREEN, ls=(0, (2, 3)), lw=1.2)
+        axes.axhline(0.0, color=drawing.GREEN_COLOUR, ls=(0, (2, 3)), lw=1.2)
         axes.set_xlabel("time (s)", size=drawing.FONT_SIZE)
         axes.set_ylabel("height less task (mm)", size=drawing.FONT_SIZE)
         axes.grid(color=drawing.GRID_COLOUR)
@@ -132,7 +136,7 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_ylim(lowest, -0.35 * lowest)  # the legend is above the curves
         drawing.title_panel(axes, f"{analysis.name}: task {1e3 * task:.1f} mm")
     _share_limits(panels, "y")
-    task_line = Line2D([], [], color=drawing.GREEN, ls=(0, (2, 3)), lw=1.2, label="task")
+    task_line = Line2D([], [], color=drawing.GREEN_COLOUR, ls=(0, (2, 3)), lw=1.2, label="task")
     note = Line2D([], [], ls="", label=f"numbers: mean of the last {_LOSS_WINDOW:g} s")
     _save_with_legend(figure, [task_line, note], path)
 
@@ -170,7 +174,7 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     handles = [
         Patch(facecolor="0.8", label="falls"),
         Patch(facecolor="white", edgecolor="0.3", hatch="////", label="does not stay at rest"),
-        Patch(facecolor="none", edgecolor=drawing.RED, lw=2, label="the model's own gains"),
+        Patch(facecolor="none", edgecolor=drawing.RED_COLOUR, lw=2, label="the model's own gains"),
     ]
     _save_with_legend(figure, handles, path)
 
@@ -265,7 +269,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
     time = min(contacts)[0]
     links = [link for at, link in contacts if at == time]
     height = float(np.interp(time, run.time, heights))
-    axes.plot(time, height, "v", color=drawing.BLACK, ms=5)
+    axes.plot(time, height, "v", color=drawing.BLACK_COLOUR, ms=5)
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
     axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
@@ -336,7 +340,7 @@ def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
     for row in np.flatnonzero(rows):
         for column in np.flatnonzero(columns):
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False,
-                                     edgecolor=drawing.RED, lw=2, zorder=3))  # fmt: skip
+                                     edgecolor=drawing.RED_COLOUR, lw=2, zorder=3))  # fmt: skip
 
 
 def _save_with_legend(figure: Figure, handles: Sequence[Any], path: str | Path) -> None:

@@ -245,9 +245,9 @@ def _split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list
 def _read_file(request: Request) -> list[Source]:
     """Read a file with all readers for the suffix."""
     ending = request.path.suffix.lower()
-    able = [reader for reader in load_readers() if ending in reader.SUFFIXES]
+    able = [reader for reader in load_readers() if ending in reader.FILE_SUFFIXES]
     if not able:
-        known = sorted({suffix for reader in load_readers() for suffix in reader.SUFFIXES})
+        known = sorted({suffix for reader in load_readers() for suffix in reader.FILE_SUFFIXES})
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
     try:
         return [source for reader in able for source in reader.read(request)]

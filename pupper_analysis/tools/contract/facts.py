@@ -237,11 +237,11 @@ class Reader(Protocol):
     """Interface of a reader: a module with these names.
 
     Attributes:
-        SUFFIXES: File name suffixes, in lower case.
+        FILE_SUFFIXES: File name suffixes, in lower case.
         read: Function that yields the sources in a file; none if the file is of another kind.
     """
 
-    SUFFIXES: tuple[str, ...]
+    FILE_SUFFIXES: tuple[str, ...]
     read: Callable[[Request], Iterable[Source]]
 
 

@@ -25,11 +25,11 @@ from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.shapes import Array, Pose
 from pupper_analysis.models.stated.model import (
-    BALL,
-    FIXED,
-    FREE,
-    HINGE,
-    SLIDE,
+    BALL_JOINT,
+    FIXED_JOINT,
+    FREE_JOINT,
+    HINGE_JOINT,
+    SLIDE_JOINT,
     Inertial,
     Joint,
     Link,
@@ -41,10 +41,10 @@ RADIANS_PER_DEGREE: Final = math.pi / 180
 """Radians per degree."""
 
 _JOINT_KINDS: Final = {
-    "PhysicsRevoluteJoint": HINGE,
-    "PhysicsPrismaticJoint": SLIDE,
-    "PhysicsSphericalJoint": BALL,
-    "PhysicsFixedJoint": FIXED,
+    "PhysicsRevoluteJoint": HINGE_JOINT,
+    "PhysicsPrismaticJoint": SLIDE_JOINT,
+    "PhysicsSphericalJoint": BALL_JOINT,
+    "PhysicsFixedJoint": FIXED_JOINT,
 }
 """{USD type name: joint kind}; all other types are free joints."""
 
@@ -153,7 +153,7 @@ def read_edge(
         paths: {path of a joint's prim: joint name}.
     """
     kind, axis, lower, upper = _read_freedom(prim)
-    is_hinge, has_axis = kind == HINGE, kind in (HINGE, SLIDE)
+    is_hinge, has_axis = kind == HINGE_JOINT, kind in (HINGE_JOINT, SLIDE_JOINT)
     unit = RADIANS_PER_DEGREE if is_hinge else units.length
     axis_word = "angular" if is_hinge else "linear"
     limits = {"lower limit": lower * unit, "upper limit": upper * unit}
@@ -193,8 +193,8 @@ def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
 
     Joints of unknown types are free; such joints are refused when joints are compared.
     """
-    kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE)
-    if kind not in (HINGE, SLIDE):
+    kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE_JOINT)
+    if kind not in (HINGE_JOINT, SLIDE_JOINT):
         return kind, 0, -math.inf, math.inf
     axis = AXIS_INDICES[read_axis(prim, "physics:axis", "X")]
     lower = read_number(prim, "physics:lowerLimit", -math.inf)
@@ -453,7 +453,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
             )
         elif world_edge is None:
             joints = (_make_free_joint(name, to_base * poses[name]),)
-        elif world_edge.kind != FIXED:
+        elif world_edge.kind != FIXED_JOINT:
             joints = (_make_joint(world_edge, "", name, to_base),)
         links[name] = Link(
             name,
@@ -557,7 +557,7 @@ class _JointForest:
                     self._adjacent_edges[body_name].append(edge)
             if not all(edge.bodies) and not edge.outside:
                 body = edge.bodies[0] or edge.bodies[1]
-                if body not in self._world_edges or edge.kind == FIXED:
+                if body not in self._world_edges or edge.kind == FIXED_JOINT:
                     self._world_edges[body] = edge
             if all(edge.bodies):
                 self._num_parents[edge.bodies[1]] += 1
@@ -634,7 +634,7 @@ def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
     is_forward = edge.bodies[0] == parent
     frame = pose * (edge.frames[0] if is_forward else edge.frames[1])
     unit_axis = np.eye(3)[edge.axis]
-    has_axis = edge.kind in (HINGE, SLIDE)
+    has_axis = edge.kind in (HINGE_JOINT, SLIDE_JOINT)
     axis = frame.rotation @ unit_axis * (1.0 if is_forward else -1.0) if has_axis else np.zeros(3)
     return Joint(
         name=edge.name,
@@ -654,7 +654,7 @@ def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
 def _make_free_joint(body: str, pose: Pose) -> Joint:
     """Create the free joint of a body."""
     zeros, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
-    return Joint(f"({body})", FREE, "world", body, pose.position, zeros, zeros, {}, *infinite)
+    return Joint(f"({body})", FREE_JOINT, "world", body, pose.position, zeros, zeros, {}, *infinite)
 
 
 def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:

@@ -32,11 +32,11 @@ from pupper_analysis.models.spec_tree import (
 )
 from pupper_analysis.models.stated.mjcf import JOINT_KINDS
 from pupper_analysis.models.stated.model import (
-    BALL,
-    FIXED,
-    FREE,
-    HINGE,
-    SLIDE,
+    BALL_JOINT,
+    FIXED_JOINT,
+    FREE_JOINT,
+    HINGE_JOINT,
+    SLIDE_JOINT,
     Inertial,
     Joint,
     Link,
@@ -125,7 +125,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
         for joint in link.joints:
             if joint.parent not in poses:
                 continue  # a free base has no joint
-            if joint.kind in (BALL, FREE):
+            if joint.kind in (BALL_JOINT, FREE_JOINT):
                 place = model.file.place("joint", joint.name)
                 raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
             _add_joint(tree, model, joint, poses)
@@ -143,9 +143,9 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
     frame = poses[joint.child]
     is_unlimited = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
     urdf_types = {
-        HINGE: "continuous" if is_unlimited else "revolute",
-        SLIDE: "prismatic",
-        FIXED: "fixed",
+        HINGE_JOINT: "continuous" if is_unlimited else "revolute",
+        SLIDE_JOINT: "prismatic",
+        FIXED_JOINT: "fixed",
     }
     placement = (poses[joint.parent].inverse() * frame).placed
     element = tree.new_joint(
@@ -155,7 +155,7 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
         return
     element.set_axis(frame.rotation.T @ joint.axis)
     stated: Mapping[str, float] = joint.stated
-    if not (is_unlimited and joint.kind == HINGE):
+    if not (is_unlimited and joint.kind == HINGE_JOINT):
         limits = np.clip((joint.lower, joint.upper), -MAX_SLIDE_POSITION, MAX_SLIDE_POSITION)
         stated = {**stated, "lower limit": float(limits[0]), "upper limit": float(limits[1])}
     for attribute in JOINT_ATTRIBUTES:
@@ -278,9 +278,9 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
     """Add the joints of a link to a body of the spec."""
     inverse = link.pose.inverse()
     for joint in link.joints:
-        if joint.kind == FIXED:
+        if joint.kind == FIXED_JOINT:
             continue
-        if joint.kind == FREE and link.parent is not None:
+        if joint.kind == FREE_JOINT and link.parent is not None:
             place = model.file.place("joint", joint.name)
             raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
         mj_joint = body.add_joint(name=joint.name, type=_JOINT_TYPES[joint.kind])
@@ -359,9 +359,9 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
         ModelError: If the joint is not between two bodies, or is a slide or free joint.
     """
     first_body, second_body = edge.bodies
-    if not (first_body and second_body) or edge.kind in (SLIDE, FREE):
+    if not (first_body and second_body) or edge.kind in (SLIDE_JOINT, FREE_JOINT):
         raise make_file_error(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
-    weld = edge.kind == FIXED
+    weld = edge.kind == FIXED_JOINT
     equality = spec.add_equality(name=edge.name, name1=first_body, name2=second_body)
     equality.objtype = mujoco.mjtObj.mjOBJ_BODY
     equality.type = mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT
@@ -439,7 +439,7 @@ def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
                 min(stated, key=stated.__getitem__),
                 max(stated, key=stated.__getitem__),
             )
-            unit = BY_KIND[kind].unit(edge.kind == SLIDE)
+            unit = BY_KIND[kind].unit(edge.kind == SLIDE_JOINT)
             message = diagnose(
                 "joint-numbers-contradict",
                 one=smallest,

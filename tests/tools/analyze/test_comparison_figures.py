@@ -73,7 +73,7 @@ def test_a_figure_is_refused_without_robots(name: str, tmp_path: Path) -> None:
 def test_a_figure_of_three_robots_is_written_with_white_edges(name: str, tmp_path: Path) -> None:
     FIGURES[name]([analysis_of(robot) for robot in ("original", "v3", "v3-heavy")], tmp_path / name)
     pixels = imread(tmp_path / name)
-    assert pixels.shape[1] == pytest.approx(drawing.PAGE_WIDTH * drawing.DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(drawing.PAGE_WIDTH * drawing.FIGURE_DPI, abs=1)
     for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
         assert (edge[:, :3] == 1.0).all()  # nothing is cut off
 

@@ -21,7 +21,7 @@ from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_effo
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import (
-    HINGE,
+    HINGE_JOINT,
     Array,
     Joint,
     Link,
@@ -86,7 +86,7 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     names = set(robot.joints)
     for joint in robot.joints.values():
         axis = infer_axis_from_name(joint.name, names)
-        if axis is None or joint.kind != HINGE or not joint.axis.any():
+        if axis is None or joint.kind != HINGE_JOINT or not joint.axis.any():
             continue
         if abs(joint.axis[axis]) < 0.5:
             really = int(np.argmax(np.abs(joint.axis)))
@@ -173,7 +173,9 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     three hinges is above 2 pi degrees, the limits are probably radians.
     """
     hinges = [
-        j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
+        j
+        for j in robot.joints.values()
+        if j.kind == HINGE_JOINT and math.isfinite(j.lower + j.upper)
     ]
     for joint in hinges:
         limits = (joint.lower, joint.upper)
@@ -203,7 +205,7 @@ def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The range is a finding if the upper limit is at least 3.1 rad: it is probably a placeholder.
     """
-    hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
+    hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and math.isfinite(j.upper)]
     if len(hinges) < _MIN_HINGES:
         return
     upper = hinges[0].upper
@@ -286,7 +288,7 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """
     motors = []
     for joint in robot.joints.values():
-        if joint.kind == HINGE:
+        if joint.kind == HINGE_JOINT:
             ends = map(robot.carrier, (joint.parent, joint.child))
             mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
             armature = joint.stated.get("armature", 0.0)
@@ -377,12 +379,12 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
     projected perpendicular to the hip axis.
     """
     for link in robot.links.values():
-        if not link.moving or link.joints[-1].kind != HINGE:
+        if not link.moving or link.joints[-1].kind != HINGE_JOINT:
             continue
         knee = link.joints[-1]
         above = robot.links.get(robot.carrier(knee.parent))
         end = _find_shank_end(robot, link)
-        if above is None or not above.moving or above.joints[-1].kind != HINGE or end is None:
+        if above is None or not above.moving or above.joints[-1].kind != HINGE_JOINT or end is None:
             continue
         hip = above.joints[-1]
         cosine = float(hip.axis @ knee.axis)

@@ -20,7 +20,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import find_element_place, joint_name
 from pupper_analysis.models.stated.model import (
-    HINGE,
+    HINGE_JOINT,
     Array,
     Inertial,
     Link,
@@ -160,7 +160,9 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
     ERROR instead of WARNING if it exceeds all efforts by `IMPOSSIBLE_FACTOR`. Skipped are robots
     with fewer than two hinges, or with an effort that is unknown or 0.
     """
-    hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE and joint.parent]
+    hinges = [
+        joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
+    ]
     efforts = [joint.effort for joint in hinges]
     known = sum(1 for effort in efforts if 0 < effort < np.inf)
     if known < len(efforts) or known < 2:

@@ -20,7 +20,7 @@ from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.models.stated.model import (
-    HINGE,
+    HINGE_JOINT,
     Array,
     Inertial,
     Joint,
@@ -263,7 +263,7 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 
     A rotation axis is a pseudovector with mirror image -S a; the image of a sliding axis is S a.
     """
-    image = mirror.matrix @ first.axis * (-1.0 if first.kind == HINGE else 1.0)
+    image = mirror.matrix @ first.axis * (-1.0 if first.kind == HINGE_JOINT else 1.0)
     return float(image @ second.axis)
 
 
@@ -310,7 +310,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
         elif first.effort != second.effort and not np.isclose(
             first.effort, second.effort, rtol=0.01
         ):
-            unit = "N m" if second.kind == HINGE else "N"
+            unit = "N m" if second.kind == HINGE_JOINT else "N"
             effort, first_effort = (
                 describe_effort(second.effort, unit),
                 describe_effort(first.effort, unit),
@@ -332,7 +332,7 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
             if (value := joint.stated.get(attribute.kind)) is not None
         }
         for first, second in find_unlike_pairs(pairs, stated):
-            unit = attribute.unit(robot.joints[second].kind != HINGE)
+            unit = attribute.unit(robot.joints[second].kind != HINGE_JOINT)
             message = diagnose(
                 "mirror-drive",
                 what=Term(attribute.kind),

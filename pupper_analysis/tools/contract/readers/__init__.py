@@ -1,4 +1,4 @@
-"""Readers of source formats. A module in this folder with ``SUFFIXES`` and ``read`` is a reader."""
+"""Readers of source formats: modules of this folder with ``FILE_SUFFIXES`` and ``read``."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

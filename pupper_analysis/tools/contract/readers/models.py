@@ -21,7 +21,7 @@ from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
 from pupper_analysis.tools.contract.orders import list_depth_first
 
-SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz")
+FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz")
 
 
 def read(request: Request) -> Iterator[Source]:

@@ -20,7 +20,7 @@ from pupper_analysis.tools.contract.facts import (
 )
 from pupper_analysis.tools.contract.readers.tables import read_table
 
-SUFFIXES = (".onnx",)
+FILE_SUFFIXES = (".onnx",)
 
 ProtobufMessage = dict[int, list["int | memoryview"]]
 """Message of Protocol Buffers: {field number: values, in order}."""

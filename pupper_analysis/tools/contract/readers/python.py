@@ -20,7 +20,7 @@ from pupper_analysis.tools.contract.facts import (
 )
 from pupper_analysis.tools.contract.readers import tables
 
-SUFFIXES = (".py",)
+FILE_SUFFIXES = (".py",)
 
 _ACTUATOR_QUANTITIES = FORMAT_KEYS["actuator"]
 """{field of an actuator configuration: quantity}."""

@@ -23,7 +23,7 @@ from pupper_analysis.tools.contract.facts import (
     read_yaml_nodes,
 )
 
-SUFFIXES = (".yaml", ".yml", ".json")
+FILE_SUFFIXES = (".yaml", ".yml", ".json")
 
 _TABLE_KEYS = {
     **FORMAT_KEYS["table"],

@@ -40,7 +40,7 @@ class Terminal:
         return answer.strip().lower() != "s"
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """Ask for the feet in the air; return None to skip the stand."""
+        """Prompt for the feet in the air; return None if the operator skips the stand."""
         foot_names = {foot.lower(): foot for foot in feet}
         while True:
             default = " ".join(planned) or "none"
@@ -84,7 +84,7 @@ class TypedBridge(WallClock):
         self._names = robot.joint_names
 
     def read(self) -> tuple[float, Array]:
-        """Ask for each joint position; return the time [s] and positions, shape (nu,) [rad]."""
+        """Prompt for each joint position; return the time [s] and positions, shape (nu,) [rad]."""
         degrees = [
             click.prompt(f"  position of {name} (deg)", type=float, err=True)
             for name in self._names
