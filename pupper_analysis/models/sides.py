@@ -48,7 +48,9 @@ def mirror_name(name: str) -> str:
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
-    Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
+    A name without a side is the partner of the same name with ``_left`` or ``_right``, unless the
+    third name exists too: ``foot`` and ``foot_left`` of a planar walker. Names that match
+    ``ASYMMETRIC_PART_NAME`` are excluded.
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
@@ -61,6 +63,12 @@ def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
             and not ASYMMETRIC_PART_NAME.search(name)
         ):
             pairs[name] = mirrored
+    for name in names_in_order:
+        for side, other in (("left", "right"), ("right", "left")):
+            sided = f"{name}_{side}"
+            is_paired = sided in names_in_order and f"{name}_{other}" not in names_in_order
+            if is_paired and not ASYMMETRIC_PART_NAME.search(name):
+                pairs[name] = sided
     return list(pairs.items())
 
 

@@ -167,6 +167,12 @@ SLIPS: list[tuple[Any, ...]] = [
     ("range-empty", "mjcf general FL_HAA", '', '/>', ' ctrlrange="0.8 -0.8"/>'),
     ("actuator-without-effect", "mjcf general FL_HAA", '', '/>', ' gear="0"/>'),
     ("actuator-unlimited", "mjcf general FL_HAA", '', '/>', ' forcelimited="false"/>'),
+    ("command-range-in-degrees", "mjcf general FL_HFE", '', '/>', ' ctrlrange="-103.1 68.75"/>'),
+    ("foot-softer-than-its-size", "mjcf geom FL_foot", '', '/>', ' solimp="0.015 1 0.031"/>'),
+    ("keyframe-feet-in-air", "mjcf key home", '', 'qpos="[^"]*"',
+     'qpos="0 0 0.158 1 0 0 0' + 4 * ' 0 0.9014 1.5083' + '"'),
+    ("keyframe-torques-are-angles", "mjcf key home", '',
+     ("<general", 'biastype="affine" gainprm="60 0 0"', 'biastype="none" gainprm="1"')),
     ("start-outside-limits", "mjcf key home", '', '0.9014 -1.5083', '1.5 -1.5083'),
     ("keyframe-ctrl", "mjcf key home", '', 'ctrl="0 0.9014', 'ctrl="0 1.5'),
     ("start-in-floor", "mjcf key home", '', '0 0 0.158', '0 0 0.14'),
@@ -371,6 +377,113 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
     assert finding.severity is severity
 
 
+@pytest.mark.parametrize(
+    ("command_range", "is_found"),
+    [
+        ("-103.1 68.75", True),  # -1.8 to 1.2 rad in degrees
+        ("-1.8 1.2", False),
+        ("-100 100", False),  # may be meant as no limit
+        ("-3.6 2.4", False),
+    ],
+)
+def test_command_range_is_found_if_it_is_the_range_of_the_joint_in_degrees(
+    command_range: str, is_found: bool, tmp_path: Path
+) -> None:
+    edit = Edit('<general name="FL_HFE"', "/>", f' ctrlrange="{command_range}"/>')
+    result = audit_model(written(tmp_path, "mjcf", (edit,)))
+    assert bool(found(result, "command-range-in-degrees")) == is_found
+
+
+def test_keyframe_with_knees_of_the_wrong_sign_names_the_knees(tmp_path: Path) -> None:
+    """The keyframe of the file with knees of the other sign; a drop from 0.3 m is no finding."""
+    knees = 4 * " 0 0.9014 1.5083"
+    edit = Edit(KEY, 'qpos="[^"]*"', f'qpos="0 0 0.158 1 0 0 0{knees}"')
+    (finding,) = found(audit_model(written(tmp_path, "mjcf", (edit,))), "keyframe-feet-in-air")
+    assert finding.diagnostic.values["joints"] == tuple(f"{leg}_KFE" for leg in LEGS)
+    raised = written(tmp_path, "mjcf", (Edit(KEY, "0 0 0.158", "0 0 0.3"),))
+    assert not found(audit_model(raised), "keyframe-feet-in-air")
+
+
+def test_torques_that_are_no_angles_are_no_finding(tmp_path: Path) -> None:
+    """Torque motors with the pose of the file and other commands: zeros, and half the angles."""
+    motors = Edit("<general", 'biastype="affine" gainprm="60 0 0"', 'biastype="none" gainprm="1"')
+    for torques in (4 * " 0 0 0", 4 * " 0 0.45 -0.754"):
+        edit = Edit(KEY, 'ctrl="[^"]*"', f'ctrl="{torques.strip()}"')
+        path = written(tmp_path, "mjcf", (motors, edit))
+        assert not found(audit_model(path), "keyframe-torques-are-angles")
+
+
+@pytest.mark.parametrize(("length", "depth"), [(0.124, 0.0), (0.134, 0.006)])
+def test_hull_of_a_shank_below_the_foot_is_found(
+    length: float, depth: float, tmp_path: Path
+) -> None:
+    """The foot's sphere ends 128 mm below the knee, the box of the shank above or 6 mm below."""
+    box = trimesh.creation.box((0.004, 0.004, length))
+    box.apply_translation((0, 0, -length / 2))
+    box.export(tmp_path / "shank.stl")
+    asset = '<asset><mesh name="shank" file="shank.stl"/></asset>\n  <worldbody>'
+    geom = '<geom type="mesh" mesh="shank" mass="0.001"/>'
+    edits = (
+        Edit("<worldbody", "<worldbody>", asset),
+        Edit('<geom name="FL_foot"', '<geom name="FL_foot"', f'{geom}<geom name="FL_foot"'),
+    )
+    findings = found(audit_model(written(tmp_path, "mjcf", edits)), "hull-below-foot")
+    assert bool(findings) == bool(depth)
+    if depth:
+        value = findings[0].diagnostic.values["depth"]
+        assert isinstance(value, Quantity)
+        assert value.value == pytest.approx(depth, rel=0.02)
+        assert findings[0].element == "geom 'FL_foot'"
+
+
+@pytest.mark.parametrize(("wrong", "is_found"), [("ixy", True), ("ixy iyz", False), ("", False)])
+def test_wrong_sign_of_one_small_product_of_inertia_is_found(
+    wrong: str, is_found: bool, tmp_path: Path
+) -> None:
+    """Products of 3.75 %, 1.25 % and 2.5 % of the largest moment, below the tolerance of 10 %.
+
+    A part that is mounted on the right turned by 180 degrees about x, not mirrored, has ixy and
+    ixz of the other sign than the part on the left: beside the mirror image, iyz and ixz differ.
+    """
+    left = {"ixx": 5e-5, "iyy": 8e-5, "izz": 6e-5, "ixy": -3e-6, "ixz": 1e-6, "iyz": 2e-6}
+    right = {**left, "ixy": 3e-6, "iyz": -2e-6}  # mirrored about y
+    right |= {name: -right[name] for name in wrong.split()}
+    edits = []
+    for link, entries in ((FL_CALF, left), (FR_CALF, right)):
+        words = " ".join(f'{name}="{value}"' for name, value in entries.items())
+        edits.append(Edit(link, "<inertia [^>]*>", f"<inertia {words}/>"))
+    result = audit_model(written(tmp_path, "urdf", tuple(edits)))
+    assert bool(found(result, "mirror-inertia")) == is_found
+
+
+PLANAR_LEG = """<body name="thigh{0}" pos="0 0 -0.2"><joint name="hip{0}" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.04"/>
+<body name="foot{0}" pos="0 0 -0.7"><joint name="knee{0}" axis="0 1 0" pos="0 0 0.3"/>
+<geom type="capsule" fromto="0 0 0.3 0 0 -0.2" size="0.04" friction="{1}"/></body></body>"""
+
+
+@pytest.mark.parametrize(("friction", "is_found"), [("1.9", True), ("0.9", False)])
+def test_feet_of_a_planar_walker_are_partners(
+    friction: str, is_found: bool, tmp_path: Path
+) -> None:
+    """Gymnasium's Walker2d had feet "foot" and "foot_left" with friction 0.9 and 1.9 (issue 477).
+
+    The knees are at the anchors of the joints, where the thighs end, not at the frames of the feet.
+    """
+    legs = PLANAR_LEG.format("", "0.9") + PLANAR_LEG.format("_left", friction)
+    path = tmp_path / "walker.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom type="plane" size="9 9 9" friction="0.1"/>'
+        '<body name="torso" pos="0 0 1.3"><joint name="x" type="slide" axis="1 0 0"/>'
+        '<joint name="z" type="slide" axis="0 0 1"/><joint name="turn" axis="0 1 0"/>'
+        f'<geom type="capsule" fromto="0 0 -0.2 0 0 0.2" size="0.04"/>{legs}</body>'
+        "</worldbody></mujoco>"
+    )
+    result = audit_model(path)
+    assert bool(found(result, "mirror-contacts", "body 'foot_left'")) == is_found
+    assert not found(result, "shape-ends-off-joint")
+
+
 BROKEN = {
     "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "mesh-without-triangle"),
     "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-without-triangle"),
@@ -538,7 +651,7 @@ def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
 
 
 def test_every_rule_has_a_test() -> None:
-    apart = {"mesh-unreadable", "mesh-mirrored", "base-fused"}  # which no edit of our files makes
+    apart = {"mesh-unreadable", "mesh-mirrored", "base-fused", "hull-below-foot"}  # not by an edit
     assert {case.rule for case in CASES} | apart == set(CHECKS)
 
 

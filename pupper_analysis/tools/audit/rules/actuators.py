@@ -129,6 +129,36 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
         yield CheckFinding("actuator", drive.name, message)
 
 
+MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
+"""Largest difference between a command range in degrees and the joint's range, relative to the
+width of the joint's range, and smallest end of such a command range [rad]: no hinge of a robot
+turns twice. Chosen, not tuned."""
+
+
+@rule
+def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find position servos of hinges with a ctrlrange that is the joint's range in degrees."""
+    for model, drive in _list_robot_drives(robot):
+        hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
+        ranged = model.jnt_limited[drive.joint] and model.actuator_ctrllimited[drive.control]
+        if not (hinge and ranged and drive.stiffness > 0 and drive.gear):
+            continue
+        factor = drive.gain / drive.stiffness / drive.gear
+        commands = np.sort(factor * model.actuator_ctrlrange[drive.control])
+        ends = model.jnt_range[drive.joint]
+        gap = float(np.abs(np.deg2rad(commands) - ends).max())
+        if np.abs(commands).max() > MIN_DEGREES and gap <= MAX_COMMAND_RANGE_ERROR * np.ptp(ends):
+            message = diagnose(
+                "command-range-in-degrees",
+                low=float(model.actuator_ctrlrange[drive.control, 0]),
+                high=float(model.actuator_ctrlrange[drive.control, 1]),
+                joint=drive.joint_name,
+                lower=Quantity(ends[0], "rad"),
+                upper=Quantity(ends[1], "rad"),
+            )
+            yield CheckFinding("actuator", drive.name, message)
+
+
 @rule
 def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""

@@ -67,7 +67,8 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
         tolerance: Largest distance between a link and the mirror image [m].
 
     Returns:
-        Plane; None if less than a third of the pairs are mirror images in any plane.
+        Plane; None if less than a third of the pairs are mirror images in any plane. If both sides
+        of all pairs are at the same place, and all hinges are parallel, the plane of the motion.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -84,7 +85,23 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
             agreeing = int(np.sum(close & away))
             if agreeing > max_agreeing:
                 best, max_agreeing = mirror, agreeing
-    return best if 3 * max_agreeing >= len(pairs) else None
+    if 3 * max_agreeing >= len(pairs):
+        return best
+    return _find_plane_of_motion(robot) if np.abs(left - right).max() < tolerance else None
+
+
+def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
+    """Return the plane in which a planar robot moves; None if the hinges are not parallel."""
+    axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE])
+    for axis in range(3):
+        if len(axes) and (np.abs(axes[:, axis]) > MIN_PLANAR_COSINE).all():
+            places = [link.pose.position[axis] for link in robot.links.values()]
+            return MirrorPlane(axis, float(np.median(places)))
+    return None
+
+
+MIN_PLANAR_COSINE = 0.9999
+"""Smallest cosine between a hinge and the normal of the plane of a planar robot. Chosen."""
 
 
 POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
@@ -221,8 +238,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
     With the inertias I and I' about the CoMs in base axes at zero angles, and the reflection S, a
-    finding is an entry of S I S - I' above 10 % of the largest entry. Pairs with different masses
-    are not compared.
+    finding is an entry of S I S - I' above 10 % of the largest entry, or a product of inertia with
+    the wrong sign (`_find_wrong_sign`). Pairs with different masses are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -236,7 +253,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
         first_entries, second_entries = inertia_entries(image), inertia_entries(tensor)
         gap = np.abs(first_entries - second_entries)
         worst = int(np.argmax(gap))
-        if gap[worst] > max(INERTIA_RTOL * scale, min(rounding, 0.5 * scale)):
+        flipped = _find_wrong_sign(first_entries, second_entries)
+        if gap[worst] > max(INERTIA_RTOL * scale, min(rounding, 0.5 * scale)) or flipped:
             message = diagnose(
                 "mirror-inertia",
                 entry=names[worst],
@@ -245,6 +263,34 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
                 its=Quantity(first_entries[worst], "kg m^2"),
             )
             yield CheckFinding(robot.link_tag, second.name, message, robot.inertial_part("inertia"))
+
+
+SIGN_RTOL, MIN_PRODUCT_FRACTION = 0.02, 0.01
+"""Largest difference of the magnitudes of two entries with opposite or equal signs, relative to the
+entry, and smallest product of inertia, relative to the largest entry, whose sign is compared.
+Chosen, not tuned."""
+
+_PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
+"""Mask of the products among the entries of an inertia, in the order of `INERTIA_ENTRIES`."""
+
+
+def _find_wrong_sign(image: Array, entries: Array) -> bool:
+    """Return True if one or three products of inertia have the wrong sign, and all else is equal.
+
+    An equal part that is mounted turned by 180 degrees, not mirrored, has two products of the other
+    sign. The number of wrong signs is known only if no product is zero.
+
+    Args:
+        image: Entries of the mirrored inertia, shape (6,) [kg m^2].
+        entries: Entries of the compared inertia, shape (6,) [kg m^2].
+    """
+    tolerance = SIGN_RTOL * np.abs(image)
+    is_equal = np.abs(image - entries) <= tolerance
+    is_opposite = np.abs(image + entries) <= tolerance
+    smallest = MIN_PRODUCT_FRACTION * float(np.abs(image).max())
+    known = (np.abs(image[_PRODUCTS]) > smallest).all()
+    wrong = int((is_opposite & ~is_equal & _PRODUCTS).sum())
+    return bool(known and (is_equal | (is_opposite & _PRODUCTS)).all() and wrong % 2 == 1)
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:

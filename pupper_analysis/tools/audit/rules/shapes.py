@@ -37,7 +37,9 @@ def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
         local = to_frame * part.pose
         for child in robot.children(part.name):
             if child.moving:
-                points[Subject("joint", child.joints[0].name)] = to_frame.point(child.pose.position)
+                points[Subject("joint", child.joints[0].name)] = to_frame.point(
+                    child.joints[0].position
+                )
         if part is not body and _is_foot(part.name):
             points[Subject(robot.link_tag, part.name)] = local.position
         for frame in part.frames:
@@ -117,7 +119,7 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """
     for body in robot.links.values():
         ends = [
-            body.pose.inverse().point(child.pose.position)
+            body.pose.inverse().point(child.joints[0].position)
             for part in robot.fixed_group(body.name)
             for child in robot.children(part.name)
             if child.moving

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
 from scipy.constants import g as standard_gravity
 
 from pupper_analysis.base.diagnostics import (
+    Diagnostic,
     Quantity,
     Severity,
     Vector,
     diagnose,
 )
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
+from pupper_analysis.models.shapes import read_shape
+from pupper_analysis.models.stated.model import Array, MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
@@ -68,28 +70,179 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
     if model is None:
         return
     ground = ground_geom(model)
-    for geom in _list_colliding_geoms(model):
-        body = int(model.geom_bodyid[geom])
-        name = model.geom(geom).name
-        at_site = any(
-            "foot" in model.site(site).name.lower()
-            and np.linalg.norm(model.site_pos[site] - model.geom_pos[geom]) < 1e-3
-            for site in range(model.nsite)
-            if model.site_bodyid[site] == body
-        )
-        called = "foot" in name.lower() or "foot" in robot.body_names[body].lower()
-        if not (called or at_site):
-            continue
+    for geom in list_foot_geoms(robot):
         contact = combine_geoms(model, geom, ground)
         friction = contact.friction[0]
         if ground is None:
             friction = min(friction, float(model.geom_friction[geom, 0]))
         if friction < 1e-3 or contact.condim == 1:
             message = diagnose("foot-frictionless", condim=contact.condim, friction=friction)
-            if name:
-                yield CheckFinding("geom", name, message)
-            else:
-                yield CheckFinding("body", robot.body_names[body], message, "geom")
+            yield _make_geom_finding(robot, geom, message)
+
+
+def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> CheckFinding:
+    """Make a finding about a geom; about the body of a geom without a name."""
+    assert robot.mj_model is not None
+    name = robot.mj_model.geom(geom).name
+    if name:
+        return CheckFinding("geom", name, message)
+    body = robot.body_names[int(robot.mj_model.geom_bodyid[geom])]
+    return CheckFinding("body", body, message, "geom")
+
+
+def list_foot_geoms(robot: MjcfModel) -> list[int]:
+    """Return the collision geoms of feet: by name, by name of the body, or at the site of a foot.
+
+    A name of a foot contains "foot".
+    """
+    model = robot.mj_model
+    if model is None:
+        return []
+    feet = []
+    for geom in _list_colliding_geoms(model):
+        body = int(model.geom_bodyid[geom])
+        at_site = any(
+            "foot" in model.site(site).name.lower()
+            and np.linalg.norm(model.site_pos[site] - model.geom_pos[geom]) < 1e-3
+            for site in range(model.nsite)
+            if model.site_bodyid[site] == body
+        )
+        named = "foot" in model.geom(geom).name.lower() + robot.body_names[body].lower()
+        if named or at_site:
+            feet.append(geom)
+    return feet
+
+
+@rule
+def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find spherical feet whose contact reaches full impedance deeper than half the radius.
+
+    The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. It
+    has an effect only if the impedance rises over the width (``solimp[0] < solimp[1]``). One
+    finding for all feet with equal radius and width.
+    """
+    model = robot.mj_model
+    if model is None:
+        return
+    ground = ground_geom(model)
+    feet: dict[tuple[float, float], list[int]] = {}
+    for geom in _list_foot_spheres(robot, model):
+        radius = float(model.geom_size[geom, 0])
+        rises, width = _read_impedance(combine_geoms(model, geom, ground).solimp)
+        if rises and width > MAX_WIDTH_RATIO * radius and may_touch(model, geom, ground):
+            feet.setdefault((radius, width), []).append(geom)
+    for (radius, width), geoms in feet.items():
+        message = diagnose(
+            "foot-softer-than-its-size",
+            width=Quantity(width, "m"),
+            radius=Quantity(radius, "m"),
+            others=len(geoms) - 1,
+        )
+        yield _make_geom_finding(robot, geoms[0], message)
+
+
+MAX_WIDTH_RATIO = 0.5
+"""Largest width of ``solimp`` relative to the radius of a foot that is not reported. Chosen, not
+tuned."""
+
+
+def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
+    """Return the spheres of feet; without names of feet, collision spheres at the ends of limbs.
+
+    A limb ends at a hinged body without moving children, with a single sphere and no mesh.
+    """
+    named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
+    if named:
+        return [geom for geom in named if model.geom_type[geom] == spheres]
+    found: dict[int, list[int]] = {}
+    for geom in _list_colliding_geoms(model):
+        found.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
+    carriers = set(model.body_weldid[model.body_parentid[model.body_jntnum > 0]].tolist())
+    return [
+        geoms[0]
+        for body, geoms in found.items()
+        if len(geoms) == 1
+        and model.geom_type[geoms[0]] == spheres
+        and int(model.body_weldid[body]) not in carriers
+    ]
+
+
+def _read_impedance(solimp: Sequence[float]) -> tuple[bool, float]:
+    """Return whether the impedance of a contact rises with the depth, and over which width [m]."""
+    return bool(solimp[0] < solimp[1]), float(solimp[2])
+
+
+@rule
+def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find meshes of a shank whose convex hull, which MuJoCo collides, reaches below the foot.
+
+    Compared are the lowest points of the mesh and of the foot's sphere, with the shank inclined up
+    to `MAX_SHANK_ANGLE` about the axis of the knee. Only meshes and spheres that move together, and
+    both touch the ground, are compared.
+    """
+    model = robot.mj_model
+    if model is None:
+        return
+    data, ground = mujoco.MjData(model), ground_geom(model)
+    mujoco.mj_kinematics(model, data)
+    is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+    weld = model.body_weldid[model.geom_bodyid]
+    for foot in list_foot_geoms(robot):
+        body = int(weld[foot])
+        joint = int(model.body_jntadr[body])
+        if model.geom_type[foot] != mujoco.mjtGeom.mjGEOM_SPHERE or model.body_jntnum[body] != 1:
+            continue
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or not may_touch(
+            model, foot, ground
+        ):
+            continue
+        directions = _list_downward_directions(data, joint, foot)
+        sphere = read_shape(model, foot, data).support(directions)
+        meshes = np.flatnonzero(is_mesh & (weld == body)).tolist()
+        for mesh in meshes:
+            hull = read_shape(model, mesh, data).support(directions)
+            if hull is None or sphere is None or not may_touch(model, mesh, ground):
+                continue
+            depths = hull - sphere
+            if depths.max() > MIN_HULL_DEPTH:
+                message = diagnose(
+                    "hull-below-foot",
+                    mesh=model.mesh(int(model.geom_dataid[mesh])).name,
+                    depth=_round_depth(float(depths.max())),
+                    angle=Quantity(abs(_SHANK_ANGLES[int(depths.argmax())]), "rad"),
+                )
+                yield _make_geom_finding(robot, foot, message)
+                break
+
+
+MAX_SHANK_ANGLE = np.deg2rad(60.0)
+"""Largest inclination of a shank from the vertical [rad] at which its hull is compared with the
+foot. Chosen: quadrupeds stand with shanks inclined by up to 50 degrees."""
+
+MIN_HULL_DEPTH = 1e-3
+"""Depth of a hull below a foot [m] above which the hull is reported. Chosen, not tuned."""
+
+_SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
+"""Inclinations of the shank that are compared [rad]."""
+
+
+def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
+    """Return the downward direction for each inclination of a shank, shape (n, 3).
+
+    The directions are normal to the axis of the knee, and expressed in the world frame in which the
+    robot has zero angles. Without inclination, the direction is that from the knee to the foot.
+    """
+    axis = data.xaxis[knee]
+    down = data.geom_xpos[foot] - data.xanchor[knee]
+    down = down - (down @ axis) * axis
+    down /= max(float(np.linalg.norm(down)), 1e-12)
+    cosines, sines = np.cos(_SHANK_ANGLES)[:, None], np.sin(_SHANK_ANGLES)[:, None]
+    directions: Array = cosines * down + sines * np.cross(axis, down)
+    return directions
+
+
+def _round_depth(depth: float) -> Quantity:
+    return Quantity(float(f"{depth:.3g}"), "m")
 
 
 @rule

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -18,13 +19,16 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf import JointKind, has_free_joint
+from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import simulate_keyframe
+from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
+from pupper_analysis.tools.audit.rules.simulation import list_foot_geoms
 
 MAX_FLOOR_DEPTH = 5e-3
 """Penetration of the floor in an initial configuration [m] above which the contact is reported. A
@@ -153,6 +157,182 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
             yield CheckFinding("key", name, message, severity=None if has_ctrl else Severity.NOTE)
 
 
+MIN_EQUAL_COMMANDS = 3
+"""Smallest number of torque commands that equal a joint angle other than zero, from which the
+commands of a keyframe are reported. Chosen: torques do not equal angles by chance."""
+
+
+@rule
+def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find keyframes whose commands to torque motors [N m] are the joint angles [rad].
+
+    All motors of hinges are compared, with a tolerance of 1 % or 1 mrad. Reported if at least
+    `MIN_EQUAL_COMMANDS` of the angles are not zero.
+    """
+    model = robot.mj_model
+    if model is None:
+        return
+    hinge = mujoco.mjtJoint.mjJNT_HINGE.value
+    motors = [
+        drive
+        for drive in list_drives(model)
+        if not drive.servo and drive.gain and model.jnt_type[drive.joint] == hinge
+    ]
+    controls = [drive.control for drive in motors]
+    addresses = [int(model.jnt_qposadr[drive.joint]) for drive in motors]
+    for key in range(min(model.nkey, MAX_KEYFRAMES)):
+        commands, angles = model.key_ctrl[key, controls], model.key_qpos[key, addresses]
+        bent = np.abs(angles) > 1e-3
+        if bent.sum() >= MIN_EQUAL_COMMANDS and np.allclose(commands, angles, 1e-2, 1e-3):
+            first = motors[int(np.argmax(np.abs(angles)))]
+            message = diagnose(
+                "keyframe-torques-are-angles",
+                motors=len(motors),
+                joint=first.joint_name,
+                command=Quantity(float(np.abs(commands).max()), "N m"),
+            )
+            yield CheckFinding("key", model.key(key).name, message)
+
+
+MIN_FOOT_CLEARANCE = 0.05
+"""Height of all feet above the ground, and above the robot's lowest shape, from which a keyframe is
+reported [m]. A robot may be dropped from a keyframe, but with its feet below. Chosen, not tuned."""
+
+
+@rule
+def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find a keyframe ``home``, or first keyframe, in which the feet are above other shapes.
+
+    A finding requires that all feet are `MIN_FOOT_CLEARANCE` above the ground and above the lowest
+    shape of the robot, and that no shape touches the ground. If the opposite sign of some joint
+    angles, in all legs, puts the feet at the ground, the message names the joints.
+    """
+    model = robot.mj_model
+    key = None if model is None or robot.refusal is not None else _choose_keyframe(model)
+    if model is None or key is None or not has_free_joint(model):
+        return
+    ground = ground_geom(model)
+    feet = [geom for geom in list_foot_geoms(robot) if may_touch(model, geom, ground)]
+    others = [
+        geom
+        for geom in range(model.ngeom)
+        if geom not in feet
+        and model.body_weldid[model.geom_bodyid[geom]]
+        and may_touch(model, geom, ground)
+    ]
+    if len(feet) < MIN_FEET or not others:
+        return
+    data = mujoco.MjData(model)
+    heights = partial(_compute_heights, model, data, ground)
+    qpos = np.array(model.key_qpos[key])
+    foot_heights, other_heights = heights(qpos, feet), heights(qpos, others)
+    lowest = float(other_heights.min())
+    if lowest < 0 or foot_heights.min() < MIN_FOOT_CLEARANCE + lowest:
+        return
+    remedy = _find_opposite_signs(robot, qpos, feet, others, heights)
+    message = diagnose(
+        "keyframe-feet-in-air",
+        lowest=_round_quantity(float(foot_heights.min()), "m"),
+        highest=_round_quantity(float(foot_heights.max()), "m"),
+        body=robot.body_names[int(model.geom_bodyid[others[int(other_heights.argmin())]])],
+        height=_round_quantity(lowest, "m"),
+        joints=() if remedy is None else remedy[0],
+        then=None if remedy is None else _round_quantity(remedy[1], "m"),
+    )
+    yield CheckFinding("key", model.key(key).name, message)
+
+
+MIN_FEET = 2
+"""Smallest number of feet with which a keyframe is checked for feet in the air."""
+
+MAX_LEG_JOINTS = 4
+"""Largest number of joints of a leg of which all combinations of signs are tried. Chosen, to bound
+the time."""
+
+
+def _find_opposite_signs(
+    robot: MjcfModel,
+    qpos: Array,
+    feet: Sequence[int],
+    others: Sequence[int],
+    heights: Callable[[Array, Sequence[int]], Array],
+) -> tuple[tuple[str, ...], float] | None:
+    """Find the joints whose angles must change sign, so that all feet are the lowest shapes.
+
+    The joints have the same place in the chains of all legs. The smallest set of joints counts; all
+    hinges of the legs must then be inside their limits.
+
+    Returns:
+        Joints, and the largest distance of a foot from the ground [m]; None if no set of joints, or
+        several sets of equal size, put all feet within `MIN_FOOT_CLEARANCE` of the ground.
+    """
+    model = robot.mj_model
+    assert model is not None
+    chains = [_list_hinges_above(model, int(model.geom_bodyid[foot])) for foot in feet]
+    length = len(chains[0])
+    if any(len(chain) != length for chain in chains) or not 0 < length <= MAX_LEG_JOINTS:
+        return None
+    hinges = np.unique(np.array(chains))
+    low, high = np.where(
+        model.jnt_limited[hinges], model.jnt_range[hinges].T, [[-np.inf], [np.inf]]
+    )
+    for size in range(1, length + 1):
+        remedies = []
+        for places in combinations(range(length), size):
+            joints = [chain[place] for chain in chains for place in places]
+            turned = np.array(qpos)
+            turned[model.jnt_qposadr[joints]] *= -1.0
+            angles, foot_heights = turned[model.jnt_qposadr[hinges]], heights(turned, feet)
+            gap = float(np.abs(foot_heights).max())
+            is_lowest = foot_heights.max() < heights(turned, others).min()
+            is_inside = ((angles >= low) & (angles <= high)).all()
+            changes = np.abs(qpos[model.jnt_qposadr[joints]]).all()
+            if is_lowest and is_inside and changes and gap < MIN_FOOT_CLEARANCE:
+                remedies.append((tuple(joint_name(model, joint) for joint in joints), gap))
+        if remedies:
+            return remedies[0] if len(remedies) == 1 else None
+    return None
+
+
+_WORLD_POSE = (np.eye(3), np.zeros(3))
+"""Rotation and position of the world frame, in which shapes are expressed."""
+
+
+def _list_hinges_above(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the hinges between a body and the base, from the base on."""
+    hinges: list[int] = []
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        own = [j for j in range(first, first + count) if model.jnt_type[j] == JointKind.HINGE]
+        hinges = own + hinges
+        body = int(model.body_parentid[body])
+    return hinges
+
+
+def _compute_heights(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    ground: int | None,
+    qpos: Array,
+    geoms: Sequence[int],
+) -> Array:
+    """Return the height of the lowest point of geoms above the ground, shape (n,) [m].
+
+    A file without a ground is judged on the plane z = 0.
+    """
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    normal, floor = np.array([0.0, 0.0, 1.0]), 0.0
+    if ground is not None:
+        normal = data.geom_xmat[ground].reshape(3, 3)[:, 2]
+        floor = float(normal @ data.geom_xpos[ground])
+    lowest = []
+    for geom in geoms:
+        shape = read_shape(model, geom, data)
+        lowest.append(float(shape.lowest(_WORLD_POSE, normal) @ normal) - floor)
+    return np.array(lowest)
+
+
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Simulate the keyframe ``home``, or the first keyframe, for 5 s with a nudge.
@@ -169,8 +349,8 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     free = joint >= 0 and model.jnt_type[joint] == JointKind.FREE
     if not free or not step >= _MIN_TIMESTEP:
         return
-    names = [model.key(key).name for key in range(model.nkey)]
-    key = names.index("home") if "home" in names else 0
+    key = _choose_keyframe(model)
+    assert key is not None
     before = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, before, key)
     ground = ground_geom(model)
@@ -193,7 +373,13 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
         )
     else:
         return
-    yield CheckFinding("key", names[key], message)
+    yield CheckFinding("key", model.key(key).name, message)
+
+
+def _choose_keyframe(model: mujoco.MjModel) -> int | None:
+    """Return the number of the keyframe ``home``, or of the first; None without keyframes."""
+    names = [model.key(key).name for key in range(model.nkey)]
+    return names.index("home") if "home" in names else next(iter(range(model.nkey)), None)
 
 
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
