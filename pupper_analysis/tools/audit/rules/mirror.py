@@ -92,7 +92,7 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves; None if the hinges are not parallel."""
-    axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE])
+    axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
         if len(axes) and (np.abs(axes[:, axis]) > MIN_PLANAR_COSINE).all():
             places = [link.pose.position[axis] for link in robot.links.values()]
