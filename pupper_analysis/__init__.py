@@ -11,11 +11,11 @@ All public functions use MuJoCo's qpos and qvel, with the joints in actuator ord
 ``pupper_analysis.robot.coordinates``. Names are imported at first use.
 """
 
-from pupper_analysis.base.drivers import import_mujoco
+from pupper_analysis.base.drivers import guard_mujoco_import
 from pupper_analysis.base.exports import make_lazy_exports
 
 __version__ = "0.2.0"
 
-import_mujoco()
+guard_mujoco_import()
 
 __getattr__, __dir__, __all__ = make_lazy_exports(__name__, __file__)

@@ -2,46 +2,81 @@
 
 MuJoCo imports the OpenGL backend named in the environment variable MUJOCO_GL during the import of
 MuJoCo. MuJoCo ignores an ImportError of the backend, but PyOpenGL also raises other exceptions. The
-functions here import MuJoCo without OpenGL in that case, so that only rendering fails.
+functions here load MuJoCo without OpenGL in that case, so that only rendering fails.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from types import ModuleType
 from typing import Any
 
 
-def import_mujoco() -> None:
-    """Import MuJoCo if MUJOCO_GL is set; without OpenGL if the backend in MUJOCO_GL fails.
+class _MuJoCoLoader(SourceFileLoader):
+    """Loader of ``mujoco`` that loads MuJoCo without OpenGL if the backend in MUJOCO_GL fails."""
 
-    Nothing is imported if MUJOCO_GL is not set, because MuJoCo then selects an available backend,
-    or if MuJoCo is already imported. If MuJoCo is not installed, the first module that needs MuJoCo
-    reports the error.
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute the module; if OpenGL raises an exception, again without OpenGL."""
+        try:
+            super().exec_module(module)
+        except ImportError:
+            raise
+        except Exception:  # unknown backend names and drivers raise different exceptions
+            with _disabled_opengl():
+                super().exec_module(module)
+
+
+class _MuJoCoFinder(MetaPathFinder):
+    """Finder that applies `_MuJoCoLoader` to the module ``mujoco``, and ignores other modules."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the specification of ``mujoco`` with `_MuJoCoLoader`; None for other modules."""
+        if fullname != "mujoco":
+            return None
+        found = PathFinder.find_spec(fullname, path, target)
+        if found is None or not isinstance(found.loader, SourceFileLoader):
+            return found
+        found.loader = _MuJoCoLoader(found.loader.name, found.loader.path)
+        return found
+
+
+def guard_mujoco_import() -> None:
+    """Let a later ``import mujoco`` succeed although the backend in MUJOCO_GL fails.
+
+    MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
+    because MuJoCo then selects an available backend. If MuJoCo is not installed, the first module
+    that needs MuJoCo reports the error.
     """
-    if not os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules:
-        return
-    try:
-        import_module("mujoco")
-    except ImportError:
-        return
-    except Exception:  # unknown backend names and drivers raise different exceptions
-        import_without_opengl()
+    guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)
+    if os.environ.get("MUJOCO_GL") and "mujoco" not in sys.modules and not guarded:
+        sys.meta_path.insert(0, _MuJoCoFinder())
 
 
 def import_without_opengl() -> None:
     """Import MuJoCo without OpenGL, because GLFW starts a process while loading.
 
-    MUJOCO_GL has the old value afterwards; ``tools/analyze/render.py`` uses this value to load
+    MUJOCO_GL has the old value afterwards; ``tools/analyze/figures.py`` uses this value to load
     OpenGL.
     """
+    with _disabled_opengl():
+        import_module("mujoco")
+
+
+@contextmanager
+def _disabled_opengl() -> Iterator[None]:
+    """Disable OpenGL in MUJOCO_GL, and restore the old value."""
     previous = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
-        import_module("mujoco")
+        yield
     finally:
         if previous is None:
             del os.environ["MUJOCO_GL"]
