@@ -22,6 +22,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.clearance import GroundClearance
 from pupper_analysis.simulation.monitor import SimulationSettings
@@ -71,9 +72,22 @@ _NUM_SAMPLES_NEAR_GROUND = 25
 """Number of samples whose contacts are searched without a new bound of the distance, after a state
 in which a part may touch the ground. Chosen, not tuned."""
 
-MAX_DURATION_RATIO = 5.0
+MAX_DURATION_RATIO = 10.0
 """Largest simulated time of a push whose outcome is not decided at the end of the requested time,
-relative to the requested time: 30 s by default. A robot that still moves then has not recovered.
+relative to the requested time: 60 s by default. A robot that still moves then has not recovered.
+Chosen, not tuned."""
+
+_MAX_REMAINING_RATIO = 0.1
+"""Largest bound of the base's motion in the remaining time for a robot that rests, relative to the
+height of the CoM. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from 0.07.
+"""
+
+_SPEED_FACTOR = 1.5
+"""Factor of the measured speed in the bound of the remaining motion: an oscillation may be slower
+for a while. Chosen, not tuned."""
+
+_STILL_RATIO = 0.01
+"""Motion in the remaining time relative to its bound, below which the speed is rounding or creep.
 Chosen, not tuned."""
 
 _MAX_BATCH_VALUES = 2**25
@@ -127,6 +141,7 @@ class PushBench:
         )
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
+        self.longest_duration = MAX_DURATION_RATIO * self.steps * self.timestep
         self.pulse_steps = max(1, round(PULSE_DURATION / self.timestep))
         self.watcher = monitor.ContactSampler(self.robot, model)
         self.clearance = GroundClearance(self.robot, model)
@@ -143,8 +158,8 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate pushes for ``duration``, and return the failure of each; None after a recovery.
 
-        A simulation ends earlier only if the push has failed. It goes on if the robot still moves
-        at the end, as in ``simulate_until_decided``.
+        A simulation ends earlier only if the push has failed. It goes on if the robot is not at
+        rest at the end, as in ``simulate_until_decided``.
 
         Args:
             directions: Indices of the axes, shape (n,).
@@ -158,9 +173,9 @@ class PushBench:
         """Simulate pushes until each outcome is decided; see ``simulate_fully``.
 
         A simulation ends early if it diverges, if a body other than a foot touches the ground, or
-        if the robot is at rest and no mode of the spectrum leaves that state. If the robot still
-        moves after ``duration``, the simulation goes on until the robot rests or falls, up to
-        ``MAX_DURATION_RATIO`` of the duration.
+        if the robot is at rest and no mode of the spectrum leaves that state. If the robot is not
+        at rest after ``duration``, the simulation goes on until the robot rests or falls, up to
+        ``MAX_DURATION_RATIO`` of the duration. A slow fall is no rest, see ``_will_rest``.
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
 
@@ -310,7 +325,8 @@ class PushBench:
             height = float(monitor.base_heights(self.robot, states[-1]))
             failures.append(monitor.describe_fall(self.upright.tilt(states[-1]), height))
         speed = self._measure_final_speed(states)
-        if speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep:
+        is_fast = speed > MAX_RESTING_SPEED and speed > MAX_RESTING_SPEED + self.creep
+        if is_fast or not (failures or self._will_rest(states)):
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
         return failures
 
@@ -329,6 +345,44 @@ class PushBench:
         linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
         return float((linear + self.upright.com_height * angular).max())
 
+    def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
+        """Return True if the base of a slow robot moves little in the remaining time T.
+
+        The speed v of the base decreases at the rate d. The motion 1.5 v min(T, 1 / d) must be
+        below ``_MAX_REMAINING_RATIO`` of the CoM height. The creep without a push is subtracted
+        from v.
+
+        No mode of the spectrum may double within the longest simulation, with both
+        finite-difference steps. The speed does not bound the motion of such a mode: near a saddle
+        point the robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s, and on its
+        shanks after 35 s).
+
+        At the end of the longest simulation T is ``HOLD_DURATION``. Modes are ignored then if the
+        speed decreases, or if the motion is below ``_STILL_RATIO`` of the bound.
+
+        Args:
+            states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
+            spectrum: Modes at the last state; evaluated if necessary by default.
+        """
+        most = _MAX_REMAINING_RATIO * self.upright.com_height / _SPEED_FACTOR
+        left = self.longest_duration - float(states[-1, 0])
+        remaining = max(left, HOLD_DURATION)
+        halves = np.array_split(states[-self._num_rest_states :], 2)
+        before, speed = (self._measure_final_speed(half) for half in halves)
+        decay = math.log(before / speed) / (_REST_DURATION / 2) if speed < before and speed else 0.0
+        time = remaining if decay * remaining < 1 else 1 / decay
+        if speed * time > most:
+            speed = max(speed - self.creep, 0.0)
+            if speed * time > most:
+                return False
+        at_end = left < self.timestep
+        if at_end and (speed < before or speed * time <= _STILL_RATIO * most):
+            return True
+        if spectrum is None:
+            spectrum = evaluate_spectrum(self.drive, states[-1], self.ctrl, settle=0.0)
+        growing = spectrum.modes_growing_within(self.longest_duration)
+        return not any(mode.repeated and not mode.freed for mode in growing)
+
     def _is_at_rest(self, states: Array) -> bool:
         """Return True if the robot is slow and upright, and no mode of the spectrum leaves.
 
@@ -342,7 +396,8 @@ class PushBench:
         end = states[-1]
         if self.upright.has_fallen(end):
             return False
-        return evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0).lasts()
+        spectrum = evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0)
+        return spectrum.lasts() and self._will_rest(states, spectrum)
 
     def peak_torques(self, direction: int, impulse: float) -> Array:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
@@ -493,8 +548,8 @@ def simulate_push(
         impulse: Impulse of the push [N s].
         direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
             the base's left.
-        duration: Simulated time from the start of the push [s], 2 to 600. If the base still moves
-            then, the simulation goes on until the base rests or the robot falls, up to
+        duration: Simulated time from the start of the push [s], 2 to 600. If the robot is not at
+            rest then, the simulation goes on until it rests or falls, up to
             ``MAX_DURATION_RATIO`` times as long.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.

@@ -256,10 +256,12 @@ def push_recovery(
 
     The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
     base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
-    rest. The robot may slide or turn about the vertical. A simulation ends early if another body
-    touches the ground, or if the robot is at rest and no mode leaves this state; the returned
-    limits were simulated to the end. If the robot is upright at the end and still moves, the
-    simulation goes on until the robot rests or falls, up to five times as long.
+    rest. The base is at rest if its speed, with decay or growth extrapolated from the speed and
+    the spectrum of MuJoCo's step, moves it by less than a tenth of the CoM height in the remaining
+    time: a slow fall is no rest. The robot may slide or turn about the vertical. A simulation ends
+    early if another body touches the ground, or if the robot is at rest and no mode leaves this
+    state; the returned limits were simulated to the end. If the robot is upright at the end and not
+    at rest, the simulation goes on until the robot rests or falls, up to ten times as long.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for

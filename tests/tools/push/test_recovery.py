@@ -311,3 +311,32 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
 def test_invalid_push_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.simulation.simulate_push(load("v3"), stand_of("v3"), **arguments)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("impulse", "recovers"), [(1.35, True), (1.43, False), (1.478, False)])
+def test_slow_fall_after_a_push_is_no_recovery(impulse: float, *, recovers: bool) -> None:
+    """Reference: a plain MuJoCo loop of 60 s, in which the shanks come to the ground or do not.
+
+    Pushed backwards by 1.43 N s, v3-long-leg moves at 0.1 mm/s after 14 s, with a mode that doubles
+    every 10 s, and lies on its shanks after 35 s. By 1.478 N s it was slow at 6 s and fell at 9 s.
+    """
+    robot, stand = load("v3-long-leg"), pa.stance.solve_stand_as_simulated(load("v3-long-leg"))
+    options = {"kp": None, "kd": None, "feedforward": True, "integrator": None}
+    bench = make_push_bench(robot, stand, np.array([math.pi]), duration=6.0, **options)
+    model = bench.drive.model
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, bench.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    data.ctrl[:] = bench.ctrl
+    trunk, touched = model.body(robot.mj_base).id, False
+    for step in range(round(60.0 / model.opt.timestep)):
+        pushed = step < bench.pulse_steps
+        data.xfrc_applied[trunk, 0] = -pushed * impulse / 0.02
+        mujoco.mj_step(model, data)
+        touched |= any(
+            mujoco.mjtGeom.mjGEOM_SPHERE not in model.geom_type[pair] for pair in data.contact.geom
+        )
+    assert touched != recovers
+    for simulate in (bench.simulate_fully, bench.simulate_until_decided):
+        (failure,) = simulate(np.zeros(1, dtype=np.int64), np.array([impulse]))
+        assert (failure is None) == recovers
