@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -17,6 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.monitor import MEASURING_TIME
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
@@ -25,7 +27,7 @@ from pupper_analysis.simulation.rollout import (
     simulate_commands,
 )
 from pupper_analysis.simulation.stability import (
-    evaluate_final_stability,
+    find_final_spectrum,
     measure_response,
     simulate_nudge,
 )
@@ -82,8 +84,8 @@ def comes_to_rest(
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
     The settling simulation lasts as long as in ``verify_stand``, but ends once the robot is at
-    rest or lost. Then no mode of the spectrum may grow within ``HOLD_DURATION``, and a nudge must
-    decay.
+    rest or lost. Then a nudge must decay, and no mode of the spectrum may grow within
+    ``HOLD_DURATION``.
 
     Args:
         robot: The robot.
@@ -105,10 +107,10 @@ def comes_to_rest(
     if last_second is None:
         return False
     model, state = held.drive.model, last_second[-1]
-    stability = evaluate_final_stability(held.drive, held.start, state, held.ctrl)
-    if not stability.lasts():
+    spectrum, settled = find_final_spectrum(held.drive, held.start, state, held.ctrl)
+    if not (spectrum.at_rest or spectrum.lasts()):
         return False
-    slowest = stability.least_damped
+    slowest = spectrum.least_damped
     decay_time = _DECAY_TIME_CONSTANTS * (0.0 if slowest is None else slowest.time_constant)
     nudged_states = simulate_nudge(
         model,
@@ -119,10 +121,14 @@ def comes_to_rest(
     if monitor.has_diverged(nudged_states, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
-    if find_instability(stability, nudge) or _has_left_stand(reference, nudged_states[-1]):
+    response_alone = replace(spectrum, unstable=())
+    if find_instability(response_alone, nudge) or _has_left_stand(reference, nudged_states[-1]):
         return False
     touching = monitor.ContactSampler(held.robot, model).find_ground_bodies(nudged_states[-1])
-    return reference.check_stand(nudged_states[-1], touching).stands
+    if not reference.check_stand(nudged_states[-1], touching).stands:
+        return False
+    # The simulation of growing modes takes up to `LONGEST_TRIAL`, the nudge a few seconds.
+    return confirm_growth(spectrum, model, settled, held.ctrl).lasts()
 
 
 def _simulate_until_rest(held: StandStart, reference: monitor.StandReference) -> Array | None:

@@ -114,16 +114,44 @@ def evaluate_final_stability(
 ) -> Stability:
     """Judge the stability of the final state of a simulation, or of the initial state.
 
-    ``start`` and ``end`` are MuJoCo states (mjSTATE_FULLPHYSICS).
-    The initial state is judged if the simulation has failed (``has_fallen``), since the modes that
-    upset the robot grow there, or if the final state is not at rest.
+    See `find_final_spectrum` for the arguments. A nudged simulation confirms or refutes the growing
+    modes.
     """
-    stability = evaluate_stability(drive, start if has_fallen else end, ctrl, 0.0)
-    return (
-        stability
-        if has_fallen or stability.speed <= MAX_RESTING_SPEED
-        else evaluate_stability(drive, start, ctrl)
-    )
+    spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
+    return confirm_growth(spectrum, drive.model, settled, ctrl)
+
+
+def find_final_spectrum(
+    drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
+) -> tuple[Stability, mujoco.MjData]:
+    """Compute the modes at the final state of a simulation, or at the initial state.
+
+    The initial state is evaluated if the simulation has failed (``has_fallen``), since the modes
+    that upset the robot grow there, or if the final state is not at rest.
+
+    Args:
+        drive: MuJoCo model with servos.
+        start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
+        end: Final state of the simulation, mjSTATE_FULLPHYSICS.
+        ctrl: Command of the actuators.
+        has_fallen: Whether the simulation has failed.
+
+    Returns:
+        Spectrum, without simulation of growing modes; and the state of the spectrum.
+    """
+    first = start if has_fallen else end
+    spectrum, settled = judge_settled(drive.model, _make_data(drive, first, ctrl), 0.0)
+    if has_fallen or spectrum.speed <= MAX_RESTING_SPEED:
+        return spectrum, settled
+    return judge_settled(drive.model, _make_data(drive, start, ctrl), SETTLING_TIME)
+
+
+def _make_data(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
+    """Return MuJoCo data in a state (mjSTATE_FULLPHYSICS), with a command of the actuators."""
+    data = mujoco.MjData(drive.model)
+    mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
+    data.ctrl[:] = ctrl
+    return data
 
 
 def evaluate_stability(
@@ -137,10 +165,7 @@ def evaluate_stability(
         ctrl: Command of the actuators.
         settle: Time for which the state is simulated first [s].
     """
-    data = mujoco.MjData(drive.model)
-    mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
-    data.ctrl[:] = ctrl
-    return judge_stability(drive.model, data, settle=settle)
+    return judge_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
 
 
 def evaluate_spectrum(
@@ -154,10 +179,7 @@ def evaluate_spectrum(
         ctrl: Command of the actuators.
         settle: Time for which the state is simulated first [s].
     """
-    data = mujoco.MjData(drive.model)
-    mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
-    data.ctrl[:] = ctrl
-    return step_stability(drive.model, data, settle=settle)
+    return step_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
 
 
 def judge_stability(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.stability import Stability
 from pupper_analysis.simulation import settling
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.settling import comes_to_rest
@@ -53,6 +57,34 @@ def test_settling_ends_as_soon_as_the_robot_is_at_rest(
     simulated.clear()
     assert not comes_to_rest(robot, stand, feedforward=False, kp=0.05, kd=0.001)
     assert sum(simulated) < 5.0
+
+
+def test_growing_modes_are_simulated_last_and_decide(
+    standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modes are simulated for up to 48 s, and only if the robot returns from the nudge."""
+    robot, stand = standing
+    confirmed: list[bool] = []
+    confirm = settling.confirm_growth
+
+    def refuted(*given: Any) -> Stability:
+        found = confirm(*given)
+        confirmed.append(found.lasts())
+        assert found.least_damped is not None
+        growing = replace(found.least_damped, doubling_time=1.0)
+        return replace(found, unstable=(growing,))
+
+    monkeypatch.setattr(settling, "confirm_growth", refuted)
+    assert not comes_to_rest(robot, stand)
+    assert confirmed == [True]
+    has_left = settling._has_left_stand
+
+    def has_left_after_nudge(*given: Any) -> bool:
+        return has_left(*given) if len(given) > 2 else True
+
+    monkeypatch.setattr(settling, "_has_left_stand", has_left_after_nudge)
+    assert not comes_to_rest(robot, stand)
+    assert confirmed == [True]
 
 
 def test_motion_ratio_is_the_largest_share_of_its_three_bounds(
