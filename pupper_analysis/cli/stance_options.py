@@ -135,36 +135,45 @@ class RobotAndTask:
             **options,
         )
 
-    def robot(self, words: tuple[str, ...], *, payload_sought: bool = False) -> Robot:
+    def robot(
+        self, words: tuple[str, ...], *, visuals: bool = True, payload_sought: bool = False
+    ) -> Robot:
         """Load the selected robot; v3 by default.
 
         Args:
             words: Words that name the robot.
+            visuals: False if the robot is not drawn; see ``load_robot``.
             payload_sought: True if the command computes a payload: the place then needs no mass.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
         selection = self.which.select_robot(words) or "v3"
         _refuse_file_options([selection])
-        return self._load_robot(selection)
+        return self._load_robot(selection, visuals=visuals)
 
-    def robots(self, words: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
+    def robots(
+        self, words: tuple[str, ...], *, default: tuple[str, ...], visuals: bool = True
+    ) -> list[Robot]:
         """Load the selected robots, with unique names.
 
         Args:
             words: Words that name the robots.
+            visuals: False if the robots are not drawn; see ``load_robot``.
             default: Names of variants that are loaded if no robot is selected.
         """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
         selections = self.which.select_robots(words) or default
         _refuse_file_options(selections)
-        return name_uniquely(selections, [self._load_robot(selection) for selection in selections])
+        robots = [self._load_robot(selection, visuals=visuals) for selection in selections]
+        return name_uniquely(selections, robots)
 
-    def _load_robot(self, selection: str | VariantSpec | RobotFiles) -> Robot:
+    def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
         """Load a robot with the options; notes on files are printed after the result."""
         robot = self._apply_options(
-            load_selected_robot(selection, fixed_base=self.fixed_base, as_is=self.as_is)
+            load_selected_robot(
+                selection, fixed_base=self.fixed_base, as_is=self.as_is, visuals=visuals
+            )
         )
         if (
             isinstance(selection, RobotFiles) and self.style == "text"

@@ -84,6 +84,7 @@ class LoadRequest:
         keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are not replaced by balls.
+        visuals: False to keep the tetrahedra that represent deferred visual meshes.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -92,6 +93,7 @@ class LoadRequest:
     joints: Mapping[str, str] | None = None
     keyframe: str | None = None
     as_is: bool = False
+    visuals: bool = True
 
 
 _MIN_PARTIAL_FREE_JOINTS = 4
@@ -411,7 +413,9 @@ def _put_feet(draft: Draft) -> PassOutput:
         feet = _find_requested_feet(footless, names, poses)
     except ModelError as error:
         losses = [
-            note for note in draft.mjcf.notes if note.code in ("files-missing", "meshes-left")
+            note
+            for note in draft.mjcf.notes
+            if note.code in ("files-missing", "meshes-left", "visual-meshes-left")
         ]
         losses = [note for note in losses if note.values.get("kind", "mesh") == "mesh"]
         if not losses:
@@ -589,8 +593,12 @@ def _rest_at_start(draft: Draft) -> PassOutput:
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
 def _build_whole(draft: Draft) -> PassOutput:
-    """Build the robot again with visual geoms if previously dropped; convert deferred meshes."""
-    robot, insert_visuals = draft.robot, draft.mjcf.deferred_visuals
+    """Build the robot again with visual geoms if previously dropped; convert deferred meshes.
+
+    Without a request for visual meshes, deferred meshes are not converted.
+    """
+    robot = draft.robot
+    insert_visuals = draft.mjcf.deferred_visuals if draft.request.visuals else None
     spec = robot.description.mjcf.copy()
     is_changed = copy_visual_option(spec, draft.mjcf.spec)
     if not is_changed and insert_visuals is None:
@@ -658,6 +666,7 @@ def make_robot(
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
     as_is: bool = False,
+    visuals: bool = True,
     finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
     """Prepare a robot from two files as read, in memory; defer servos and visual meshes.
@@ -673,7 +682,7 @@ def make_robot(
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """
     frames = None if feet is None else parse_feet(feet)
-    request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is)
+    request = LoadRequest(frames, fixed_base, name, joints, keyframe, as_is, visuals)
     draft = _begin_preparation(urdf, mjcf, request)
 
     def complete() -> Robot:

@@ -17,6 +17,7 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare import passes
 from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.load import read_pair
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
 from tests.support.legged import quadruped
 
@@ -200,7 +201,7 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     spans = np.sort(np.ptp(model.mesh_vert[first : first + count], axis=0))
     assert count == 4
     assert spans[-1] > 0.2  # the mesh is 0.3 m long, the placeholder 0.01 m
-    left = [note for note in robot.notes if note.code == "meshes-left"]
+    left = [note for note in robot.notes if note.code == "visual-meshes-left"]
     assert [note.values["files"] for note in left] == [("flat.dae",)]
     pair = read_pair(urdf)
     whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
@@ -208,3 +209,26 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     np.testing.assert_array_equal(whole.mj_model.mesh_vert, model.mesh_vert)
     np.testing.assert_array_equal(whole.mj_model.body_mass, model.body_mass)
     assert [note.code for note in pair.mark(whole).notes] == [note.code for note in robot.notes]
+
+
+def test_verdict_without_visual_meshes_equals_the_verdict_with_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the same robot with converted visual meshes, one of which MuJoCo refuses."""
+    urdf = _with_visual_meshes(tmp_path)
+    whole = pa.load_robot(urdf)
+    expected = [note for note in whole.notes if note.code != "visual-meshes-left"]
+    assert len(expected) == len(whole.notes) - 1
+    monkeypatch.setattr(meshes, "_convert_content", _refuse_conversion)
+    robot = pa.load_robot(urdf, visuals=False)
+    assert [*robot.notes] == expected
+    for field in ("body_mass", "body_inertia", "body_ipos", "actuator_gainprm"):
+        np.testing.assert_array_equal(
+            getattr(robot.mj_model, field), getattr(whole.mj_model, field)
+        )
+    assert list_file_remarks(robot) == list_file_remarks(whole)
+
+
+def _refuse_conversion(*_: object) -> bytes:
+    """Represent the conversion of a mesh that must not be converted."""
+    raise AssertionError

@@ -203,6 +203,7 @@ def load_robot(
     keyframe: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
     as_is: bool = False,
+    visuals: bool = True,
 ) -> Robot:
     """Load a robot from a URDF, an MJCF or both, as published.
 
@@ -236,6 +237,10 @@ def load_robot(
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
         as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
             all shapes. Soles are not replaced by balls.
+        visuals: False if the robot is not drawn or written: visual meshes of a URDF in formats that
+            MuJoCo cannot read (.dae, .glb, .off, .ply) are not converted, and tetrahedra with edges
+            of 1 cm represent these meshes. The conversion takes up to seconds. A mesh that cannot
+            be converted is then not reported. Without effect if ``feet`` is given.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a model that was made.
@@ -268,5 +273,6 @@ def load_robot(
         joints=joints,
         keyframe=keyframe,
         as_is=as_is,
+        visuals=visuals,
         finish=lambda robot: pair.mark(replace(robot, published=published)),
     )

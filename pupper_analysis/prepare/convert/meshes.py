@@ -41,6 +41,7 @@ class MeshFiles:
         self.made: dict[Path, bytes] = {}
         self._left: dict[Diagnostic, list[str]] = {}
         self._lost: dict[Diagnostic, list[str]] = {}
+        self._left_visuals: dict[Diagnostic, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
         self._places: dict[Path, Path] = {}
@@ -55,7 +56,7 @@ class MeshFiles:
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
-        ]
+        ] + _describe_left_visuals(self._left_visuals)
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
@@ -105,14 +106,15 @@ class MeshFiles:
             hulled = self.name(mesh, touches=True)
             if hulled is not None:
                 return hulled
-        defers = self.defers and not touches and path.suffix.lower() in _CONVERTIBLE_SUFFIXES
+        is_visual = not touches and path.suffix.lower() in _CONVERTIBLE_SUFFIXES
+        defers = self.defers and is_visual
         try:
             if defers:
                 self._deferred[path, scale] = _DeferredFile(path, scale, file, read_mesh(path))
             else:
                 self._add_content(path)
         except UnreadableError as error:
-            self._record_loss(error.reason, file, touches=touches)
+            self._record_loss(error.reason, file, touches=touches, is_visual=is_visual)
             return None
         content = self.made.get(self._choose_path(path))
         try:
@@ -120,9 +122,8 @@ class MeshFiles:
                 _test_compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
             if flat_mesh(error) is None:
-                self._record_loss(
-                    diagnose("mesh-refused", message=_extract_message(error)), file, touches=touches
-                )
+                reason = diagnose("mesh-refused", message=_extract_message(error))
+                self._record_loss(reason, file, touches=touches, is_visual=is_visual)
                 return None
             self._shells.add(path)
             return self.name(mesh, touches=touches)
@@ -226,9 +227,19 @@ class MeshFiles:
         if place != path:
             self.made[place] = content
 
-    def _record_loss(self, why: Diagnostic, file: str, *, touches: bool = False) -> None:
-        """Record that a file is left out, and why."""
-        for found in (self._left, self._lost) if touches else (self._left,):
+    def _record_loss(
+        self, why: Diagnostic, file: str, *, touches: bool = False, is_visual: bool = False
+    ) -> None:
+        """Record that a file is left out, and why.
+
+        Args:
+            why: Reason.
+            file: File name in the URDF.
+            touches: True for a collision mesh.
+            is_visual: True for a visual mesh that cannot be converted.
+        """
+        left = self._left_visuals if is_visual else self._left
+        for found in (left, self._lost) if touches else (left,):
             files = found.setdefault(why, [])
             if file not in files:
                 files.append(file)
@@ -303,10 +314,7 @@ class DeferredMeshes:
             if shell:
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         spec.assets = assets
-        return [
-            diagnose("meshes-left", files=files, why=why, package="")
-            for why, files in removed.items()
-        ]
+        return _describe_left_visuals(removed)
 
     def _convert(self, name: str) -> tuple[str, bytes, bool]:
         """Return file name and content of a mesh as OBJ, and whether it is a shell.
@@ -326,6 +334,14 @@ class DeferredMeshes:
             else:
                 break
         return f"{name}.obj", content, shell
+
+
+def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
+    """Describe visual meshes that cannot be converted: {reason: files}.
+
+    No verdict depends on such meshes, so the code differs from that of other meshes.
+    """
+    return [diagnose("visual-meshes-left", files=files, why=why) for why, files in left.items()]
 
 
 def _test_compile(

@@ -51,7 +51,8 @@ def command(
     from pupper_analysis.tools.best.search import Objective
 
     task = request.task()
-    robot = request.robot(words, payload_sought=objective == "payload")
+    visuals = figure is not None or report_path is not None
+    robot = request.robot(words, visuals=visuals, payload_sought=objective == "payload")
     kp, kd = request.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, request.place, kp=kp, kd=kd)

@@ -85,7 +85,7 @@ def command(
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
     options = RobotAndTask.of_fixed_base(**robot_options)
-    robot = options.robot(words)
+    robot = options.robot(words, visuals=report_path is not None)
     kp, kd = options.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
         result = hold_posture(

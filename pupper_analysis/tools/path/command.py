@@ -56,7 +56,7 @@ def command(
     from pupper_analysis.tools.path.tracking import study_path
 
     task = request.task()
-    robot = request.robot(words)
+    robot = request.robot(words, visuals=report_path is not None)
     kp, kd = request.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)

@@ -62,7 +62,7 @@ def command(
     from pupper_analysis.tools.payload.limit import payload_limit
 
     task = request.task()
-    robot = request.robot(words, payload_sought=True)
+    robot = request.robot(words, visuals=report_path is not None, payload_sought=True)
     continuous_efforts = parse_efforts(continuous, robot, "continuous")
     robot = with_efforts(robot, continuous_efforts)
     kp, kd = request.gains(robot)

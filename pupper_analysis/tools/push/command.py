@@ -61,7 +61,7 @@ def command(
     from pupper_analysis.tools.push.recovery import study_pushes
 
     task = request.task()
-    robots = request.robots(words, default=tuple(VARIANTS))
+    robots = request.robots(words, default=tuple(VARIANTS), visuals=report_path is not None)
     kp, kd = request.gains(robots[0])
     with shared.show_progress(
         f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"

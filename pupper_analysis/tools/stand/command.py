@@ -93,7 +93,7 @@ def command(
     from pupper_analysis.tools.stand.stance import study_stance
 
     task = request.task()
-    robot = request.robot(words)
+    robot = request.robot(words, visuals=figure is not None or report_path is not None)
     kp, kd = request.gains(robot)
     with shared.show_progress("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)

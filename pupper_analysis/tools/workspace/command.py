@@ -37,7 +37,7 @@ def command(
     from pupper_analysis.stance.workspace import base_workspace
 
     task = request.task()
-    robot = request.robot(words)
+    robot = request.robot(words, visuals=report_path is not None)
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
     request.show(result, robot)
