@@ -20,6 +20,12 @@ from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, make_unique_name
+from pupper_analysis.prepare.convert.mesh_limits import (
+    MAX_MESH_BYTES,
+    MAX_MESH_VERTICES,
+    check_collada,
+    check_gltf,
+)
 
 _PACKAGE_PREFIX = "package://"
 
@@ -387,13 +393,9 @@ MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
 _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
 """Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
 
-MAX_MESH_BYTES: Final = 50_000_000
-"""Maximum size of a mesh file [bytes]: twice the largest file of a published robot. For a text
-file of this size MuJoCo computes the hull within a minute."""
-
-MAX_MESH_VERTICES: Final = 1_000_000
-"""Maximum number of vertices of a mesh. MuJoCo compiles so many in 5 s, with 2 GB. The largest
-published mesh has 830,000, three per triangle (trunk of Go1)."""
+_LIMIT_CHECKS: Final = {".dae": check_collada, ".glb": check_gltf}
+"""Functions that refuse small files with large meshes, by suffix. In the other formats, the size of
+the file bounds the mesh."""
 
 
 class UnreadableError(Exception):
@@ -425,11 +427,14 @@ def _convert_content(data: bytes, ending: str) -> bytes:
     """Return the content of a mesh file with a suffix such as ``.dae`` as OBJ.
 
     Raises:
-        UnreadableError: If the mesh is broken, or has too many vertices.
+        UnreadableError: If the mesh is broken, or has too many vertices or parts.
     """
     import trimesh  # comes with yourdfpy, and is slow to import
 
     try:
+        reason = _LIMIT_CHECKS[ending](data) if ending in _LIMIT_CHECKS else None
+        if reason is not None:
+            raise UnreadableError(reason)
         scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
         count = sum(
             len(scene.geometry[scene.graph[node][1]].vertices)

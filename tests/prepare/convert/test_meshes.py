@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import json
 import os
+import resource
 import struct
 import zipfile
 from pathlib import Path
@@ -21,6 +23,54 @@ from tests.support.robots import arm, urdf_text
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
 
 
+def write_glb(document: dict[str, object], data: bytes = b"") -> bytes:
+    """Return a glTF binary with a JSON chunk and a chunk of data."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(data), 0x004E4942) + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def claim_vertices(count: int) -> bytes:
+    """Return a glTF binary with an accessor without data: zeros, of 12 bytes per vertex."""
+    accessor = {"componentType": 5126, "count": count, "type": "VEC3"}
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    document = {"asset": {"version": "2.0"}, "accessors": [accessor], "bufferViews": []}
+    return write_glb({**document, "meshes": [mesh], "nodes": [{"mesh": 0}]})
+
+
+def share_triangles(primitives: int) -> bytes:
+    """Return a glTF binary whose primitives all have the same 100,000 triangles."""
+    points = struct.pack("<9f", 0, 0, 0, 0.1, 0, 0, 0, 0.1, 0)
+    data = points + bytes([0, 1, 2]) * 100_000
+    views = [{"buffer": 0, "byteOffset": 0, "byteLength": 36}]
+    views += [{"buffer": 0, "byteOffset": 36, "byteLength": 300_000}]
+    accessors = [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}]
+    accessors += [{"bufferView": 1, "componentType": 5121, "count": 300_000, "type": "SCALAR"}]
+    part = {"attributes": {"POSITION": 0}, "indices": 1}
+    document = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": len(data)}]}
+    document |= {"bufferViews": views, "accessors": accessors, "nodes": [{"mesh": 0}]}
+    return write_glb({**document, "meshes": [{"primitives": [part] * primitives}]}, data)
+
+
+def nest_nodes(levels: int, *, shape: trimesh.Trimesh = BOX) -> str:
+    """Return a COLLADA file with 2^levels boxes: each node contains two instances of the next."""
+    file = trimesh.exchange.dae.export_collada(shape).decode()
+    url = file[file.index("<instance_geometry") :].split('"')[1]
+    nodes = f'<node id="n0"><instance_geometry url="{url}"/></node>'
+    for level in range(levels):
+        instances = 2 * f'<instance_node url="#n{level}"/>'
+        nodes += f'<node id="n{level + 1}">{instances}</node>'
+    begin = file.index("<library_visual_scenes")
+    scene = f'<node id="root"><instance_node url="#n{levels}"/></node>'
+    return (
+        f"{file[:begin]}<library_nodes>{nodes}</library_nodes><library_visual_scenes>"
+        f'<visual_scene id="s">{scene}</visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+
+
 def hostile(folder: Path) -> dict[str, str]:
     """{a mesh file that is made in the folder: why it is left out}."""
     BOX.export(folder / "box.obj")
@@ -31,6 +81,11 @@ def hostile(folder: Path) -> dict[str, str]:
         file.truncate(meshes.MAX_MESH_BYTES + 1)
     (folder / "broken.dae").write_text("<COLLADA/>")
     (folder / "text.ply").write_text("no mesh")
+    (folder / "claims.glb").write_bytes(claim_vertices(10**9))
+    (folder / "shared.glb").write_bytes(share_triangles(2000))
+    (folder / "nested.dae").write_text(nest_nodes(30))
+    sphere = trimesh.creation.icosphere(subdivisions=4)  # 0.2 MB as text
+    (folder / "instances.dae").write_text(nest_nodes(11, shape=sphere))
     os.mkfifo(folder / "pipe.dae")
     return {
         "box.zip": "formats that are not read",
@@ -38,6 +93,10 @@ def hostile(folder: Path) -> dict[str, str]:
         "large.stl": "larger than",
         "broken.dae": "broken",
         "text.ply": "broken",
+        "claims.glb": "vertices",
+        "shared.glb": "vertices",
+        "nested.dae": "parts",
+        "instances.dae": "each instance counted",
         "pipe.dae": "no such file",
     }
 
@@ -76,6 +135,43 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(meshes, "MAX_MESH_VERTICES", 9 * len(BOX.vertices))
     with pytest.raises(UnreadableError, match="vertices"):
         convert_to_obj(tmp_path / "many.glb")
+
+
+@pytest.mark.parametrize(
+    ("file", "reason"),
+    [
+        ("claims.glb", "mesh-has-too-many-vertices"),
+        ("shared.glb", "mesh-has-too-many-vertices"),
+        ("nested.dae", "mesh-has-too-many-parts"),
+        ("instances.dae", "mesh-instances-too-large"),
+    ],
+)
+def test_small_files_with_large_meshes_are_refused_before_memory_is_allocated(
+    tmp_path: Path, file: str, reason: str
+) -> None:
+    """12 GB of zeros, 6e8 indices, 2^30 boxes and 2048 spheres; the limit is 100 MB more memory."""
+    hostile(tmp_path)
+    (tmp_path / "eight.dae").write_text(nest_nodes(3))
+    convert_to_obj(tmp_path / "eight.dae")  # imports the readers
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UnreadableError) as error:
+        convert_to_obj(tmp_path / file)
+    assert error.value.reason.code == reason
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB on Linux
+
+
+def test_instances_of_collada_nodes_are_all_converted(tmp_path: Path) -> None:
+    """The volume is that of eight boxes."""
+    (tmp_path / "eight.dae").write_text(nest_nodes(3))
+    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
+    assert whole.volume == pytest.approx(8 * BOX.volume)
+
+
+def test_a_collada_node_that_contains_itself_is_refused(tmp_path: Path) -> None:
+    text = nest_nodes(3).replace('<node id="n0">', '<node id="n0"><instance_node url="#n3"/>')
+    (tmp_path / "endless.dae").write_text(text)
+    with pytest.raises(UnreadableError, match="parts"):
+        convert_to_obj(tmp_path / "endless.dae")
 
 
 def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
