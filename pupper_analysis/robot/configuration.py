@@ -388,10 +388,10 @@ class Configuration:
 
         ``pin.computeCentroidalMapTimeVariation`` keeps the CoM at its place: its product with the
         velocity is equal, but the angular rows of its matrix differ from the derivative by the
-        velocity of the CoM times the linear rows (Pinocchio's issue 2093).
+        velocity of the CoM times the linear rows (Pinocchio's issue 2093). The function reads
+        ``data.vcom[0]`` without computing it, so the data must be new: zero.
         """
-        workspace = self._structure.workspace()
-        data = workspace.data
+        data = self._model.createData()
         moving = pin.computeCentroidalMapTimeVariation(self._model, data, self._q, self._v)
         variation = np.array(self._structure.columns(moving))
         momentum = self._structure.columns(np.array(data.Ag))

@@ -209,10 +209,18 @@ def test_centroidal_map_time_variation_is_a_derivative_with_pinocchios_bias(
             assert_equal(mine, rate_along(robot, momentum, config.qpos, qvel), 1e-6)
 
 
+def test_time_variation_of_the_centroidal_map_does_not_depend_on_earlier_calls() -> None:
+    """Pinocchio's function reads a velocity of the CoM that other functions leave in their data."""
+    robot = pa.load_variant("v3")
+    config = pa.Configuration(robot, *random_state(robot, 1))
+    expected = config.centroidal_map_time_variation()
+    config.com_acceleration(np.ones(robot.nv))
+    np.testing.assert_array_equal(config.centroidal_map_time_variation(), expected)
+
+
 def test_momentum_of_a_falling_robot_changes_by_its_weight_only() -> None:
     """MuJoCo's acceleration without motors and contacts: A qacc + dA/dt qvel = (m g, 0)."""
-    robot = pa.load_variant("v3")  # not shared with tests that ran before
-    assert robot.structure.fixed == 0
+    robot = load("v3")
     model = free_mechanism(robot)
     model.dof_armature[:] = 0.0
     _, columns = addresses(robot)
