@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
-from scipy.spatial import ConvexHull, QhullError
 
+from pupper_analysis.base import lapack
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import ground_geom
@@ -66,6 +65,8 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     projected = np.column_stack([points[on] @ side, points[on] @ np.cross(out, side)])
     if len(on) < 3:
         return []
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         hull = [int(number) for number in ConvexHull(projected).vertices]
     except QhullError:
@@ -109,7 +110,7 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
         mujoco.mj_jacBody(model, data, jac_pos, jac_rot, body)
         normal = data.xmat[body].reshape(3, 3) @ out
         tilting = jac_rot[:, dofs] - np.outer(normal, normal @ jac_rot[:, dofs])
-        free = linalg.null_space(tilting, rcond=_RANK_RTOL)
+        free = lapack.null_space(tilting, rcond=_RANK_RTOL)
         directions = jac_pos[:, dofs] @ free
         if not directions.size:
             return False
@@ -404,6 +405,8 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
         return
     if rank == 0:
         return
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         hull = ConvexHull(np.vstack([surface, middle - _APEX_HEIGHT * down]))
     except QhullError:

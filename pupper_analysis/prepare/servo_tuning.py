@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
@@ -234,7 +233,10 @@ def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
     if robot.closure is None:
         inverse = np.linalg.inv(mass)
     else:
-        basis = linalg.block_diag(np.eye(first), robot.closure.null_space(qpos))
+        null_space = robot.closure.null_space(qpos)
+        basis = np.zeros((first + len(null_space), first + null_space.shape[1]))
+        basis[:first, :first] = np.eye(first)
+        basis[first:, first:] = null_space
         inverse = basis @ np.linalg.solve(basis.T @ mass @ basis, basis.T)
     with np.errstate(divide="ignore"):
         joint_inertia: Array = 1 / np.diag(inverse)[first:]

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -452,7 +452,7 @@ class _Modes:
         self._model, self._data = model, data
         matrix = step_derivative(model, data, difference)
         matrix = np.where(np.isfinite(matrix), matrix, 0.0)
-        self._values, left, self._vectors = linalg.eig(matrix, left=True)
+        self._values, left, self._vectors = lapack.eig(matrix)
         aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))
         error = np.minimum(
             _EIGENVALUE_ERROR / np.maximum(aligned, _EIGENVALUE_ERROR), _MAX_EIGENVALUE_ERROR

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy import linalg
 
+from pupper_analysis.base import lapack
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
@@ -97,7 +97,7 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
     config = Configuration(robot, robot.posed(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
-    free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
+    free = lapack.null_space(np.vstack([held, feet]), rcond=1e-9)
     moved = config.com_jacobian()[:2] @ free
     sizes = np.linalg.svd(moved, compute_uv=False)
     smallest = max(_MIN_COM_RATE, _MIN_COM_RATE_RATIO * float(sizes.max(initial=0.0)))

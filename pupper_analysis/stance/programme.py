@@ -17,8 +17,8 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from pupper_analysis.base import lapack
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, make_constraints
@@ -410,7 +410,7 @@ class StanceProgram:
         residuals, whole = self._point(x).residuals, self._derivative(x)
         pairs = zip(self._constraints, residuals, strict=True)
         equal = sum(len(rows) for constraint, rows in pairs if constraint.is_equality)
-        _, triangle, order = linalg.qr(whole[:equal].T, mode="economic", pivoting=True)
+        triangle, order = lapack.pivoted_qr(whole[:equal].T)
         size = np.abs(np.diag(triangle))
         kept = np.sort(order[: int((size > _INDEPENDENCE_RTOL * size.max(initial=0.0)).sum())])
         return np.concatenate([kept, np.arange(equal, len(whole))]), len(kept)

@@ -16,12 +16,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import SimpleNamespace
 
 import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
-from scipy.linalg import lapack
+
+from pupper_analysis.base import lapack
 
 Array = NDArray[np.float64]
 
@@ -140,7 +141,8 @@ class Balance:
         count, size = len(self.normals), self.base_rows.shape[1]
         # Columns: n normal directions, then the unchanged columns of welds and grips.
         directions = np.zeros((size, size - 2 * count))
-        directions[: 3 * count, :count] = linalg.block_diag(*self.normals[:, :, None])
+        for point, normal in enumerate(self.normals):
+            directions[3 * point : 3 * point + 3, point] = normal
         directions[3 * count :, count:] = np.eye(size - 3 * count)
         reduced = replace(
             self,
@@ -494,13 +496,21 @@ class TangentialMetric:
         return self._apply_inverse(found.ravel())
 
 
-def _to_csc(matrix: Array) -> sparse.csc_matrix:
-    """Convert to SciPy's CSC format, in a third of the time of the constructor for arrays."""
+def _to_csc(matrix: Array) -> SimpleNamespace:
+    """Return the fields of SciPy's ``csc_matrix`` that Clarabel reads.
+
+    The import of ``scipy.sparse`` takes 0.1 s.
+    """
     by_column = matrix.T
     columns, rows = np.nonzero(by_column)
     ends = np.searchsorted(columns, np.arange(len(by_column) + 1))
-    parts = by_column[columns, rows], rows.astype(np.int32), ends.astype(np.int32)
-    return sparse.csc_matrix(parts, shape=matrix.shape)
+    return SimpleNamespace(
+        data=by_column[columns, rows],
+        indices=rows.astype(np.int32),
+        indptr=ends.astype(np.int32),
+        shape=matrix.shape,
+        has_canonical_format=True,  # sorted, and without duplicates
+    )
 
 
 def _nan_or_max(values: list[float]) -> float:

@@ -20,9 +20,8 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
-from scipy.linalg import lapack
 
+from pupper_analysis.base import lapack
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -840,7 +839,7 @@ class Welds:
             changed[:count] = scale * self._pose_errors(config)[self._independent]
         else:
             changed[:count], changed[:count, :n] = 0.0, scale * rows
-        changed[count:n] = linalg.null_space(rows).T @ equations[:n]
+        changed[count:n] = lapack.null_space(rows).T @ equations[:n]
         return changed
 
     def _pose_errors(self, config: Configuration) -> Array:
@@ -863,7 +862,7 @@ class Welds:
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
     """Return the indices, in ascending order, of a largest set of linearly independent rows."""
-    _, triangle, order = linalg.qr(rows.T, mode="economic", pivoting=True)
+    triangle, order = lapack.pivoted_qr(rows.T)
     sizes = np.abs(np.diag(triangle))
     tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
     return np.sort(order[: np.count_nonzero(sizes > tolerance)])

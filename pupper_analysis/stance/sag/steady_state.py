@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack
 
+from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
