@@ -187,6 +187,9 @@ def _find_base_pose(
     body, joints = _base_deviation(first, second, tolerances)
     if min(joints) == 0:
         return None  # a joint has the same placement, so the base frames are equal
+    shown = _find_pose_of_joints(first, second, tolerances)
+    if shown is not None:
+        return shown
     total = body + sum(joints)
     best, best_cost = None, total
     for pose in _candidate_base_poses(first, second):
@@ -211,6 +214,56 @@ def _find_base_pose(
         elif is_rotation_only and cost == 0 and best is None:
             best = pose
     return best
+
+
+def _find_pose_of_joints(
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
+) -> pin.SE3 | None:
+    """Return the pose of the base frame that brings all joints on the base into place.
+
+    Positions and axes of the joints are compared, not the bodies: other masses and tensors are
+    differences of their own, with any frame of the base. The pose is fitted to the anchors of the
+    joints and to points on the axes by least squares (Kabsch, Acta Cryst. A32 (1976) 922).
+
+    Returns:
+        Pose; None if the frames are equal, if fewer than two joints with different positions are on
+        the base, or if a joint is off by more than the tolerances.
+    """
+    names = first.children(first.base)
+    anchors, axes = _list_anchors_and_axes(first, names)
+    other_anchors, other_axes = _list_anchors_and_axes(second, names)
+    spread = float(np.ptp(anchors, axis=0).max())
+    if len(names) < _MIN_JOINTS_OF_POSE or spread <= _MIN_SPREAD:
+        return None
+    points = np.vstack([anchors, anchors + spread * axes])
+    other_points = np.vstack([other_anchors, other_anchors + spread * other_axes])
+    middle, other_middle = points.mean(axis=0), other_points.mean(axis=0)
+    left, sizes, right = np.linalg.svd((other_points - other_middle).T @ (points - middle))
+    if sizes[1] <= _MIN_SPREAD * spread:
+        return None  # all points are on a line, and any rotation about it fits
+    handedness = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
+    rotation = left @ handedness @ right
+    pose = pin.SE3(rotation, other_middle - rotation @ middle)
+    gaps = np.linalg.norm(anchors @ rotation.T + pose.translation - other_anchors, axis=1)
+    angles = np.linalg.norm(axes @ rotation.T - other_axes, axis=1)
+    if gaps.max() > tolerances.position or angles.max() > tolerances.axis:
+        return None
+    angle = float(np.linalg.norm(pin.log3(rotation)))
+    distance = float(np.linalg.norm(pose.translation))
+    is_moved = distance > tolerances.position or angle > tolerances.rotation
+    return pose if is_moved else None
+
+
+_MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
+"""Smallest number of joints on the base that determine the pose of its frame, and smallest distance
+between them [m]. Two joints with axes state ten numbers, a pose has six. Chosen."""
+
+
+def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
+    """Return positions [m] and unit axes of joints in the frame of the base, each shape (n, 3)."""
+    joints = [tree.joints[name] for name in names]
+    axes = np.array([joint.rotation @ joint.axis for joint in joints])
+    return np.array([joint.position for joint in joints]), axes
 
 
 def _base_deviation(
