@@ -108,6 +108,12 @@ class UrdfLink(UrdfElement):
         mass_value = 0.0 if mass is None else float(mass.get("value") or 0.0)
         return origin_of(inertial).act(make_inertia(mass_value, np.zeros(3), tensor))
 
+    @property
+    def inertial_rotation(self) -> NDArray[np.float64]:
+        """Rotation of ``<inertial><origin>`` in the link frame, shape (3, 3)."""
+        inertial = self.inertial
+        return np.eye(3) if inertial is None else np.array(origin_of(inertial).rotation)
+
     def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
         """Replace the ``<inertial>`` element by an inertia in the link frame."""
         self.remove("inertial")

@@ -222,11 +222,12 @@ class Difference(Stated, Result):
 
 @dataclass(frozen=True, eq=False)
 class PatternCause(Result):
-    """Mistake in a file that explains two or more differences.
+    """Mistake in a file that explains two or more differences, or one different inertia tensor.
 
     Attributes:
         kind: Kind of the mistake: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``,
-            ``geoms``, ``equalities``, ``links``, ``scaled links``, ``inertial`` or ``line``.
+            ``geoms``, ``equalities``, ``mimics``, ``inertia origin``, ``inertia turn``,
+            ``inertia axes``, ``links``, ``scaled links``, ``inertial`` or ``line``.
         diagnostic: Message that describes the mistake, with the numbers.
         differences: Indices of the explained differences, from 0.
     """
@@ -245,9 +246,10 @@ class PatternCause(Result):
         """Whether the cause is reported first.
 
         This applies to efforts at another side of the gear: such efforts do not affect the
-        dynamics, but all results about motors are wrong by the gear ratio.
+        dynamics, but all results about motors are wrong by the gear ratio. It also applies to lost
+        mimics, which are missing constraints.
         """
-        return self.kind == "gears"
+        return self.kind in ("gears", "mimics")
 
 
 @dataclass(frozen=True, eq=False)
@@ -588,7 +590,10 @@ def body_changes(
     if differs.any():
         entries = []
         for label, indices in INERTIA_ENTRIES.items():
-            first_value, second_value = float(one.inertia[indices]), float(two.inertia[indices])
+            first_value, second_value = (
+                _clear_rounding(float(tensor[indices]), scale)
+                for tensor in (one.inertia, two.inertia)
+            )
             if differs[indices]:
                 values = {**number_pair(first_value, second_value, "kg m^2"), **sides.named}
                 entries.append(
@@ -601,6 +606,15 @@ def body_changes(
                 )
         message = diagnose("inertia-differs", subject=body, entries=entries)
         yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", message)
+
+
+def _clear_rounding(value: float, scale: float) -> float:
+    """Return 0 for a number that is only the rounding error of a rotated tensor."""
+    return value if abs(value) > _ROUNDING_RTOL * scale else 0.0
+
+
+_ROUNDING_RTOL = 1e-9
+"""Entry of an inertia tensor, relative to the largest entry, below which a message states 0."""
 
 
 def _compare_joints(

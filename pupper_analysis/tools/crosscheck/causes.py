@@ -40,6 +40,7 @@ from pupper_analysis.robot.compare.differences import (
     changes_between,
 )
 from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
+from pupper_analysis.robot.matching.conventions import quarter_turns
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import compute_poses_at_zero, kinematic_trees
 from pupper_analysis.robot.robot import Robot
@@ -565,6 +566,147 @@ def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
         yield from find_dropped_products(case, file)
 
 
+@dataclass(frozen=True, eq=False)
+class _TensorPair:
+    """Different inertia tensors of a body that consists of a single link in either file.
+
+    All tensors are about the CoM and in the axes of the body.
+
+    Attributes:
+        mover: Joint that moves the body, or the base.
+        urdf: Link of the URDF.
+        mjcf: Body of the MJCF.
+        urdf_offset: CoM relative to the origin of the link in the URDF, shape (3,) [m].
+        mjcf_offset: CoM relative to the origin of the body in the MJCF, shape (3,) [m].
+        turn: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body, shape (3, 3).
+    """
+
+    mover: str
+    urdf: ComparedLink
+    mjcf: ComparedLink
+    urdf_offset: Array
+    mjcf_offset: Array
+    turn: Array
+
+    def equals(self, urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
+        """Return True if two corrected tensors, shape (3, 3) [kg m^2], agree."""
+        scale = max(float(np.abs(urdf).max()), float(np.abs(mjcf).max()))
+        return float(np.abs(urdf - mjcf).max()) <= tolerances.inertia * scale
+
+
+def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
+    """Yield the bodies with equal mass and CoM, and different tensors of single links."""
+    links = UrdfTree.of(case.robot.description.urdf).links
+    differing = {element for kind, element in case.keys if kind in ("mass", "com")}
+    for kind, name in case.unexplained:
+        pair = case.urdf.get(name, ()), case.mjcf.get(name, ())
+        if kind != "inertia" or name in differing or not len(pair[0]) == len(pair[1]) == 1:
+            continue
+        (urdf,), (mjcf,) = pair
+        turn = links[urdf.name].inertial_rotation
+        yield _TensorPair(
+            name,
+            urdf,
+            mjcf,
+            case.first.bodies[name].com,
+            mjcf.axes @ case.raw.bodies[name].com,
+            urdf.axes @ turn @ urdf.axes.T,
+        )
+
+
+def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
+    """Compute m (c.c E - c c^T) [kg m^2]: tensor about the origin minus tensor about the CoM."""
+    tensor: Array = link.body.mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+    return tensor
+
+
+def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
+    """Return True if the tensors are E D E^T and E^T D E, with one rotation E and diagonal D.
+
+    The order and the signs of the principal axes are those of any right-handed frame.
+    """
+    moments, axes = np.linalg.eigh(pair.urdf.body.inertia)
+    axes = axes * float(np.sign(np.linalg.det(axes)))
+    return any(
+        pair.equals(
+            (axes @ turn).T @ (turn.T @ np.diag(moments) @ turn) @ (axes @ turn),
+            pair.mjcf.body.inertia,
+            tolerances,
+        )
+        for turn in quarter_turns()
+    )
+
+
+_MIN_TURN = 1e-3
+"""Angle of ``<inertial><origin rpy>`` [rad] from which a rotation can be lost. Chosen."""
+
+
+def find_tensor_slips(case: PatternCase) -> PatternFindings:
+    """Find tensors about the origin of the link, lost rotations, and conjugate axes.
+
+    Each hypothesis is tested on the bodies with equal mass and CoM, and different tensors. The
+    hypothesis that most bodies fulfil is reported first. A single body is a finding, except with
+    conjugate axes: six equal numbers are no coincidence, an order of axes may be.
+    """
+    pairs = list(_list_tensor_pairs(case))
+    total, tolerances = len(pairs), case.tolerances
+    candidates: list[tuple[str, str, list[_TensorPair]]] = []
+    for file in ("URDF", "MJCF"):
+        about_origin, unturned = [], []
+        for pair in pairs:
+            urdf, mjcf = pair.urdf.body.inertia, pair.mjcf.body.inertia
+            if file == "URDF":
+                moved = urdf - _compute_origin_shift(pair.urdf, pair.urdf_offset)
+                about_origin += [pair] if pair.equals(moved, mjcf, tolerances) else []
+                continue
+            moved = mjcf - _compute_origin_shift(pair.mjcf, pair.mjcf_offset)
+            about_origin += [pair] if pair.equals(urdf, moved, tolerances) else []
+            written = pair.turn.T @ urdf @ pair.turn
+            is_turned = float(np.linalg.norm(pin.log3(pair.turn))) > _MIN_TURN
+            unturned += [pair] if is_turned and pair.equals(written, mjcf, tolerances) else []
+        candidates.append(("inertia origin", file, about_origin))
+        candidates.append(("inertia turn", file, unturned))
+    conjugate = [pair for pair in pairs if _has_inverse_axes(pair, tolerances)]
+    candidates.append(("inertia axes", "", conjugate if len(conjugate) > 1 else []))
+    codes = {
+        "inertia origin": "tensors-about-origin",
+        "inertia turn": "inertial-turns-lost",
+        "inertia axes": "tensors-of-inverse-axes",
+    }
+    explained: set[str] = set()
+    for kind, file, found in sorted(candidates, key=lambda candidate: -len(candidate[2])):
+        new = [pair for pair in found if pair.mover not in explained]
+        if new:
+            explained |= {pair.mover for pair in new}
+            angle = float(np.linalg.norm(pin.log3(new[0].turn)))
+            message = diagnose(
+                codes[kind],
+                file=file,
+                other="URDF" if file == "MJCF" else "MJCF",
+                links=[pair.urdf.name for pair in new],
+                count=len(new),
+                total=total,
+                angle=Quantity(angle, "rad"),
+            )
+            yield PatternFinding(kind, message, {("inertia", pair.mover) for pair in new})
+
+
+def find_lost_mimics(case: PatternCase) -> PatternFindings:
+    """Combine the lost mimics of the URDF with the efforts of joints without motor in the MJCF."""
+    lost = [name for kind, name in case.unexplained if kind == "mimic"]
+    if lost:
+        message = diagnose("mimics-lost", joints=lost, count=len(lost))
+        without_motor = [n for n in lost if math.isinf(case.second.joints[n].effort)]
+        efforts = {("effort", name) for name in without_motor}
+        found = {("mimic", name) for name in lost} | (efforts & set(case.unexplained))
+        yield PatternFinding("mimics", message, found)
+
+
+_SINGLE_KINDS = ("inertia origin", "inertia turn")
+"""Kinds of causes that are reported for a single difference: the cause names the repair, the
+difference only six numbers."""
+
+
 _MAX_SUBSET_LINKS = 12
 """Largest number of links of a body of which all subsets are tested as missing links: 4096 subsets
 in a millisecond. Of more links only the heaviest are used."""
@@ -939,7 +1081,7 @@ def find_causes(
     tolerances: Tolerances,
     from_geoms: Collection[str] = (),
 ) -> tuple[PatternCause, ...]:
-    """Find mistakes that explain two or more differences each.
+    """Find mistakes that explain two or more differences each, or a single different tensor.
 
     Args:
         robot: Robot.
@@ -951,7 +1093,7 @@ def find_causes(
     Returns:
         Causes, each with the indices of differences. A difference belongs to at most one cause.
     """
-    if len(differences) < 2:
+    if not differences:
         return ()
     first, raw = kinematic_trees(robot)
     keys = [(difference.kind, difference.element) for difference in differences]
@@ -969,7 +1111,7 @@ def find_causes(
                 for n, key in enumerate(keys)
                 if key in finding.explained and n not in explained_numbers
             )
-            if len(numbers) > 1:
+            if len(numbers) > 1 or (numbers and finding.kind in _SINGLE_KINDS):
                 explained_numbers |= set(numbers)
                 causes.append(PatternCause(finding.kind, finding.diagnostic, numbers))
     return tuple(sorted(causes, key=lambda cause: (not cause.leads, cause.differences)))
@@ -983,6 +1125,8 @@ _SEARCHES = (
     find_products_dropped_by_either,
     find_masses_of_geoms,
     find_closed_loops,
+    find_lost_mimics,
+    find_tensor_slips,
     find_link_slips,
     find_foreign_inertials,
     find_moved_axes,

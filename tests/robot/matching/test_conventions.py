@@ -203,6 +203,22 @@ def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str)
     assert max(comparison.deviations.values()) < 1e-9
 
 
+@pytest.mark.slow
+def test_moved_base_frame_is_found_beside_other_bodies_of_base_and_hips(tmp_path: Path) -> None:
+    """The other mass and com of the base, and the other tensors, remain as differences.
+
+    No pose of the base mends them; the pose is that of the axes and positions of the joints.
+    """
+    mjcf, feet = reframed(quadruped(), FEET, "base", *POSES["turned"])
+    mjcf = changed(mjcf, "base", mass=2.0, com=(0.1, 0.05, 0.07))
+    for leg in range(4):
+        mjcf = changed(mjcf, f"thigh{leg}", inertia=(0.03, 0.04, 0.05, 0.0, 0.0, 0.0))
+    comparison = compared(pair(tmp_path, mjcf, feet))
+    assert headline(comparison).startswith("DISAGREE: the base's frame is elsewhere")
+    kinds = {kind for kind, _ in found(comparison)}
+    assert kinds == {"base frame", "mass", "com", "inertia"}
+
+
 @pytest.mark.parametrize("pose", POSES)
 def test_the_frame_of_a_fixed_base_elsewhere_is_a_note(tmp_path: Path, pose: str) -> None:
     mjcf, _ = reframed(arm(), [], "base", *POSES[pose])

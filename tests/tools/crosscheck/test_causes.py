@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.robots import (
     Files,
+    Part,
     Parts,
     all_changed,
     changed,
@@ -290,3 +291,83 @@ def test_dropped_products_of_one_link_are_no_common_cause(
     line = first_line(pair(tmp_path, mjcf))
     assert "all products of inertia" not in line
     assert name in line
+
+
+def tensor_of(part: Part) -> np.ndarray:
+    xx, yy, zz, xy, xz, yz = part.inertia
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def with_tensor(part: Part, tensor: np.ndarray) -> Part:
+    entries = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    return replace(part, inertia=tuple(float(entry) for entry in entries))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["URDF", "MJCF"])
+def test_tensors_about_the_origin_of_the_link_are_one_cause(file: str, tmp_path: Path) -> None:
+    """Steiner: the tensor about the origin exceeds that about the com by m (c.c E - c c^T)."""
+
+    def moved(part: Part) -> Part:
+        com = np.array(part.com)
+        shift = part.mass * (com @ com * np.eye(3) - np.outer(com, com))
+        return with_tensor(part, tensor_of(part) + shift)
+
+    slips = {name: moved(part) for name, part in quadruped().items()}
+    files = (slips, quadruped()) if file == "URDF" else (quadruped(), slips)
+    comparison = compared(write(tmp_path, urdf_text(files[0]), mjcf_text(files[1])))
+    (cause,) = comparison.causes
+    assert cause.kind == "inertia origin"
+    assert len(cause.differences) == len(comparison.differences)
+    assert headline(comparison).startswith(f"DISAGREE: the {file} states the inertia tensors of")
+
+
+@pytest.mark.slow
+def test_tensors_with_axes_of_the_inverse_rotation_are_one_cause(tmp_path: Path) -> None:
+    """I = E D E^T in the URDF is E^T D E in the MJCF, as with a conjugated quaternion."""
+
+    def conjugated(part: Part) -> Part:
+        moments, axes = np.linalg.eigh(tensor_of(part))
+        return with_tensor(part, axes.T @ np.diag(moments) @ axes)
+
+    mjcf = {name: conjugated(part) for name, part in quadruped().items()}
+    comparison = compared(pair(tmp_path, mjcf))
+    (cause,) = comparison.causes
+    assert cause.kind == "inertia axes"
+    assert len(cause.differences) == len(comparison.differences)
+
+
+@pytest.mark.slow
+def test_other_tensors_with_equal_moments_have_no_such_cause(tmp_path: Path) -> None:
+    """All tensors turned by 0.3 rad about x, which is none of the three mistakes."""
+    turn = Rotation.from_euler("x", 0.3).as_matrix()
+    mjcf = {
+        name: with_tensor(part, turn @ tensor_of(part) @ turn.T)
+        for name, part in quadruped().items()
+    }
+    assert not [cause for cause in compared(pair(tmp_path, mjcf)).causes if "inertia" in cause.kind]
+
+
+def test_lost_rotation_of_an_inertial_names_the_link(tmp_path: Path) -> None:
+    """The MJCF has the six numbers of the URDF, whose <origin> has an rpy of 0.3 and 0.5 rad."""
+    origin = f'<origin xyz="{numbers(quadruped()["thigh2"].com)}"/>'
+    turned = origin.replace("/>", ' rpy="0.3 0.5 0"/>')
+    urdf = urdf_text(quadruped()).replace(origin, turned)
+    assert urdf.count(turned) == 1
+    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    (cause,) = comparison.causes
+    assert cause.kind == "inertia turn"
+    assert cause.diagnostic.values["links"] == ("thigh2",)
+    assert len(comparison.differences) == 1
+
+
+def test_lost_mimic_comes_before_the_missing_motor(tmp_path: Path) -> None:
+    """A follower without motor in the MJCF has no torque limit there."""
+    knee = '<joint name="knee0" type="revolute">'
+    urdf = urdf_text(quadruped()).replace(knee, f'{knee}<mimic joint="hip0"/>')
+    mjcf = mjcf_text(quadruped())
+    limit = re.compile(r'(<joint name="knee0"[^>]*?) actuatorfrcrange="[^"]*"')
+    mjcf = re.sub(r'<\w+ [^>]*joint="knee0"[^>]*/>', "", limit.sub(r"\1", mjcf))
+    comparison = compared(write(tmp_path, urdf, mjcf))
+    assert found(comparison) == [("effort", "knee0"), ("mimic", "knee0")]
+    assert headline(comparison).startswith("DISAGREE: knee0 mimics another joint in the URDF")
