@@ -668,34 +668,36 @@ def find_tensor_slips(case: PatternCase) -> PatternFindings:
         candidates.append(("inertia turn", file, unturned))
     conjugate = [pair for pair in pairs if _has_inverse_axes(pair, tolerances)]
     candidates.append(("inertia axes", "", conjugate if len(conjugate) > 1 else []))
-    codes = {
-        "inertia origin": "tensors-about-origin",
-        "inertia turn": "inertial-turns-lost",
-        "inertia axes": "tensors-of-inverse-axes",
-    }
     explained: set[str] = set()
     for kind, file, found in sorted(candidates, key=lambda candidate: -len(candidate[2])):
         new = [pair for pair in found if pair.mover not in explained]
         if new:
             explained |= {pair.mover for pair in new}
-            angle = float(np.linalg.norm(pin.log3(new[0].turn)))
-            message = diagnose(
-                codes[kind],
-                file=file,
-                other="URDF" if file == "MJCF" else "MJCF",
-                links=[pair.urdf.name for pair in new],
-                count=len(new),
-                total=total,
-                angle=Quantity(angle, "rad"),
-            )
+            message = _describe_tensor_slip(kind, file, new, total)
             yield PatternFinding(kind, message, {("inertia", pair.mover) for pair in new})
+
+
+def _describe_tensor_slip(
+    kind: str, file: str, pairs: Sequence[_TensorPair], total: int
+) -> Diagnostic:
+    """Describe a mistake in the tensors of some bodies, of ``total`` bodies with other tensors."""
+    links, count = [pair.urdf.name for pair in pairs], len(pairs)
+    other = "URDF" if file == "MJCF" else "MJCF"
+    if kind == "inertia axes":
+        return diagnose("tensors-of-inverse-axes", links=links, count=count, total=total)
+    if kind == "inertia origin":
+        return diagnose(
+            "tensors-about-origin", file=file, other=other, links=links, count=count, total=total
+        )
+    angle = Quantity(float(np.linalg.norm(pin.log3(pairs[0].turn))), "rad")
+    return diagnose("inertial-turns-lost", file=file, other=other, links=links, angle=angle)
 
 
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
     """Combine the lost mimics of the URDF with the efforts of joints without motor in the MJCF."""
     lost = [name for kind, name in case.unexplained if kind == "mimic"]
     if lost:
-        message = diagnose("mimics-lost", joints=lost, count=len(lost))
+        message = diagnose("mimics-lost", joints=lost)
         without_motor = [n for n in lost if math.isinf(case.second.joints[n].effort)]
         efforts = {("effort", name) for name in without_motor}
         found = {("mimic", name) for name in lost} | (efforts & set(case.unexplained))
