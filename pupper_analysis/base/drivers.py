@@ -63,8 +63,8 @@ def guard_mujoco_import() -> None:
 def import_without_opengl() -> None:
     """Import MuJoCo without OpenGL, because GLFW starts a process while loading.
 
-    MUJOCO_GL has the old value afterwards; ``tools/analyze/figures.py`` uses this value to load
-    OpenGL.
+    MUJOCO_GL has the old value afterwards, because ``present.pictures`` starts a process that
+    renders with this value.
     """
     with _disabled_opengl():
         import_module("mujoco")

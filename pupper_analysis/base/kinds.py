@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -81,6 +82,19 @@ def _is_picture(file: BinaryIO) -> bool:
     return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR_NAME} ".encode() in head
 
 
+def _is_animation(file: BinaryIO) -> bool:
+    """Return True for a GIF or MP4 whose comment names this package.
+
+    The comment of a GIF is near the start, the comment of an MP4 near the end.
+    """
+    head = file.read(NUM_HEAD_BYTES)
+    file.seek(0, os.SEEK_END)
+    file.seek(max(0, file.tell() - NUM_HEAD_BYTES))
+    parts = head, file.read()
+    known = head.startswith(b"GIF8") or head[4:8] == b"ftyp"
+    return known and any(f"{GENERATOR_NAME} ".encode() in part for part in parts)
+
+
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     """Return the non-empty cells of a plan in columns that ``fit`` does not fill itself.
 
@@ -118,6 +132,7 @@ RESULTS_KIND: Final = Kind(
 )
 PAGE_KIND: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
 PICTURE_KIND: Final = Kind("figure", _is_picture, suffixes=(".png",))
+ANIMATION_KIND: Final = Kind("animation", _is_animation, suffixes=(".gif", ".mp4"))
 STAND_TABLE: Final = Kind(
     "table of a stand", match_prefix("joint,position (rad),torque (N m),"), suffixes=(".csv",)
 )

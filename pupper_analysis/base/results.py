@@ -20,6 +20,7 @@ from pupper_analysis.base.frozen import freeze
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from PIL.Image import Image
 
 
 def to_json(result: object) -> str:
@@ -138,6 +139,46 @@ class Result:
         """Return the result as dictionaries, lists and numbers."""
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
+
+
+class Pictured:
+    """Result that contains configurations of a robot, which MuJoCo's renderer draws."""
+
+    def show(self, robot: object = None, **options: Any) -> Image | None:
+        """Show the last configuration: in MuJoCo's viewer, or as a picture.
+
+        In a notebook and without a display, a Pillow image is returned; a notebook displays the
+        image. Otherwise the viewer simulates the robot until its window is closed.
+
+        Args:
+            robot: Robot of the result; necessary if the result comes from another process.
+            **options: ``size`` (width, height) [pixel], ``azimuth`` and ``elevation`` of the camera
+                in MuJoCo's convention [deg].
+
+        Raises:
+            ConfigurationError: If an option is out of range, or the robot is missing.
+            DisplayError: If there is no OpenGL.
+        """
+        pictures = import_module("pupper_analysis.present.pictures")
+        image: Image | None = pictures.show_result(self, robot, **options)
+        return image
+
+    def animate(self, robot: object = None, **options: Any) -> Any:
+        """Return an animation: the simulated motion, or a turn of the camera around a posture.
+
+        Notebooks display the animation. ``animation.save("stand.gif")`` writes a GIF, and with the
+        package ``imageio[ffmpeg]`` an MP4; ``animation.frames`` contains the pixels.
+
+        Args:
+            robot: As in ``show``.
+            **options: As in ``show``.
+
+        Raises:
+            ConfigurationError: If an option is out of range, or the robot is missing.
+            DisplayError: If there is no OpenGL.
+        """
+        pictures = import_module("pupper_analysis.present.pictures")
+        return pictures.animate_result(self, robot, **options)
 
 
 class Tabular(Result):

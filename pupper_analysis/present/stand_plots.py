@@ -26,6 +26,7 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     """
     from pupper_analysis.present.figures.pose import make_pose_figure
 
+    robot = robot or stand.own_robot
     if robot is None:
         raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=name_kind(stand)))
     robot = stand.check(robot)

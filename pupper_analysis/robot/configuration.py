@@ -18,6 +18,7 @@ from pupper_analysis.base.arguments import check_type, check_vector
 from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.results import Pictured
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.structure import Workspace
 
@@ -41,7 +42,7 @@ UP = np.array([0.0, 0.0, 1.0])
 """Unit vector of the world's z axis."""
 
 
-class Configuration:
+class Configuration(Pictured):
     """Robot at a state (qpos, qvel). Construction runs the forward kinematics.
 
     The coordinates are defined in ``pupper_analysis.robot.coordinates``: MuJoCo's, with the joints

@@ -19,7 +19,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.arrays import project_perpendicular, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
@@ -127,7 +127,7 @@ tuned."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StandVerification(Outcome, SimulationSettings, Tabular):
+class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     """Simulation of a stand compared with the prediction, with the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
@@ -199,6 +199,15 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
     def _columns(self) -> dict[str, Array]:
         return {"time": self.time, "height": self.height}
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_stand"}
+
+    @property
+    def stand(self) -> Stand | None:
+        """Stand that was simulated; None for a verification from another process."""
+        stand: Stand | None = vars(self).get("_stand")
+        return stand
+
 
 @check_arguments
 def verify_stand(
@@ -250,6 +259,7 @@ def verify_stand(
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
+    simulated = stand if stand.own_robot is robot else stand.with_robot(robot)
     robot = check_stand(robot, stand, duration)
     nudge_duration = _nudge_duration(duration, nudged)
     held = make_stand_start(
@@ -297,7 +307,7 @@ def verify_stand(
     ]
     if not result.collapses:
         notes += describe_refuted(result.stability)
-    return replace(
+    judged = replace(
         result,
         passed=not failures,
         failures=tuple(failures),
@@ -305,6 +315,8 @@ def verify_stand(
         creep=None if result.collapses else measure_creep(robot, stand, drive.model, run.states),
         notes=tuple(notes),
     )
+    vars(judged)["_stand"] = simulated
+    return judged
 
 
 CREEP_TIME = 10.0

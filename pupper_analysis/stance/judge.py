@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
@@ -51,7 +51,7 @@ _UNPICKLED = ("_statics", "_robot")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Stand(Tabular):
+class Stand(Pictured, Tabular):
     """Solved stand. The errors are computed with Pinocchio from ``qpos``.
 
     A stand without feet is a posture of a robot with a fixed base (``held_stand``).
@@ -272,9 +272,15 @@ class Stand(Tabular):
         copy._statics.extend(self._statics)
         return attach_robot(copy, robot)
 
+    @property
+    def own_robot(self) -> Robot | None:
+        """Robot that the stand references; None for a stand from another process."""
+        robot: Robot | None = vars(self).get("_robot")
+        return robot
+
     def _require_robot(self) -> Robot:
         """Return the robot with the contacts of the task."""
-        robot: Robot | None = vars(self).get("_robot")
+        robot = self.own_robot
         if robot is None:
             owner = self.robot.rpartition(" ")[0]
             raise ConfigurationError("stand", diagnose("stand-without-robot", robot=owner))

@@ -22,7 +22,7 @@ from pupper_analysis.base.errors import (
     PostureUnreachableError,
     UnknownNameError,
 )
-from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
@@ -89,7 +89,7 @@ _AT_LIMIT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class SolvedPosture(Tabular):
+class SolvedPosture(Pictured, Tabular):
     """Posture that satisfies tasks.
 
     Attributes:
@@ -110,6 +110,15 @@ class SolvedPosture(Tabular):
     units: tuple[str, ...]
     contacts: tuple[str, ...]
     iterations: int
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_robot"}
+
+    @property
+    def robot(self) -> Robot | None:
+        """Robot of the posture; None for a posture from another process."""
+        robot: Robot | None = vars(self).get("_robot")
+        return robot
 
     def _columns(self) -> dict[str, Any]:
         return {
@@ -184,7 +193,7 @@ def solve_posture(
     residuals = _compute_residuals(every, _PinocchioBody(robot, qpos))
     if largest > POSTURE_TOLERANCE:
         raise _explain_failure(robot, every, kept, residuals, qpos)
-    return SolvedPosture(
+    posture = SolvedPosture(
         qpos=qpos,
         tasks=_describe_tasks(every, kept),
         residuals=residuals,
@@ -193,6 +202,8 @@ def solve_posture(
         contacts=kept,
         iterations=solver.iterations,
     )
+    vars(posture)["_robot"] = robot
+    return posture
 
 
 def _check_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:

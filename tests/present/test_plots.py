@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 
 import matplotlib.pyplot as plt
@@ -54,8 +55,10 @@ def test_plot_of_a_verification_shows_the_height() -> None:
 
 def test_missing_robot_and_result_without_plot_are_refused() -> None:
     robot, stand = load("v3"), stand_of("v3")
+    assert len(stand.plot()) == 2  # a solved stand references its robot
+    plt.close("all")
     with pytest.raises(pa.ConfigurationError, match=r"result\.plot\(robot\)"):
-        stand.plot()
+        pickle.loads(pickle.dumps(stand)).plot()
     with pytest.raises(pa.ConfigurationError):
         stand.plot(load("original"))
     statics = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))

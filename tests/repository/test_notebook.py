@@ -36,10 +36,10 @@ def test_notebook_shows_tables_and_figures(tmp_path: Path, monkeypatch: pytest.M
         nbclient.NotebookClient(notebook, timeout=300, resources=resources).execute()
     shown = {cell["source"]: set(outputs(cell)) for cell in notebook.cells}
     figures = [source for source, kinds in shown.items() if "image/png" in kinds]
-    assert figures == [source for source in shown if ".plot(" in source]
-    assert len(figures) == 2
+    assert figures == [source for source in shown if ".plot(" in source or ".show(" in source]
+    assert len(figures) == 3
     tables = [source for source, kinds in shown.items() if "text/html" in kinds]
-    assert len(tables) == 3
+    assert len(tables) == 4  # the animation is HTML, too
 
 
 def test_notebook_is_stored_without_outputs() -> None:

@@ -223,7 +223,7 @@ def run_shell(command: str, folder: Path) -> Answer:
         words = words[: words.index(">")]
     with (
         mock.patch("pupper_analysis.tools.live.server.serve", look_at),
-        mock.patch("pupper_analysis.tools.live.window.check_display"),
+        mock.patch("pupper_analysis.present.display.check_display"),
         mock.patch("mujoco.viewer.launch", look_into),
     ):
         done = answer(*words[1:], folder=folder)

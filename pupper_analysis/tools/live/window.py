@@ -5,19 +5,16 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-import os
-import sys
-import warnings
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.prepare.judge import describe_given_masses
+from pupper_analysis.present import display
 from pupper_analysis.present.document import NextStep
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
@@ -128,7 +125,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
         DisplayError: If no window can be opened.
     """
     if not headless:
-        check_display()
+        display.check_display()
     data, model = make_home_data(robot), robot.mj_model
     print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
@@ -141,7 +138,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
     if not robot.floating:
         model = copy.copy(model)  # the robot's own is not changed
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    show_window(model, data)
+    display.show_window(model, data)
 
 
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
@@ -161,7 +158,7 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         DisplayError: If no window can be opened.
     """
     if not headless:
-        show_window(robot.mj_model, make_home_data(robot))
+        display.show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)
     print(format_drop(result))
     masses = describe_given_masses(robot)
@@ -190,49 +187,3 @@ def format_drop(result: Drop) -> str:
         height, expected = 1e3 * end.height, 1e3 * end.expected_height
         words.append(f"CoM {height:.0f} mm high instead of {expected:.0f} mm")
     return ", ".join(words) + ("" if result.stable or not still else ": NOT stable")
-
-
-class DisplayError(PupperAnalysisError):
-    """The viewer cannot open a window here; the message states the alternative."""
-
-
-def check_display() -> None:
-    """Check that a window can be opened; otherwise MuJoCo's viewer would end the interpreter.
-
-    Raises:
-        DisplayError: If no window can be opened.
-    """
-    no_screen = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if sys.platform.startswith("linux") and no_screen:
-        raise DisplayError(diagnose("no-display"))
-    try:
-        from mujoco.viewer import glfw
-    except (ImportError, RuntimeError) as error:
-        raise DisplayError(diagnose("viewer-not-available", message=str(error))) from error
-    with warnings.catch_warnings(record=True) as caught:  # how glfw reports errors
-        warnings.simplefilter("always")
-        window = None
-        if glfw.init():
-            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            window = glfw.create_window(16, 16, "", None, None)
-            glfw.default_window_hints()
-    if not window:
-        message = str(caught[-1].message) if caught else "no window with OpenGL"
-        raise DisplayError(diagnose("viewer-not-available", message=message))
-    glfw.destroy_window(window)
-
-
-def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Simulate in MuJoCo's viewer in real time until the window is closed.
-
-    Args:
-        model: Model.
-        data: Initial state.
-
-    Raises:
-        DisplayError: If no window can be opened.
-    """
-    check_display()
-    from mujoco import viewer
-
-    viewer.launch(model, data)

@@ -10,6 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.present import display
 from pupper_analysis.tools.live import window as viewer
 from tests.support.variants import load
 
@@ -109,7 +110,7 @@ def test_missing_display_is_refused_with_headless(capsys: pytest.CaptureFixture[
         lambda: viewer.view_robot(load("v3"), headless=False),
         lambda: viewer.drop_and_report(load("v3"), headless=False),
     ):
-        with pytest.raises(viewer.DisplayError, match=r"no display.*--headless") as caught:
+        with pytest.raises(display.DisplayError, match=r"no display.*--headless") as caught:
             show()
         assert isinstance(caught.value, PupperAnalysisError)
         assert "\n" not in str(caught.value)
@@ -128,7 +129,7 @@ def test_the_window_simulates_from_home_and_the_result_is_that_without(
         for _ in range(100):
             mujoco.mj_step(model, data)
 
-    monkeypatch.setattr(viewer, "check_display", lambda: None)
+    monkeypatch.setattr(display, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
     assert viewer.drop_and_report(load("v3"), headless=False)
     assert begun == [dropped.height[0]]
@@ -150,7 +151,7 @@ def test_fixed_robot_stays_at_its_slider_positions(monkeypatch: pytest.MonkeyPat
             mujoco.mj_step(model, data)
         moved.append(float(data.qpos[0] - begun[0]))
 
-    monkeypatch.setattr(viewer, "check_display", lambda: None)
+    monkeypatch.setattr(display, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
     viewer.view_robot(pa.load_variant("v3", fixed_base=True), headless=False)
     assert moved == pytest.approx([0.0, 0.1], abs=1e-3)

@@ -1,0 +1,65 @@
+"""Windows of MuJoCo's viewer, and the test of whether a window can be opened."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+
+import mujoco
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
+
+
+class DisplayError(PupperAnalysisError):
+    """No window or no picture can be drawn here; the message states the alternative."""
+
+
+def check_display() -> None:
+    """Check that a window can be opened; otherwise MuJoCo's viewer would end the interpreter.
+
+    Raises:
+        DisplayError: If no window can be opened.
+    """
+    no_screen = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if sys.platform.startswith("linux") and no_screen:
+        raise DisplayError(diagnose("no-display"))
+    try:
+        from mujoco.viewer import glfw
+    except (ImportError, RuntimeError) as error:
+        raise DisplayError(diagnose("viewer-not-available", message=str(error))) from error
+    with warnings.catch_warnings(record=True) as caught:  # how glfw reports errors
+        warnings.simplefilter("always")
+        window = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(16, 16, "", None, None)
+            glfw.default_window_hints()
+    if not window:
+        message = str(caught[-1].message) if caught else "no window with OpenGL"
+        raise DisplayError(diagnose("viewer-not-available", message=message))
+    glfw.destroy_window(window)
+
+
+def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Simulate in MuJoCo's viewer in real time until the window is closed.
+
+    Args:
+        model: Model.
+        data: Initial state.
+
+    Raises:
+        DisplayError: If no window can be opened.
+    """
+    check_display()
+    from mujoco import viewer
+
+    viewer.launch(model, data)
+
+
+def in_notebook() -> bool:
+    """Return True if the code runs in a Jupyter kernel, which displays pictures below the cell."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return type(shell).__name__ == "ZMQInteractiveShell"

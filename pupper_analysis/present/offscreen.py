@@ -1,0 +1,43 @@
+"""Program that draws a MuJoCo model without a window: ``python -P offscreen.py FOLDER``.
+
+`pictures` starts this program in a process of its own, because MuJoCo selects OpenGL during its
+import, and an OpenGL driver may end the process. The folder contains ``model.mjb`` and
+``views.npz``; the program writes ``frames.npy``. Only MuJoCo and NumPy are imported.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+
+def draw_frames(folder: Path) -> None:
+    """Draw each configuration from its camera; write frames of shape (n, height, width, 3)."""
+    model = mujoco.MjModel.from_binary_path(str(folder / "model.mjb"))
+    with np.load(folder / "views.npz") as views:
+        qpos, cameras, size = views["qpos"], views["cameras"], views["size"]
+        shadows = bool(views["shadows"])
+    width, height = map(int, size)
+    # The model is this program's own copy.
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    frames = np.empty((len(qpos), height, width, 3), np.uint8)
+    with mujoco.Renderer(model, height, width) as renderer:
+        for index, (state, view) in enumerate(zip(qpos, cameras, strict=True)):
+            data.qpos[:] = state
+            mujoco.mj_forward(model, data)
+            camera.lookat[:] = view[:3]
+            camera.distance, camera.azimuth, camera.elevation = view[3:]
+            renderer.update_scene(data, camera)
+            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+                renderer.scene.flags[flag] &= shadows
+            renderer.render(out=frames[index])
+    np.save(folder / "frames.npy", frames)
+
+
+if __name__ == "__main__":
+    draw_frames(Path(sys.argv[1]))

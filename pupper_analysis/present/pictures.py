@@ -1,0 +1,382 @@
+"""Pictures and animations of robots by MuJoCo's renderer: ``show`` and ``animate`` of results.
+
+A process of its own draws the frames (`offscreen`), so that a missing OpenGL ends no notebook. A
+type of results registers its configurations with ``@list_views.register``.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import singledispatch
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pupper_analysis import __version__
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
+from pupper_analysis.base.files import write_atomically
+from pupper_analysis.base.kinds import ANIMATION_KIND, GENERATOR_NAME
+from pupper_analysis.present.display import DisplayError, check_display, in_notebook, show_window
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.terrain import build_on_ground
+from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.whole_body import SolvedPosture
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
+
+DEFAULT_SIZE = (640, 480)
+"""Width and height of a picture [pixel]. Chosen, not tuned."""
+
+ANIMATION_SIZE = (480, 360)
+"""Width and height of an animation [pixel]. Chosen: a GIF of v3's verification is 1.5 MB large."""
+
+AZIMUTH, ELEVATION = 135.0, -20.0
+"""Direction of the camera in MuJoCo's convention [deg]: from the front right, from above."""
+
+_VIEW_MARGIN = 1.15
+"""Ratio between the distance of the camera and the least distance from which it sees the sphere
+around the robot. Chosen, not tuned."""
+
+_MIN_RADIUS = 0.01
+"""Smallest radius of the sphere around a robot [m], for robots without geoms. Chosen, not tuned."""
+
+_TURN_SECONDS, _FRAMES_PER_SECOND = 4.0, 10
+"""Duration [s] of the camera's turn around a posture, and frames per second of animations. The
+configurations of a verification have a distance of 0.1 s. Chosen, not tuned."""
+
+_MAX_FRAMES = 600
+"""Largest number of frames of an animation: 300 MB in memory. Chosen, not tuned."""
+
+_DRAWING_TIMEOUT = 300.0
+"""Time [s] after which a drawing process is ended. A frame takes 0.1 s without a graphics card.
+Chosen, not tuned."""
+
+_OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
+"""Values of MUJOCO_GL that are tried on Linux without a display; "" is MuJoCo's default."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Configurations of a robot to draw.
+
+    Attributes:
+        robot: Robot on its ground.
+        time: Times, shape (n,) [s].
+        qpos: Configurations, shape (n, nq).
+    """
+
+    robot: Robot
+    time: Array
+    qpos: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Animation:
+    """Frames of an animation. Notebooks display the animation below the cell.
+
+    Attributes:
+        frames: Pixels, shape (n, height, width, 3), red, green and blue from 0 to 255.
+        fps: Frames per second.
+    """
+
+    frames: Pixels
+    fps: float
+
+    def __repr__(self) -> str:
+        count, height, width, _ = self.frames.shape
+        return f"<Animation: {count} frames, {width} x {height} pixels, {self.fps:g} per second>"
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write the animation as ``.gif``, or as ``.mp4`` with the package ``imageio[ffmpeg]``.
+
+        Args:
+            path: File; its suffix selects the format.
+            force: Replace a file that this function did not write.
+
+        Raises:
+            ConfigurationError: If the suffix is another one.
+            MissingPackageError: If an MP4 is requested, and ``imageio[ffmpeg]`` is not installed.
+            OutputError: If the file cannot be written, or would replace a file of another kind.
+        """
+        target = Path(path)
+        writers = {".gif": self._to_gif, ".mp4": self._to_mp4}
+        if target.suffix.lower() not in writers:
+            problem = diagnose("not-one-of", given=target.suffix, known=list(writers))
+            raise ConfigurationError("path", problem)
+        content = writers[target.suffix.lower()]()
+        with write_atomically(target, ANIMATION_KIND, force=force) as file:
+            file.write(content)
+        return target
+
+    def _to_gif(self) -> bytes:
+        images = [Image.fromarray(frame).quantize(128) for frame in self.frames]
+        buffer = io.BytesIO()
+        images[0].save(
+            buffer,
+            "GIF",
+            save_all=True,
+            append_images=images[1:],
+            duration=round(1000 / self.fps),
+            loop=0,
+            comment=f"{GENERATOR_NAME} {__version__}",
+        )
+        return buffer.getvalue()
+
+    def _to_mp4(self) -> bytes:
+        try:
+            imageio = import_module("imageio.v2")
+            import_module("imageio_ffmpeg")
+        except ImportError as error:
+            raise MissingPackageError("imageio[ffmpeg]", "video") from error
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "animation.mp4"
+            comment = ["-metadata", f"comment={GENERATOR_NAME} {__version__}"]
+            imageio.mimwrite(
+                file, list(self.frames), fps=self.fps, macro_block_size=2, output_params=comment
+            )
+            return file.read_bytes()
+
+    def _repr_html_(self) -> str:
+        """Return the animation as an HTML image, for notebooks."""
+        text = base64.b64encode(self._to_gif()).decode()
+        return f'<img alt="animation" src="data:image/gif;base64,{text}">'
+
+
+@check_arguments
+def show_result(
+    result: object,
+    robot: Robot | None = None,
+    *,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
+) -> Image.Image | None:
+    """Show the last configuration of a result; see ``Pictured.show``.
+
+    Raises:
+        ConfigurationError: If the result has no picture, or the robot is missing.
+        DisplayError: If there is no OpenGL.
+    """
+    view = list_views(result, robot)
+    if not in_notebook() and _can_open_window():
+        data = mujoco.MjData(view.robot.mj_model)
+        view.robot.mj_convention.set_state(data, view.qpos[-1])
+        mujoco.mj_forward(view.robot.mj_model, data)
+        show_window(view.robot.mj_model, data)
+        return None
+    last = view.qpos[-1:]
+    camera = _make_cameras(view.robot, last, np.array([azimuth]), elevation)
+    return Image.fromarray(draw_views(view.robot, last, camera, size, shadows=True)[0])
+
+
+@check_arguments
+def animate_result(
+    result: object,
+    robot: Robot | None = None,
+    *,
+    size: tuple[int, int] = ANIMATION_SIZE,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
+) -> Animation:
+    """Draw the motion of a result, or a turn of the camera; see ``Pictured.animate``.
+
+    Raises:
+        ConfigurationError: If the result has no picture, or the robot is missing.
+        DisplayError: If there is no OpenGL.
+    """
+    view = list_views(result, robot)
+    if len(view.qpos) == 1:
+        count = round(_TURN_SECONDS * _FRAMES_PER_SECOND)
+        qpos = np.repeat(view.qpos, count, axis=0)
+        azimuths = azimuth + np.arange(count) * 360.0 / count
+        fps = float(_FRAMES_PER_SECOND)
+    else:
+        stride = math.ceil(len(view.qpos) / _MAX_FRAMES)
+        qpos, time = view.qpos[::stride], view.time[::stride]
+        azimuths = np.full(len(qpos), azimuth)
+        fps = float((len(time) - 1) / (time[-1] - time[0]))
+    cameras = _make_cameras(view.robot, qpos, azimuths, elevation)
+    frames = draw_views(view.robot, qpos, cameras, size, shadows=False)
+    return Animation(frames, fps)
+
+
+@singledispatch
+def list_views(result: Any, robot: Robot | None = None) -> View:
+    """Return the configurations of a result that ``show`` and ``animate`` draw.
+
+    Raises:
+        ConfigurationError: If the type has no pictures, or the robot is missing.
+    """
+    del robot
+    raise ConfigurationError("result", diagnose("result-without-picture", kind=_kind(result)))
+
+
+@list_views.register(Configuration)
+def _list_configuration(config: Configuration, robot: Robot | None = None) -> View:
+    return _single_view(robot or config.robot, config.qpos)
+
+
+@list_views.register(SolvedPosture)
+def _list_posture(posture: SolvedPosture, robot: Robot | None = None) -> View:
+    return _single_view(_require_robot(posture, robot or posture.robot), posture.qpos)
+
+
+@list_views.register(Stand)
+def _list_stand(stand: Stand, robot: Robot | None = None) -> View:
+    owner = _require_robot(stand, robot or stand.own_robot)
+    return _single_view(_place_on_ground(owner, stand), stand.qpos)
+
+
+@list_views.register(StandVerification)
+def _list_verification(run: StandVerification, robot: Robot | None = None) -> View:
+    stand = run.stand
+    owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))
+    on_ground = owner if stand is None else _place_on_ground(owner, stand)
+    return View(on_ground, run.motion_time, run.motion)
+
+
+def _single_view(robot: Robot, qpos: Array) -> View:
+    return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
+
+
+def _require_robot(result: object, robot: Robot | None) -> Robot:
+    if robot is None:
+        raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=_kind(result)))
+    return robot
+
+
+def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
+    """Return the robot with the slopes, steps and tables of a stand."""
+    return build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
+
+
+def _kind(result: object) -> str:
+    return type(result).__name__
+
+
+def _can_open_window() -> bool:
+    try:
+        check_display()
+    except DisplayError:
+        return False
+    return True
+
+
+def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
+    """Return cameras that see the whole robot: all at the same point and the same distance.
+
+    Returns:
+        Shape (n, 6): looked-at point [m], distance [m], azimuth and elevation [deg].
+    """
+    model = robot.mj_model
+    base = model.body(robot.mj_base).id
+    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body_rootid[base])
+    geoms = geoms[model.geom_bodyid[geoms] != 0]
+    signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    points = []
+    for state in (qpos[0], qpos[-1]):
+        data = robot.placed(state)
+        points.append(data.xpos[base])
+        for geom in geoms:
+            box = model.geom_aabb[geom]
+            corners = (box[:3] + signs * box[3:]) @ data.geom_xmat[geom].reshape(3, 3).T
+            points += [*(data.geom_xpos[geom] + corners)]
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    radius = max(float(np.linalg.norm(high - low)) / 2, _MIN_RADIUS)
+    distance = _VIEW_MARGIN * radius / math.sin(math.radians(model.vis.global_.fovy) / 2)
+    cameras = np.empty((len(qpos), 6))
+    cameras[:, :3], cameras[:, 3] = (low + high) / 2, distance
+    cameras[:, 4], cameras[:, 5] = azimuths, elevation
+    return cameras
+
+
+def draw_views(
+    robot: Robot, qpos: Array, cameras: Array, size: Sequence[int], *, shadows: bool
+) -> Pixels:
+    """Draw configurations with MuJoCo's renderer, in a process of its own.
+
+    Args:
+        robot: Robot on its ground.
+        qpos: Configurations, shape (n, nq).
+        cameras: Cameras, shape (n, 6): looked-at point [m], distance [m], azimuth and elevation
+            [deg] in MuJoCo's convention.
+        size: Width and height [pixel].
+        shadows: Draw shadows and reflections; a frame then takes six times as long without a
+            graphics card.
+
+    Returns:
+        Pixels, shape (n, height, width, 3).
+
+    Raises:
+        ConfigurationError: If the size is not positive.
+        DisplayError: If there is no OpenGL.
+    """
+    if min(size) < 1:
+        raise ConfigurationError("size", diagnose("picture-without-pixels"))
+    data = mujoco.MjData(robot.mj_model)
+    states = np.empty((len(qpos), robot.mj_model.nq))
+    for index, state in enumerate(qpos):
+        robot.mj_convention.set_state(data, state)
+        states[index] = data.qpos
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        mujoco.mj_saveModel(robot.mj_model, str(folder / "model.mjb"))
+        np.savez(
+            folder / "views.npz", qpos=states, cameras=cameras, size=np.array(size), shadows=shadows
+        )
+        problem = ""
+        for driver in _list_drivers():
+            problem = _run_drawing(folder, driver) or ""
+            if not problem:
+                frames: Pixels = np.load(folder / "frames.npy")
+                return frames
+    raise DisplayError(diagnose("no-opengl", message=problem))
+
+
+def _list_drivers() -> tuple[str, ...]:
+    """Return the values of MUJOCO_GL to try: that of the user alone, if there is one."""
+    requested = os.environ.get("MUJOCO_GL", "")
+    if requested:
+        return (requested,)
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return _OFFSCREEN_DRIVERS if sys.platform.startswith("linux") and not screen else ("",)
+
+
+def _run_drawing(folder: Path, driver: str) -> str | None:
+    """Draw the views of a folder with a driver; return the reason of a failure, or None."""
+    environment = {**os.environ, "MUJOCO_GL": driver}
+    program = Path(__file__).with_name("offscreen.py")
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", str(program), str(folder)],
+            env=environment,
+            cwd=folder,  # MuJoCo writes its log file there
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_DRAWING_TIMEOUT,
+        )
+    except subprocess.TimeoutExpired:
+        return f"MuJoCo's renderer took more than {_DRAWING_TIMEOUT:g} s"
+    if done.returncode == 0 and (folder / "frames.npy").is_file():
+        return None
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    return lines[-1] if lines else f"exit status {done.returncode}"
