@@ -65,6 +65,13 @@ DETECTION_OPTIONS = (
         help=("Root body of the robot in an MJCF with several robots; e.g. base."),
     ),
     shared.package_option,
+    click.option(
+        "--xacro-arg",
+        "xacro_args",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Argument of a xacro file; e.g. arm=true. Repeatable.",
+    ),
 )
 """Options for properties that are detected in a robot's files by default."""
 
@@ -125,6 +132,7 @@ class RobotOptions:
     pairs: tuple[str, ...]
     keyframe: str | None
     packages: tuple[str, ...]
+    xacro_args: tuple[str, ...]
     base: str | None
     leg_scale: float | None
     torso_mass_scale: float | None
@@ -219,6 +227,10 @@ class RobotOptions:
             "joints": dict(shared.parse_assignment("map", text) for text in self.pairs or ()),
             "keyframe": self.keyframe,
             "packages": {name: str(path) for name, path in folders.items()},
+            "xacro_args": dict(
+                shared.parse_assignment("xacro-arg", text.replace(":=", "=", 1))
+                for text in self.xacro_args or ()
+            ),
         }
         return {name: value for name, value in options.items() if value}
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol, cast
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
@@ -102,18 +102,25 @@ def reader_of(path: Path) -> Reader | None:
     )
 
 
-def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
+def read_model(
+    path: str | Path,
+    packages: Mapping[str, Path] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> UrdfFile | MjcfFile:
     """Read a URDF or an MJCF; the root element determines the format.
 
     A xacro file is expanded if the package xacro is installed; the elements have no line numbers.
     An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
-        path: The file, the name of a description, or ``package://NAME/FILE``.
-        packages: Folders of ROS packages, for ``package://`` in a URDF.
+        path: The file, the name of a published robot, or ``package://NAME/FILE``.
+        packages: Folders of ROS packages, for ``package://`` in a URDF and ``$(find)`` in a xacro
+            file.
+        xacro_args: {argument of a xacro file: value}.
 
     Raises:
-        ConfigurationError: If ``path`` is neither a path nor a text.
+        ConfigurationError: If ``path`` is neither a path nor a text, or ``xacro_args`` are given
+            with another file than a xacro file.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
     """
@@ -121,10 +128,12 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     path = find_file(path, packages)
     register_input(path)
     if path.suffix == XACRO_SUFFIX:
-        text = expand_xacro(path)
+        text = expand_xacro(path, packages, xacro_args)
         root = parse_file_text(path, text)
         for element in root.iter():
             element.sourceline = NO_LINE
+    elif xacro_args:
+        raise ConfigurationError("xacro_args", diagnose("no-xacro-file", file=str(path)))
     else:
         text, root = parse_xml(path)
     if root.tag in ("mujoco", "mujocoinclude"):

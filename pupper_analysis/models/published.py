@@ -1,6 +1,7 @@
-"""Published models: names of ``robot_descriptions``, xacro files, and Git LFS pointers.
+"""Published models: names of robots, files of ROS packages, xacro files, and Git LFS pointers.
 
-The packages ``robot_descriptions`` and ``xacro`` are optional. Nothing is downloaded.
+The packages ``robot_descriptions``, ``mujoco-menagerie`` and ``xacro`` are optional. Nothing is
+downloaded.
 """
 
 from __future__ import annotations
@@ -8,14 +9,16 @@ from __future__ import annotations
 import importlib
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Final
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.runs import register_input
+from pupper_analysis.models.menagerie import find_menagerie_file, is_menagerie_name
 from pupper_analysis.models.places import Place, make_file_error, one_line
 from pupper_analysis.models.xml import LFS_POINTER
 
@@ -48,9 +51,29 @@ def is_pointer(path: Path) -> bool:
         return False
 
 
+_PACKAGE_NAME: Final = re.compile(rb"<name>\s*([\w.-]+)\s*</name>")
+
+_MAX_MANIFEST_BYTES: Final = 65536
+"""Number of bytes of a ``package.xml`` in which the name is searched. Chosen, not tuned."""
+
+
+def _read_package_name(folder: Path) -> str:
+    """Return the name in the ``package.xml`` of a folder; "" without such a file."""
+    try:
+        with (folder / "package.xml").open("rb") as file:
+            found = _PACKAGE_NAME.search(file.read(_MAX_MANIFEST_BYTES))
+    except (OSError, ValueError):
+        return ""
+    return found[1].decode() if found else ""
+
+
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield the folder itself and its subfolder, if they have the name of a ROS package."""
-    if folder.name == package:
+    """Yield the folder itself and its subfolder, if they have the name of a ROS package.
+
+    The folder itself may also have the name in its ``package.xml``, such as a clone with another
+    folder name.
+    """
+    if package in (folder.name, _read_package_name(folder)):
         yield folder
     if package not in ("", ".", "..") and (folder / package).is_dir():
         yield folder / package
@@ -75,18 +98,23 @@ PACKAGE_PREFIX: Final = "package://"
 """Prefix of a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
 
 
-def is_description(word: str) -> bool:
-    """Return True if a word names a description of ``robot_descriptions``, and no existing file.
+def is_published_name(word: str) -> bool:
+    """Return True if a word names a published robot, and no existing file.
 
-    Either with the prefix, or a name such as ``go2_mj_description``.
+    The robot is a description of ``robot_descriptions`` or a robot of MuJoCo Menagerie.
     """
+    return _is_description(word) or is_menagerie_name(word)
+
+
+def _is_description(word: str) -> bool:
+    """Return True if a word names a description: with the prefix, or ``go2_mj_description``."""
     return word.startswith(DESCRIPTION_PREFIX) or (
         _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()
     )
 
 
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
-    """Return the file of a model: a path, the name of a description, or ``package://NAME/FILE``.
+    """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
     Args:
         model: Path or name.
@@ -97,14 +125,17 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     Raises:
         ModelError: If ``robot_descriptions`` is not installed, or has no such description, if its
             cache does not contain the files, if the description contains no model file, or if a ROS
-            package is not found.
+            package is not found; see also `find_menagerie_file`.
+        UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
     # `Path` merges the slashes.
     for prefix in (PACKAGE_PREFIX, PACKAGE_PREFIX[:-1]):
         if word.startswith(prefix):
             return _find_in_package(word.removeprefix(prefix), packages or {})
-    if not is_description(word):
+    if is_menagerie_name(word):
+        return find_menagerie_file(word)
+    if not _is_description(word):
         return Path(model)
     name = word.removeprefix(DESCRIPTION_PREFIX)
     try:
@@ -120,6 +151,26 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     raise ModelError(word, diagnose("description-without-file", name=name))
 
 
+def find_packages(package: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
+    """Return the folders that may be a ROS package, by descending priority.
+
+    Args:
+        package: Name of the package.
+        folder: This folder and the folders above are searched, then ``ROS_PACKAGE_PATH`` and
+            ``AMENT_PREFIX_PATH``.
+        packages: {ROS package: its folder}, which have priority.
+    """
+    if package in packages:
+        return [packages[package]]
+    folders: list[Path] = []
+    for above in (folder, *folder.parents):
+        folders += find_package_folders(above, package)
+    for variable, share in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for top in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            folders += find_package_folders(Path(top) / share, package)
+    return folders
+
+
 def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
     """Return the file of a ROS package, given as ``NAME/FILE``.
 
@@ -127,14 +178,7 @@ def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
         ModelError: If the package is not found, or does not contain the file.
     """
     package, _, rest = name.partition("/")
-    here = Path.cwd()
-    folders = [packages[package]] if package in packages else []
-    if not folders:
-        for above in (here, *here.parents):
-            folders += find_package_folders(above, package)
-        for variable, share in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-            for top in filter(None, os.environ.get(variable, "").split(os.pathsep)):
-                folders += find_package_folders(Path(top) / share, package)
+    folders = find_packages(package, Path.cwd(), packages)
     for candidate in folders:
         if rest and (candidate / rest).is_file():
             return candidate / rest
@@ -166,11 +210,24 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
         cache.clone_to_cache = clone  # type: ignore[attr-defined]
 
 
-def expand_xacro(path: Path) -> str:
-    """Return the URDF text of a xacro file, with the default values of the arguments.
+def expand_xacro(
+    path: Path,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
+) -> str:
+    """Return the URDF text of a xacro file. Python expressions in the file are evaluated.
+
+    ``$(find NAME)`` is resolved as ``package://NAME``, from the folder of the file; a ROS
+    installation is not necessary.
+
+    Args:
+        path: The file.
+        packages: {ROS package: its folder}.
+        arguments: {argument of the file: value}; others have their default values.
 
     Raises:
-        ModelError: If xacro is not installed, the file does not exist, or the expansion fails.
+        ModelError: If xacro is not installed, the file does not exist, the file declares no such
+            argument, a package is not found, or the expansion fails.
     """
     try:
         xacro = importlib.import_module("xacro")
@@ -178,13 +235,63 @@ def expand_xacro(path: Path) -> str:
         raise make_file_error(Place(path), diagnose("file-is-xacro")) from error
     if not path.is_file():
         raise make_file_error(Place(path), diagnose("file-not-read", message="no such file"))
+    given = dict(arguments or {})
     # xacro appends the included files of each expansion to a global list.
     before = len(getattr(xacro, "all_includes", ()))
+    options = {"mappings": given} if given else {}
     try:
-        text = str(xacro.process_file(str(path)).toxml())
+        with _find_xacro_packages(path, packages or {}):
+            text = str(xacro.process_file(str(path), **options).toxml())
+    except ModelError:
+        raise
     except Exception as error:  # Python code in a macro may raise any exception
         problem = diagnose("xacro-not-expanded", message=one_line(error))
         raise make_file_error(Place(path), problem) from error
-    for name in getattr(xacro, "all_includes", ())[before:]:
+    files = [path, *map(Path, getattr(xacro, "all_includes", ())[before:])]
+    for name in files[1:]:
         register_input(name)
+    if given:
+        _check_xacro_arguments(path, files, given)
     return text
+
+
+@contextmanager
+def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[None]:
+    """Resolve ``$(find NAME)`` of xacro by `find_packages`, then by ROS."""
+    try:
+        substitution = importlib.import_module("xacro.substitution_args")
+    except ImportError:  # another package with the name xacro
+        yield
+        return
+    find_by_ros = substitution._eval_find
+
+    def find(package: str) -> str:
+        folders = find_packages(package, path.absolute().parent, packages)
+        if folders:
+            return str(folders[0].absolute())
+        try:
+            return str(find_by_ros(package))
+        except Exception as error:  # ROS is not installed, or has no such package
+            problem = diagnose("package-not-found", package=package, file="", found=False)
+            raise make_file_error(Place(path), problem) from error
+
+    substitution._eval_find = find  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        substitution._eval_find = find_by_ros  # type: ignore[attr-defined]
+
+
+_XACRO_ARGUMENT: Final = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
+
+
+def _check_xacro_arguments(path: Path, files: Iterable[Path], given: Mapping[str, str]) -> None:
+    """Raise UnknownNameError if no file declares an argument: xacro ignores such arguments."""
+    declared = {
+        name
+        for file in files
+        for name in _XACRO_ARGUMENT.findall(file.read_text(encoding="utf-8", errors="replace"))
+    }
+    for name in given:
+        if name not in declared:
+            raise UnknownNameError(str(path), "xacro argument", name, sorted(declared))

@@ -21,9 +21,10 @@ from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.menagerie import is_menagerie_name
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.published import is_description
+from pupper_analysis.models.published import is_published_name
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -254,8 +255,9 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
     if not isinstance(robot, tuple) or len(robot) != 1:
         return None
     [word] = robot
-    if is_description(word):
-        return "mjcf" if word.endswith(_MJCF_PACKAGE_SUFFIX) else "urdf"
+    if is_published_name(word):
+        menagerie = is_menagerie_name(word)
+        return "mjcf" if menagerie or word.endswith(_MJCF_PACKAGE_SUFFIX) else "urdf"
     suffix = Path(word).suffix.lower()
     if suffix == ".xml" and Path(word).is_file():  # either format
         with Path(word).open("rb") as file:
@@ -267,7 +269,7 @@ def _names_file(word: str) -> bool:
     """Return True if a word names a file by its form, or if such a file exists."""
     path = Path(word)
     return (
-        is_description(word)
+        is_published_name(word)
         or path == STANDARD_INPUT
         or path.suffix.lower() in _MODEL_SUFFIXES
         or len(path.parts) > 1

@@ -42,7 +42,7 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.find_command("stand").params}
     base = [one for one in OPTION_FIELDS.values() if one.slider and one.slider.folder == "Base"]
-    assert len(common) == 13 + len(base)
+    assert len(common) == 14 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 

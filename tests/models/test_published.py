@@ -8,7 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.errors import ModelError, OutputError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    ModelError,
+    OutputError,
+    UnknownNameError,
+)
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
@@ -180,3 +185,54 @@ def test_xacro_is_expanded_if_it_is_installed(
     monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(ModelError, match="or install xacro"):
         read_model(file)
+
+
+ARM = """<?xml version="1.0"?>
+<robot name="rex" xmlns:xacro="http://ros.org/wiki/xacro">
+  <xacro:arg name="arm" default="false"/>
+  <xacro:include filename="$(find rex_parts)/parts.xacro"/>
+  <link name="base"/>
+  <xacro:if value="$(arg arm)"><xacro:tool/></xacro:if>
+</robot>
+"""
+PARTS = """<robot xmlns:xacro="http://ros.org/wiki/xacro">
+  <xacro:macro name="tool"><link name="tool"/>
+    <joint name="j" type="revolute"><parent link="base"/><child link="tool"/>
+      <limit effort="1" lower="-1" upper="${pi / 2}" velocity="1"/></joint>
+  </xacro:macro>
+</robot>
+"""
+
+
+def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path) -> None:
+    """The expansion is that of the package xacro, with the folder of the package as text."""
+    pytest.importorskip("xacro")
+    clone = tmp_path / "rex-main"  # a clone whose folder has another name than the package
+    (clone / "urdf").mkdir(parents=True)
+    (clone / "package.xml").write_text("<package><name>rex_parts</name></package>")
+    (clone / "parts.xacro").write_text(PARTS)
+    file = clone / "urdf" / "rex.urdf.xacro"
+    file.write_text(ARM)
+    with_arm = read_model(file, None, {"arm": "true"})
+    assert isinstance(with_arm, UrdfFile)
+    assert [*with_arm.tree.links] == ["base", "tool"]
+    without = read_model(file)
+    assert isinstance(without, UrdfFile)
+    assert [*without.tree.links] == ["base"]
+    with pytest.raises(UnknownNameError, match=r"xacro argument 'leg'.*arm"):
+        read_model(file, None, {"leg": "true"})
+    with pytest.raises(ConfigurationError, match="no xacro file"):
+        read_model(tmp_path / "rex.urdf", None, {"arm": "true"})
+
+
+def test_missing_package_of_xacro_names_the_option(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    file = tmp_path / "rex.urdf.xacro"
+    file.write_text(ARM)
+    with pytest.raises(ModelError, match="--package rex_parts=FOLDER") as caught:
+        read_model(file)
+    assert "\n" not in str(caught.value)
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "parts.xacro").write_text(PARTS)
+    assert isinstance(read_model(file, {"rex_parts": folder}), UrdfFile)

@@ -5,7 +5,7 @@ If there is one file, the other model is made from this file in memory.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -18,7 +18,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.objects import ModelObject, is_object, read_objects
-from pupper_analysis.models.published import find_file
+from pupper_analysis.models.published import XACRO_SUFFIX, find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert.from_urdf import convert_urdf_in_memory
@@ -106,6 +106,7 @@ def read_pair(
     take: str | None = None,
     body: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
     defer_visuals: bool = False,
 ) -> ModelPair:
     """Read the files of a robot, and make the missing model.
@@ -117,13 +118,16 @@ def read_pair(
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
         body: Root body of the robot in an MJCF with several, or any body of the robot; without a
             URDF detected if possible.
-        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
+        packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
+            a xacro file.
+        xacro_args: {argument of the xacro file: value}; others have their default values.
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
         ConfigurationError: If there is no file, if there are two files of the same format, if
-            ``take`` names a format without a file, if ``body`` is given without an MJCF, or if a
-            model is neither a name nor a path.
+            ``take`` names a format without a file, if ``body`` is given without an MJCF, if
+            ``xacro_args`` are given without a xacro file, or if a model is neither a name nor a
+            path.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
             MJCF has several robots or none (see `with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
@@ -135,10 +139,19 @@ def read_pair(
         if not is_object(model):
             check_type("model", model, str | Path)
             paths.append(cast(str | Path, model))
+    named = [*paths, *(path for path in (urdf, mjcf) if path is not None)]
+    if xacro_args and not any(_is_xacro(path, folders) for path in named):
+        problem = diagnose("no-xacro-file", file=", ".join(map(str, named)) or "the robot")
+        raise ConfigurationError("xacro_args", problem)
+
+    def read(path: str | Path) -> UrdfFile | MjcfFile:
+        return read_model(path, folders, xacro_args if _is_xacro(path, folders) else None)
+
     with read_objects(objects, folders) as in_memory:
-        files = [*in_memory.files, *(read_model(path, folders) for path in paths)]
+        files = [*in_memory.files, *map(read, paths)]
         pair = _pair_files(
             files,
+            read,
             urdf=urdf,
             mjcf=mjcf,
             take=take,
@@ -152,8 +165,13 @@ def read_pair(
         return replace(pair, mjcf=in_memory.complete(pair.mjcf), imported=None)
 
 
+def _is_xacro(model: str | Path, packages: Mapping[str, Path]) -> bool:
+    return find_file(model, packages).suffix == XACRO_SUFFIX
+
+
 def _pair_files(
     files: list[UrdfFile | MjcfFile],
+    read_file: Callable[[str | Path], UrdfFile | MjcfFile],
     *,
     urdf: str | Path | None,
     mjcf: str | Path | None,
@@ -165,7 +183,7 @@ def _pair_files(
     """Read the files of keyword arguments, and make the missing model; see `read_pair`."""
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:
-            files.append(read_model(path, folders))
+            files.append(read_file(path))
             if not isinstance(files[-1], kind):
                 read(find_file(path, folders))  # raises an error that names the actual format
     found = {"urdf" if isinstance(file, UrdfFile) else "mjcf": file for file in files}
@@ -202,6 +220,7 @@ def load_robot(
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
     as_is: bool = False,
     visuals: bool = True,
 ) -> Robot:
@@ -217,7 +236,8 @@ def load_robot(
     ``pin_model``, joint names or feet. Mesh files are read again then.
 
     Args:
-        *models: Path of a URDF or an MJCF, or of both, in any order; or a robot in memory: its
+        *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie
+            or ``robot_descriptions``; ``package://NAME/FILE``; or a robot in memory: its
             XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``, or ``pin.Model``
             with or without its ``pin.GeometryModel`` of collision shapes. Objects are not
             modified. ``pa.load_robot`` also accepts the name of a variant, such as ``"v3"``.
@@ -234,7 +254,9 @@ def load_robot(
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which
             the robot stands.
-        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
+        packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
+            a xacro file.
+        xacro_args: {argument of the xacro file: value}; others have their default values.
         as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
             all shapes. Soles are not replaced by balls.
         visuals: False if the robot is not drawn or written: visual meshes of a URDF in formats that
@@ -260,6 +282,7 @@ def load_robot(
         take=take,
         body=body,
         packages=packages,
+        xacro_args=xacro_args,
         defer_visuals=feet is None,  # a named foot may be a visual geom
     )
     file = None if pair.converted == "mjcf" else pair.mjcf

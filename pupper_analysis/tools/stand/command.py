@@ -143,6 +143,7 @@ def _explain_preparation(
             take=options.get("take"),
             body=options.get("body"),
             packages=options.get("packages"),
+            xacro_args=options.get("xacro_args"),
             defer_visuals=load_request.feet is None,
         )
         preparation, robot = explain_loading(pair.urdf, pair.mjcf, load_request)

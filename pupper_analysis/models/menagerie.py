@@ -1,0 +1,106 @@
+"""Robots of MuJoCo Menagerie by name: ``unitree_go2/go2.xml``, ``mujoco_menagerie/unitree_go2``.
+
+The files come from a clone (``MENAGERIE_ROOT``, or a folder ``mujoco_menagerie`` in the current
+folder or above), or from the cache of the package ``mujoco-menagerie``. Nothing is downloaded.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
+
+MENAGERIE_FOLDER: Final = "mujoco_menagerie"
+"""Name of a clone, and prefix of names, as in ``mujoco_menagerie/unitree_go2``."""
+
+_NAME: Final = re.compile(r"[a-z0-9_]+")
+
+
+def is_menagerie_name(word: str) -> bool:
+    """Return True if a word names a robot of MuJoCo Menagerie, and no existing path.
+
+    Either with the prefix, or ``ROBOT`` or ``ROBOT/FILE.xml`` with a robot that the installed
+    package lists or a clone contains.
+    """
+    parts = Path(word).parts
+    if not 1 <= len(parts) <= 3 or Path(word).exists():
+        return False
+    if parts[0] == MENAGERIE_FOLDER:
+        return len(parts) > 1
+    if len(parts) > 2 or "_" not in parts[0] or not _NAME.fullmatch(parts[0]):
+        return False
+    return parts[0] in _list_robots()
+
+
+def find_menagerie_file(word: str) -> Path:
+    """Return the MJCF of a robot; see `is_menagerie_name`.
+
+    Without a file name, the file is the default model of the package, without the scene; in a clone
+    without the package, the file with the name of the robot.
+
+    Raises:
+        ModelError: If the package is not installed and there is no clone, if the robot is not
+            downloaded, or if the robot has no such file.
+        UnknownNameError: If neither the package nor the clone has such a robot.
+    """
+    name, *rest = Path(word.removeprefix(f"{MENAGERIE_FOLDER}/")).parts
+    package, clone = _import_package(), _find_clone()
+    if package is None and clone is None:
+        raise ModelError(word, diagnose("menagerie-not-installed"))
+    known = _list_robots()
+    if name not in known:
+        raise UnknownNameError("MuJoCo Menagerie", "robot", name, known)
+    robot = package.get(name) if package is not None and name in package.names() else None
+    folder = clone / name if clone is not None and (clone / name).is_dir() else None
+    if folder is None:
+        cache = package.Cache()
+        folder = cache.model_path(robot) if cache.is_cached(robot) else None
+    if folder is None:
+        raise ModelError(word, diagnose("menagerie-not-downloaded", name=name))
+    file = folder.joinpath(*rest) if rest else _find_default_file(folder, name, robot)
+    if file is None or not file.is_file():
+        files = sorted(path.name for path in folder.glob("*.xml"))
+        raise ModelError(word, diagnose("menagerie-without-file", name=name, files=files))
+    return file
+
+
+def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
+    """Return the file of the package's default model, or the file that has the robot's name."""
+    if robot is not None:
+        return folder / str(robot.entry(robot.default_model).file)
+    candidates = [path for path in folder.glob("*.xml") if name.endswith(path.stem)]
+    return max(candidates, key=lambda path: len(path.stem), default=None)
+
+
+def _import_package() -> Any:
+    """Return the package ``mujoco_menagerie``; None if it is not installed."""
+    try:
+        package = importlib.import_module("mujoco_menagerie")
+    except ImportError:
+        return None
+    # A clone in the current folder is a namespace package of the same name.
+    return package if hasattr(package, "Cache") else None
+
+
+def _find_clone() -> Path | None:
+    """Return the folder of ``MENAGERIE_ROOT``, or ``mujoco_menagerie`` in this folder or above."""
+    root = os.environ.get("MENAGERIE_ROOT")
+    if root:
+        return Path(root).expanduser()
+    here = Path.cwd()
+    folders = (above / MENAGERIE_FOLDER for above in (here, *here.parents))
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _list_robots() -> tuple[str, ...]:
+    """Return the names of the robots that the package lists, or that the clone contains."""
+    package, clone = _import_package(), _find_clone()
+    names = set(package.names()) if package is not None else set()
+    if clone is not None and clone.is_dir():
+        names |= {path.parent.name for path in clone.glob("*/*.xml")}
+    return tuple(sorted(names))
