@@ -7,6 +7,7 @@ from .posture_tasks import JointsTask as JointsTask
 from .posture_tasks import OrientationTask as OrientationTask
 from .posture_tasks import PositionTask as PositionTask
 from .posture_tasks import RelativePositionTask as RelativePositionTask
+from .posture_tasks import SelfClearanceTask as SelfClearanceTask
 from .sag.steady_state import SteadyState as SteadyState
 from .sag.steady_state import minimum_stiffness as minimum_stiffness
 from .soft_ground import solve_stand_as_simulated as solve_stand_as_simulated

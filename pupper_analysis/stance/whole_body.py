@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import placo
 from numpy.typing import ArrayLike, NDArray
@@ -27,11 +29,13 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.posture_tasks import (
     JointsTask,
     PlacoTask,
     PositionTask,
     PostureTask,
+    SelfClearanceTask,
 )
 from pupper_analysis.stance.solver import PooledPlacoRobot
 
@@ -50,6 +54,14 @@ steps of `_MAX_STEP` cross the range of a joint in 20."""
 
 _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
+
+_NUM_NEAREST_PAIRS = 12
+"""Number of nearest pairs of links that `SelfClearanceTask` keeps apart in an iteration. Of the 300
+pairs of a quadruped no more touch at once."""
+
+_MAX_MEASURED_DISTANCE = 1e3
+"""Upper bound of the distances that MuJoCo measures [m]: larger than any robot. Chosen, not tuned.
+"""
 
 _CONTACT_WEIGHT = 1e4
 """Weight of the squared residuals of kept contacts, relative to tasks: in a conflict, the tasks
@@ -140,8 +152,8 @@ def solve_posture(
     """Solve for a posture that satisfies tasks within the joint limits.
 
     PlaCo minimises the weighted squared residuals. The iteration starts at ``start``; after a
-    failure, at eight random postures. Self-collisions are not checked: pass the result to
-    ``verify_stand`` or to a collision checker.
+    failure, at eight random postures. Links are kept apart by a ``SelfClearanceTask`` only; see
+    ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
 
     Statics of the result: ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
 
@@ -156,7 +168,8 @@ def solve_posture(
         PostureUnreachableError: If a residual exceeds `POSTURE_TOLERANCE`. The error states the
             task with the largest residual, and the joints at their limits.
         ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid, or
-            the robot has closed loops, couplings or welds.
+            the robot has closed loops, couplings or welds; with a ``SelfClearanceTask`` also if the
+            robot has a continuous joint, which PlaCo's half-spaces do not support.
         UnknownNameError: If a link, joint or contact point is unknown.
     """
     robot.check_tree("a whole-body posture")
@@ -166,6 +179,10 @@ def solve_posture(
     if not requested:
         raise ConfigurationError("tasks", diagnose("no-posture-task"))
     _check_names(robot, requested)
+    apart = any(isinstance(task, SelfClearanceTask) for task in requested)
+    if apart and robot.pin_convention.unbounded.any():
+        names = [robot.joint_names[i] for i in np.flatnonzero(robot.pin_convention.unbounded)]
+        raise ConfigurationError("tasks", diagnose("clearance-of-continuous", joints=names))
     initial = Configuration(robot, robot.home if start is None else start)
     kept = tuple(robot.bearing if contacts is None else contacts)
     if kept and not robot.floating:
@@ -178,11 +195,12 @@ def solve_posture(
     ]
     every = (*requested, *footholds)
     required = np.array([task.required for task in every])
-    solver = _PostureSolver(robot, every, len(kept))
+    collision = _LazyShapes(robot)
+    solver = _PostureSolver(robot, every, len(kept), collision)
     best: tuple[float, Array] | None = None
     for guess in _list_guesses(robot, initial.qpos):
         qpos = solver.solve(guess)
-        residuals = _compute_residuals(every, _PinocchioBody(robot, qpos))
+        residuals = _compute_residuals(every, _PinocchioBody(robot, qpos, collision))
         largest = float(residuals[required].max(initial=0.0))
         if best is None or largest < best[0]:
             best = largest, qpos
@@ -190,14 +208,14 @@ def solve_posture(
             break
     assert best is not None
     largest, qpos = best
-    residuals = _compute_residuals(every, _PinocchioBody(robot, qpos))
+    residuals = _compute_residuals(every, _PinocchioBody(robot, qpos, collision))
     if largest > POSTURE_TOLERANCE:
         raise _explain_failure(robot, every, kept, residuals, qpos)
     posture = SolvedPosture(
         qpos=qpos,
         tasks=_describe_tasks(every, kept),
         residuals=residuals,
-        mujoco_residuals=_compute_residuals(every, _MujocoBody(robot, qpos)),
+        mujoco_residuals=_compute_residuals(every, _MujocoBody(robot, qpos, collision)),
         units=tuple(task.unit for task in every),
         contacts=kept,
         iterations=solver.iterations,
@@ -251,13 +269,21 @@ class _PostureSolver:
         robot: Robot.
         tasks: Tasks, those of kept contacts last.
         num_contacts: Number of kept contacts.
+        collision: Collision shapes.
 
     Attributes:
         iterations: Number of solved quadratic programs.
     """
 
-    def __init__(self, robot: Robot, tasks: Sequence[PostureTask], num_contacts: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        tasks: Sequence[PostureTask],
+        num_contacts: int,
+        collision: _LazyShapes,
+    ) -> None:
         self._robot, self._placo_robot = robot, PooledPlacoRobot(robot)
+        self._collision = collision
         self.iterations = 0
         wrapper = self._placo_robot.wrapper
         for joint in np.flatnonzero(~robot.pin_convention.unbounded):
@@ -357,7 +383,7 @@ class _PostureSolver:
     def _evaluate(self, stage: _Stage) -> float:
         """Return the weighted squared error at PlaCo's configuration, with moved targets."""
         if any(task.update_target for _, task in stage.tasks):
-            body = _PinocchioBody(self._robot, self._current_qpos())
+            body = _PinocchioBody(self._robot, self._current_qpos(), self._collision)
             for _, task in stage.tasks:
                 if task.update_target is not None:
                     task.update_target(body)
@@ -376,11 +402,23 @@ class _PostureSolver:
         return qpos
 
 
+class _LazyShapes:
+    """Collision shapes of a robot, prepared when a task needs them."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @cached_property
+    def shapes(self) -> ClearanceShapes:
+        """Shapes with the pairs of links whose distances count."""
+        return ClearanceShapes(self._robot)
+
+
 class _PinocchioBody:
     """Poses of links by Pinocchio's kinematics of the URDF."""
 
-    def __init__(self, robot: Robot, qpos: Array) -> None:
-        self._config = Configuration(robot, qpos)
+    def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:
+        self._config, self._collision = Configuration(robot, qpos), collision
 
     def pose(self, frame: str) -> tuple[Array, Array]:
         """Return rotation (3, 3) and position (3,) [m] of a link in the world."""
@@ -396,6 +434,21 @@ class _PinocchioBody:
         index = robot.nq - robot.nu + robot.joint_names.index(name)
         return float(self._config.qpos[index])
 
+    def self_clearances(self) -> Array:
+        """Return the smallest distances (n,) [m] of links that are not neighbours, ascending."""
+        pairs = self._collision.shapes.nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        return np.array([pair.distance for pair in pairs])
+
+    def linearise_self_clearances(self) -> tuple[Array, Array]:
+        """Return the derivatives by q (n, nq), those of the base zero, and q (nq,)."""
+        robot, convention = self._config.robot, self._config.robot.pin_convention
+        rates = self._collision.shapes.distance_jacobian(self._config, _NUM_NEAREST_PAIRS)
+        # PlaCo's robot has a free base, which a fixed-base robot does not move.
+        base = 0 if robot.floating else 7
+        derivatives = np.zeros((len(rates), base + convention.nq))
+        derivatives[:, base + convention.q_index] = rates[:, robot.nv - robot.nu :]
+        return derivatives, np.concatenate([np.zeros(base), convention.q(self._config.qpos)])
+
 
 class _MujocoBody(_PinocchioBody):
     """Poses of links by MuJoCo's kinematics of the MJCF.
@@ -404,8 +457,8 @@ class _MujocoBody(_PinocchioBody):
     of a URDF and an MJCF may differ.
     """
 
-    def __init__(self, robot: Robot, qpos: Array) -> None:
-        super().__init__(robot, qpos)
+    def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:
+        super().__init__(robot, qpos, collision)
         self._robot, self._data = robot, robot.placed(qpos)
 
     def pose(self, frame: str) -> tuple[Array, Array]:
@@ -417,6 +470,23 @@ class _MujocoBody(_PinocchioBody):
         relative = neutral.xmat[body].reshape(3, 3).T @ still.frame_rotation(frame)
         rotation = self._data.xmat[body].reshape(3, 3)
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
+
+    def self_clearances(self) -> Array:
+        """Return MuJoCo's distances (n,) [m] of the pairs that are nearest by Pinocchio."""
+        shapes, model = self._collision.shapes, self._robot.mj_model
+        pairs = shapes.nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        found = [
+            mujoco.mj_geomDistance(
+                model,
+                self._data,
+                shapes.shapes[pair.one].geom,
+                shapes.shapes[pair.other].geom,
+                _MAX_MEASURED_DISTANCE,
+                None,
+            )
+            for pair in pairs
+        ]
+        return np.sort(found)
 
     def com(self) -> Array:
         """Return the CoM (3,) [m] in the world."""

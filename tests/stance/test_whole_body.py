@@ -16,6 +16,7 @@ from pupper_analysis.stance import (
     OrientationTask,
     PositionTask,
     RelativePositionTask,
+    SelfClearanceTask,
 )
 from pupper_analysis.stance.posture_tasks import PostureTask
 from tests.support import arm as by_hand
@@ -156,11 +157,50 @@ def test_target_out_of_reach_names_task_residual_and_joints_at_limits() -> None:
     assert lifted.value.residuals["contact FR"] < lifted.value.residual
 
 
+def test_self_clearance_keeps_links_apart_that_touch_without_the_task() -> None:
+    """MuJoCo measures the distance of the two feet, with the radii of their spheres."""
+    robot, start = load("v3"), stand_of("v3").qpos
+    front, back = (robot.contact_frames[foot] for foot in ("FR", "RR"))
+    goal = pa.Configuration(robot, start).frame_position(back) + np.array([0.035, 0.0, 0.0])
+    tasks = [
+        PositionTask(front, goal, axes="xz"),
+        JointsTask(dict(zip(robot.joint_names, start[7:], strict=True)), required=False),
+    ]
+    others = [foot for foot in robot.feet if foot != "FR"]
+
+    def solve(*more: PostureTask) -> tuple[pa.stance.SolvedPosture, float]:
+        posture = pa.solve_posture(robot, [*tasks, *more], start=start, contacts=others)
+        at = pa.Configuration(robot, posture.qpos)
+        gap = np.linalg.norm(at.frame_position(front) - at.frame_position(back))
+        return posture, float(gap) - robot.contact_radius["FR"] - robot.contact_radius["RR"]
+
+    assert solve()[1] < 0.002
+    posture, gap = solve(SelfClearanceTask(0.01))
+    assert 0.01 - 1e-6 <= gap < 0.0101
+    assert posture.residuals[0] < 1e-9
+    clearance = posture.tasks.index("SelfClearanceTask")
+    assert posture.mujoco_residuals[clearance] < 1e-6
+
+
+@pytest.mark.slow
+def test_target_inside_the_robot_is_refused_with_a_self_clearance() -> None:
+    robot, start = load("v3"), stand_of("v3").qpos
+    front, back = (robot.contact_frames[foot] for foot in ("FR", "RR"))
+    goal = pa.Configuration(robot, start).frame_position(back) + np.array([0.03, 0.0, 0.0])
+    others = [foot for foot in robot.feet if foot != "FR"]
+    with pytest.raises(pa.PostureUnreachableError, match=f"PositionTask {front}"):
+        pa.solve_posture(
+            robot, [PositionTask(front, goal), SelfClearanceTask()], start=start, contacts=others
+        )
+
+
 def test_joints_of_a_continuous_and_a_sliding_joint_are_reached(tiny: pa.Robot) -> None:
     goal = dict(zip(tiny.joint_names, np.linspace(0.1, 0.3, tiny.nu), strict=True))
     posture = pa.solve_posture(tiny, [JointsTask(goal)], contacts=[])
     np.testing.assert_allclose(posture.qpos[-tiny.nu :], list(goal.values()), atol=1e-6)
     assert posture.residuals.max() < 1e-6
+    with pytest.raises(pa.ConfigurationError, match="these are continuous"):
+        pa.solve_posture(tiny, [JointsTask(goal), SelfClearanceTask()], contacts=[])
 
 
 def test_invalid_tasks_are_refused() -> None:
@@ -181,6 +221,8 @@ def test_invalid_tasks_are_refused() -> None:
         AxisAlignTask("base_link", (1, 0, 0), (1, 0, 0), (1, 0, 0))
     with pytest.raises(pa.ConfigurationError, match="xz"):
         CoMTask((0, 0, 0), axes="ab")
+    with pytest.raises(pa.ConfigurationError, match="0 or more"):
+        SelfClearanceTask(-0.01)
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.solve_posture(by_hand.arm(), [PositionTask("tip", (0, 0, 0))], contacts=["tip"])
     with pytest.raises(pa.ConfigurationError, match="tasks"):
