@@ -20,6 +20,9 @@ MENAGERIE_FOLDER: Final = "mujoco_menagerie"
 
 _NAME: Final = re.compile(r"[a-z0-9_]+")
 
+_MAX_NAME_LENGTH: Final = 200
+"""Largest number of characters of a name. Chosen, not tuned: file systems permit 255."""
+
 
 def is_menagerie_name(word: str) -> bool:
     """Return True if a word names a robot of MuJoCo Menagerie, and no existing path.
@@ -28,13 +31,20 @@ def is_menagerie_name(word: str) -> bool:
     package lists or a clone contains.
     """
     parts = Path(word).parts
-    if not 1 <= len(parts) <= 3 or Path(word).exists():
+    if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
         return False
     if parts[0] == MENAGERIE_FOLDER:
         return len(parts) > 1
     if len(parts) > 2 or "_" not in parts[0] or not _NAME.fullmatch(parts[0]):
         return False
     return parts[0] in _list_robots()
+
+
+def _exists(word: str) -> bool:
+    try:
+        return Path(word).exists()
+    except (OSError, ValueError):  # no path: for example a zero byte
+        return False
 
 
 def find_menagerie_file(word: str) -> Path:
