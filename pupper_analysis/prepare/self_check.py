@@ -123,7 +123,17 @@ def compare_as_published(
         if gains is None:
             return loaded.once(compare_nominal_stand)
         return _compare_nominal(loaded, gains)
+    if gains is None and robot is loaded and _is_nominal_stand(robot, stand):
+        return loaded.once(compare_nominal_stand)  # not simulated again for a robot with payload
     return _compare_in(robot, stand, gains)
+
+
+def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
+    """Return True if a stand is the nominal stand of a robot, to the last bit."""
+    with contextlib.suppress(PupperAnalysisError):
+        nominal = solve_stand(robot, explain=False)
+        return nominal.task == stand.task and np.array_equal(nominal.qpos, stand.qpos)
+    return False
 
 
 RequestedGains = tuple[ArrayLike | None, ArrayLike | None]

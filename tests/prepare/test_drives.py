@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.self_check import compare_nominal_stand
+from pupper_analysis.prepare import self_check
+from pupper_analysis.prepare.self_check import compare_as_published, compare_nominal_stand
 from pupper_analysis.pupper.variants import find_model_folder
-from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.servos import find_servos_used, model_with_servos
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, rewritten
@@ -82,3 +84,27 @@ def test_gains_of_joints_with_coupled_fingers_do_not_oscillate(tmp_path: Path) -
     assert not {note.code for note in robot.notes} & restless
     seen = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot), nudged=0.0)
     assert seen.passed, seen.failures
+
+
+@pytest.mark.slow
+def test_nominal_stand_is_compared_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A verdict without payload and a verdict with payload use the same comparison."""
+    pair = quadruped(tmp_path, floor=True)
+    rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
+    robot = pa.load_robot(*pair)
+    simulated = []
+    simulate = self_check.simulate_prediction
+    monkeypatch.setattr(
+        self_check, "simulate_prediction", lambda *given: simulated.append(1) or simulate(*given)
+    )
+    servos = find_servos_used(robot, None, None)
+    first = compare_as_published(robot, pa.solve_stand(robot), servos)
+    assert simulated
+    count = len(simulated)
+    assert compare_as_published(robot, pa.solve_stand(robot), servos) is first
+    loaded = with_payload(robot, 1.0, (0.0, 0.0, 0.0))
+    assert compare_as_published(loaded, pa.solve_stand(loaded), servos) is first
+    assert len(simulated) == count
+    tilted = compare_as_published(robot, pa.solve_stand(robot, pa.StandTask(pitch=0.05)), servos)
+    assert tilted is not first
+    assert len(simulated) > count
