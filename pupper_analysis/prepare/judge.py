@@ -78,9 +78,9 @@ def judge_simulation(
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), as_loaded(robot)
-    own = explain_own_run(robot)
+    keyframe_run = explain_own_run(robot)
     if not (loaded.floating or stand.stance_feet):
-        own = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
+        keyframe_run = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
         fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
@@ -96,7 +96,7 @@ def judge_simulation(
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
-    overloaded = () if statics is None else _list_overloaded_joints(robot, statics)
+    overloaded_motors = () if statics is None else _list_overloaded_joints(robot, statics)
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
         *report_limbs_without_feet(robot),
@@ -106,20 +106,20 @@ def judge_simulation(
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     causes = (
-        *(() if own is None else own.causes),
+        *(() if keyframe_run is None else keyframe_run.causes),
         *(() if published is None else published.causes),
     )
     given = servos.source is ServoSource.GIVEN  # the run from the keyframe is information only
-    if fed.passed and not (errors or causes or overloaded or servos.replaced):
-        named, published = name_remaining_cause(robot, None if given else own, published)
-        own = own if given else named
+    if fed.passed and not (errors or causes or overloaded_motors or servos.replaced):
+        named, published = name_remaining_cause(robot, None if given else keyframe_run, published)
+        keyframe_run = keyframe_run if given else named
     return judge_stance(
         fed,
         alone,
         servos,
         question=question,
-        overloaded=overloaded,
-        own=own,
+        overloaded_motors=overloaded_motors,
+        keyframe_run=keyframe_run,
         published=published,
         converted=robot.description.converted,
         unknown=unknown is not None and (loaded_more or question in LOAD_QUESTIONS),

@@ -72,8 +72,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     Statements that agree with the result come first: statements against the stand if the verdict is
     bad.
     """
-    own, fails = (
-        tuple(make_keyframe_run_clauses(verdict.own)),
+    run_clauses, fails = (
+        tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
         verdict.code is VerdictCode.OWN_DRIVES_FAIL,
     )
     deciding = [
@@ -81,7 +81,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     ]
     messages = (
         *(Clause(False, remark) for remark in deciding),
-        *(own if fails else ()),
+        *(run_clauses if fails else ()),
         *_make_replaced_clauses(verdict.servos.replaced),
         *_make_simulation_clauses(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
@@ -89,7 +89,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *(Clause(True, note) for note in verdict.notes),
         *make_published_clauses(verdict.published),
         *_make_limit_clauses(verdict),
-        *(() if fails else own),
+        *(() if fails else run_clauses),
     )
     once = {str(clause): clause for clause in messages}  # a cause is one, whatever it makes fail
     return tuple(sorted(once.values(), key=lambda clause: clause.good != verdict.passed))
@@ -272,13 +272,17 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
     return text("verdict-from-one-file", word=word) if good else word
 
 
-def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
+def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
     """Describe the simulation of the published file from a keyframe, and the causes of a failure.
 
     Each run has a statement: with the file's own commands, and with angle commands if that
     run exists. Without a run there is no statement.
     """
-    for run in () if own is None else (own, *((own.held,) if own.held else ())):
+    for run in (
+        ()
+        if keyframe_run is None
+        else (keyframe_run, *((keyframe_run.held,) if keyframe_run.held else ()))
+    ):
         how: dict[str, Any] = {
             "imported": run.imported,
             "missing": run.missing,
@@ -311,7 +315,7 @@ def make_keyframe_run_clauses(own: OwnRun | None) -> Iterator[Clause]:
             **how,
         )
         yield Clause(not (run.falls or run.tilted), message)
-    for cause in () if own is None else own.causes:
+    for cause in () if keyframe_run is None else keyframe_run.causes:
         yield Clause(False, cause_text(cause))
 
 
@@ -329,7 +333,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
     elif fed is Ending.UNTRIED:
-        message = diagnose("in-balance", within=not verdict.overloaded)
+        message = diagnose("in-balance", within=not verdict.overloaded_motors)
         yield Clause(
             verdict.code is not VerdictCode.IN_BALANCE, message
         )  # what decides stands first
@@ -439,12 +443,12 @@ def _make_error_quantity(error: float | None) -> Quantity | None:
 
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
     """State the motors that exceed their limits, and the doubling time if nothing was simulated."""
-    if verdict.overloaded:
+    if verdict.overloaded_motors:
         yield Clause(
             False,
             diagnose(
                 "motors-overloaded",
-                joints=verdict.overloaded,
+                joints=verdict.overloaded_motors,
                 standing=verdict.force_error is not None,
             ),
         )

@@ -151,9 +151,10 @@ class Verdict(Result):
             None if no foot carries load.
         failures: Reasons of a failure with feed-forward.
         failures_alone: Reasons of a failure without feed-forward.
-        overloaded: Motors above their effort limits.
+        overloaded_motors: Motors above their effort limits.
         servos: Servos of the simulation.
-        own: Simulation of the published file from the keyframe; None for robots without a file.
+        keyframe_run: Simulation of the published file from the keyframe; None for robots without a
+            file.
         published: Differences between the published MJCF and the simulated model; None if not
             compared.
         doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes
@@ -175,9 +176,9 @@ class Verdict(Result):
     force_error: float | None = field(default=math.nan, metadata={"unit": "1"})
     failures: tuple[Diagnostic, ...] = ()
     failures_alone: tuple[Diagnostic, ...] = ()
-    overloaded: tuple[str, ...]
+    overloaded_motors: tuple[str, ...]
     servos: ServosUsed
-    own: OwnRun | None = None
+    keyframe_run: OwnRun | None = None
     published: Published | None = None
     doubling_time: float = field(metadata={"unit": "s"})
     converted: str = ""
@@ -192,8 +193,8 @@ def judge_stance(
     servos: ServosUsed,
     *,
     question: Question = Question.STANDS,
-    overloaded: tuple[str, ...] = (),
-    own: OwnRun | None = None,
+    overloaded_motors: tuple[str, ...] = (),
+    keyframe_run: OwnRun | None = None,
     published: Published | None = None,
     converted: str = "",
     unknown: bool = False,
@@ -207,8 +208,8 @@ def judge_stance(
         alone: Simulation without feed-forward; None if there is none.
         servos: Servos of the simulation.
         question: Question that the simulation answers.
-        overloaded: Motors above their effort limits.
-        own: Simulation of the published file from the keyframe.
+        overloaded_motors: Motors above their effort limits.
+        keyframe_run: Simulation of the published file from the keyframe.
         published: Differences between the published MJCF and the simulated model.
         converted: Model that was converted from the other model; empty without a conversion.
         unknown: Whether the answer depends on torque limits that no file states; a passing verdict
@@ -217,7 +218,7 @@ def judge_stance(
             then ``MASSES_UNKNOWN``.
         remarks: Other assumptions; a remark with severity error prevents that the stance passes.
     """
-    code = _find_worst_code(fed, alone, servos, overloaded, own, published, remarks)
+    code = _find_worst_code(fed, alone, servos, overloaded_motors, keyframe_run, published, remarks)
     if masses_unknown and code in PASSING_CODES:
         code = VerdictCode.MASSES_UNKNOWN
     if unknown and code in PASSING_CODES:
@@ -233,9 +234,9 @@ def judge_stance(
         force_error=fed.force_error,
         failures=fed.failures,
         failures_alone=() if alone is None else alone.failures,
-        overloaded=overloaded,
+        overloaded_motors=overloaded_motors,
         servos=servos,
-        own=own,
+        keyframe_run=keyframe_run,
         published=published,
         doubling_time=_min_doubling_time(fed.stability),
         converted=converted,
@@ -263,17 +264,17 @@ def predict_verdict(
         servos: Servos of the robot.
         stability: Stability with feed-forward; None if not evaluated.
     """
-    overloaded = find_overloaded_motors(statics)
+    overloaded_motors = find_overloaded_motors(statics)
     leaves = stability is not None and not stability.lasts()
     code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
     doubling_time = _min_doubling_time(stability)
     return Verdict(
-        code=VerdictCode.OVERLOADED if overloaded else code,
+        code=VerdictCode.OVERLOADED if overloaded_motors else code,
         question=Question.STANDS,
         passed=False,
         seconds=0.0,
         with_feedforward=Ending.UNTRIED,
-        overloaded=overloaded,
+        overloaded_motors=overloaded_motors,
         servos=servos,
         doubling_time=doubling_time,
     )
@@ -298,16 +299,16 @@ def _find_worst_code(
     fed: Outcome,
     alone: Outcome | None,
     servos: ServosUsed,
-    overloaded: tuple[str, ...],
-    own: OwnRun | None,
+    overloaded_motors: tuple[str, ...],
+    keyframe_run: OwnRun | None,
     published: Published | None,
     remarks: tuple[Diagnostic, ...],
 ) -> VerdictCode:
     """Return the worst verdict that applies; unknown torque limits are not considered."""
     if not fed.passed:
-        return VerdictCode.DISAGREES if fed.stays and not overloaded else VerdictCode.FAILS
+        return VerdictCode.DISAGREES if fed.stays and not overloaded_motors else VerdictCode.FAILS
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
-    if (own is not None and own.fails and not user_gains) or servos.replaced:
+    if (keyframe_run is not None and keyframe_run.fails and not user_gains) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
     deviation = published.worst if published is not None and differs else None
@@ -319,7 +320,7 @@ def _find_worst_code(
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):
         return VerdictCode.LIMB_WITHOUT_FOOT
-    if overloaded:
+    if overloaded_motors:
         return VerdictCode.OVERLOADED
     if alone is not None and not alone.passed:
         return VerdictCode.HOLDS_WITH_FEEDFORWARD

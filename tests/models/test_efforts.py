@@ -345,13 +345,13 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     result = study_stance(robot, pa.StandTask())
     assert not result.verification.passed
     assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
-    assert result.overloaded
+    assert result.overloaded_motors
     assert not result.passed
     pair = _without_effort(biped(tmp_path))  # nobody states one
     rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
     result = study_stance(pa.load_robot(*pair), pa.StandTask())
     assert result.passed
-    assert not result.overloaded
+    assert not result.overloaded_motors
 
 
 def drive(actuators: str) -> Drive:

@@ -96,5 +96,5 @@ def test_a_stand_fails_if_the_efforts_of_the_urdf_are_too_small(tmp_path: Path) 
     result = study_stance(robot, pa.StandTask())
     assert not result.verification.passed
     assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
-    assert result.overloaded
+    assert result.overloaded_motors
     assert not result.passed

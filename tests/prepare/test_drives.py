@@ -53,8 +53,8 @@ def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) 
     assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
     assert verdict.published is not None
     assert not verdict.published.differs
-    assert verdict.own is not None
-    assert not verdict.own.falls
+    assert verdict.keyframe_run is not None
+    assert not verdict.keyframe_run.falls
 
 
 FINGERS = 12

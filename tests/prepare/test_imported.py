@@ -56,11 +56,11 @@ def test_mujoco_import_of_a_correct_urdf_agrees_with_the_prediction(tmp_path: Pa
     robot = pa.load_robot(four_legs(tmp_path))
     verdict = verdict_of(robot)
     assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
-    assert verdict.own is not None
-    assert verdict.own.imported
-    assert not verdict.own.falls
-    assert verdict.own.timestep is None
-    assert verdict.own.worst is not None
+    assert verdict.keyframe_run is not None
+    assert verdict.keyframe_run.imported
+    assert not verdict.keyframe_run.falls
+    assert verdict.keyframe_run.timestep is None
+    assert verdict.keyframe_run.worst is not None
     assert "MuJoCo's import of the URDF, from the computed pose" in format_verdict(verdict)
     assert verdict.published is not None
     assert not verdict.published.differs
@@ -104,8 +104,8 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))
     assert verdict.passed, format_verdict(verdict)
     assert "on-balls-for-soles" in {clause.message.code for clause in verdict_clauses(verdict)}
-    assert verdict.own is not None
-    assert verdict.own.timestep == 1e-3
+    assert verdict.keyframe_run is not None
+    assert verdict.keyframe_run.timestep == 1e-3
     assert "at a time step of 1 ms (it shakes at longer ones)" in format_verdict(verdict)
 
 
@@ -114,6 +114,6 @@ def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
     """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
     verdict = verdict_of(pa.load_robot(urdf))
-    assert verdict.own is None
+    assert verdict.keyframe_run is None
     assert verdict.passed
     assert "what MuJoCo's own import of the URDF does is not known" in format_verdict(verdict)

@@ -178,7 +178,7 @@ def causes(verdict: Verdict) -> list[str]:
     found = []
     for clause in verdict_clauses(verdict):
         code = clause.message.code
-        own = verdict.own if code == "own-run" else None
+        own = verdict.keyframe_run if code == "own-run" else None
         joint = None if own is None else own.unheld or own.worst
         if code == "fails-in-mujoco":
             found += [

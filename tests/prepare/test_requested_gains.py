@@ -48,8 +48,8 @@ def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> N
     assert not judge_stand(robot, stand).passed
     verdict = judge_stand(robot, stand, kp=80, kd=4)
     assert verdict.passed
-    assert verdict.own is not None
-    assert verdict.own.falls  # the run of the unmodified file is still reported
+    assert verdict.keyframe_run is not None
+    assert verdict.keyframe_run.falls  # the run of the unmodified file is still reported
     assert verdict.published is not None
     assert not verdict.published.differs
 

@@ -41,7 +41,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     assert truth_of(pair.mjcf, pair.mjcf) is Truth.STANDS
     robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
-    own, published = verdict.own, verdict.published
+    own, published = verdict.keyframe_run, verdict.published
     assert own is not None
     assert own.commands is OwnCommands.STATED
     assert not own.falls

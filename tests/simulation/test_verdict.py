@@ -67,7 +67,12 @@ def own(*, collapses: bool) -> OwnRun:
 
 
 CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
-    "all well": ({"own": own(collapses=False)}, VerdictCode.HOLDS, True, "HOLDS in MuJoCo for 12"),
+    "all well": (
+        {"keyframe_run": own(collapses=False)},
+        VerdictCode.HOLDS,
+        True,
+        "HOLDS in MuJoCo for 12",
+    ),
     "position commands alone": (
         {"alone": run(0.1, passed=False)},
         VerdictCode.HOLDS_WITH_FEEDFORWARD,
@@ -95,7 +100,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         "FAILS on the file's own servos, which cannot hold knee (a servo whose stiffness is neg",
     ),
     "own keyframe": (
-        {"own": own(collapses=True)},
+        {"keyframe_run": own(collapses=True)},
         VerdictCode.OWN_DRIVES_FAIL,
         False,
         "unmodified MJCF, from keyframe home, 5 s: COLLAPSES, CoM height "
@@ -148,7 +153,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         False,
         "stands in MuJoCo, and not as predicted",
     ),
-    "too weak": ({"overloaded": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
+    "too weak": ({"overloaded_motors": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
     "falls": ({"fed": run(0.1, passed=False)}, VerdictCode.FAILS, False, "COLLAPSES in MuJoCo"),
 }
 
@@ -211,7 +216,9 @@ def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
 @pytest.mark.parametrize(("unit", "said"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
 def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
     joint = JointOff("knee", 0.005, Drive.SERVO, unit=unit)
-    verdict = judge_stance(run(), run(), FILE, own=replace(own(collapses=False), worst=joint))
+    verdict = judge_stance(
+        run(), run(), FILE, keyframe_run=replace(own(collapses=False), worst=joint)
+    )
     assert said in format_verdict(verdict)
 
 
@@ -249,5 +256,5 @@ def test_expected_verdict_without_simulation_never_passes(
     assert verdict.code is code
     assert not verdict.passed
     assert verdict.seconds == 0
-    assert verdict.overloaded == (("knee",) if max(shares) > 1 else ())
+    assert verdict.overloaded_motors == (("knee",) if max(shares) > 1 else ())
     assert verdict.doubling_time == (doubling if known and doubling else math.inf)

@@ -136,7 +136,7 @@ class Cell:
 
     passed: bool
     refused: bool
-    own: bool
+    keyframe_run: bool
     added: bool
     word: str
     own_falls: bool | None = None
@@ -153,7 +153,7 @@ class Cell:
             return f"passes where the file {truth}"
         if self.passed and truth is Truth.LIMP and not self.added:
             return "passes on servos that the file has not, and does not say so"
-        return "" if self.own else "says nothing of what the file does by itself"
+        return "" if self.keyframe_run else "says nothing of what the file does by itself"
 
 
 @dataclass
@@ -220,7 +220,7 @@ def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
 
 def verdict_cell(verdict: Verdict) -> Cell:
     """Return the cell of a verdict of ``judge_stand``."""
-    own, added = verdict.own, verdict.servos.made != ()
+    own, added = verdict.keyframe_run, verdict.servos.made != ()
     falls = None if own is None else own.falls
     return Cell(verdict.passed, False, own is not None, added, verdict.code.name, falls)
 

@@ -265,7 +265,7 @@ def stance(**changes: Any) -> Any:
         "min_max_torque": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
         "limit_origins": ORIGINS,
-        "verdict": judge_stance(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
+        "verdict": judge_stance(run(0.0, passed=True), None, SERVOS, overloaded_motors=("knee",)),
         "settled": Stub(
             height_loss=-0.00783,
             servo_sag=0.00789,

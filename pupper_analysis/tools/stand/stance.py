@@ -108,9 +108,9 @@ class Stance(Tabular):
             file.write(csv_text([header, *rows]).encode())
 
     @property
-    def overloaded(self) -> tuple[str, ...]:
+    def overloaded_motors(self) -> tuple[str, ...]:
         """Motors above the effort limit in ``statics``, without motors whose limit is zero."""
-        return self.verdict.overloaded
+        return self.verdict.overloaded_motors
 
     @property
     def passed(self) -> bool:

@@ -52,7 +52,7 @@ def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     assert held.tool_sag == pytest.approx(moved, abs=1e-12)
     assert moved[2] < -5e-3
     assert held.sagging.joint_positions == pytest.approx(held.settled.qpos, abs=1e-6)
-    own = held.verdict.own  # its file's servos, told the angles alone, sag as far
+    own = held.verdict.keyframe_run  # its file's servos, told the angles alone, sag as far
     assert own is not None
     assert own.worst is not None
     sag = held.settled.qpos - held.posture.qpos
@@ -215,8 +215,8 @@ def test_welded_base_gives_the_results_of_a_fixed_base(tmp_path: Path) -> None:
     assert stance.settled.qpos[7:] == pytest.approx(held.settled.qpos, abs=1e-3)
     assert np.abs(held.settled.qpos - held.posture.qpos).max() > 5e-3
     assert stance.verdict.code is held.verdict.code
-    assert held.verdict.own is not None
-    assert stance.verdict.own == held.verdict.own
+    assert held.verdict.keyframe_run is not None
+    assert stance.verdict.keyframe_run == held.verdict.keyframe_run
     place = (held.tool.link, *held.tool.offset.tolist())
     limit = pytest.importorskip("pupper_analysis.tools.payload.limit")
     carried = limit.payload_limit(robot, task, place)

@@ -54,8 +54,8 @@ def test_posture_verdict_follows_the_unmodified_file(
     verdict = hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
     assert verdict.code is code, format_verdict(verdict)
     assert "own-run" in codes(verdict)
-    assert verdict.own is not None
-    assert (verdict.own.unheld and verdict.own.unheld.joint) == joint
+    assert verdict.keyframe_run is not None
+    assert (verdict.keyframe_run.unheld and verdict.keyframe_run.unheld.joint) == joint
 
 
 def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
@@ -71,8 +71,8 @@ def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
     )
     verdict = hold_posture(pa.load_robot(urdf), {"shoulder": 0.5}).verdict
     assert verdict.passed, format_verdict(verdict)
-    assert verdict.own is not None
-    assert verdict.own.imported
+    assert verdict.keyframe_run is not None
+    assert verdict.keyframe_run.imported
     assert "MuJoCo's import of the URDF" in format_verdict(verdict)
 
 

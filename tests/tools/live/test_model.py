@@ -238,7 +238,7 @@ def test_overloaded_motors_give_no_passing_verdict() -> None:
     judged = predict_stance_verdict(found, closely=False)
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
-    assert judged.overloaded == tuple(over)
+    assert judged.overloaded_motors == tuple(over)
     said = render_panel(stance_document(found, None, judged), ENGLISH)
     assert 'class="good"' not in said
     assert "OVERLOADED" in said

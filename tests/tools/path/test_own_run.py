@@ -34,5 +34,5 @@ def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> No
 def test_the_own_run_of_a_path_is_that_of_the_robot(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
     found = judged(robot)
-    assert found.own == own_run(robot)
+    assert found.keyframe_run == own_run(robot)
     assert "own-run" in codes(found)

@@ -95,9 +95,11 @@ def test_overloaded_motors_are_reported() -> None:
     robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
     result = study_stance(robot, StandTask())
     assert not result.passed
-    assert set(result.overloaded) == {name for name in robot.joint_names if name.endswith("_3")}
+    assert set(result.overloaded_motors) == {
+        name for name in robot.joint_names if name.endswith("_3")
+    }
     assert "OVERLOADED" in printed(result)
-    assert not study_stance(load_variant("v3"), StandTask()).overloaded
+    assert not study_stance(load_variant("v3"), StandTask()).overloaded_motors
 
 
 BAD = {
