@@ -112,7 +112,7 @@ def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
             doc.Name(_format_shown_label(summary.metric)),
             *(
                 doc.number_cell(value, ".5g", scale=_find_shown_unit(summary.metric)[0])
-                for value in (summary.least, summary.median, summary.greatest)
+                for value in (summary.minimum, summary.median, summary.maximum)
             ),
             doc.number_cell(summary.designs, ".0f"),
         )
@@ -191,7 +191,7 @@ def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
     for summary in outcome.measured:
         measured = text("measured-of", count=summary.designs, whole=outcome.designs)
         shares: list[tuple[doc.Text | doc.Name, float]] = [
-            (doc.Name(name), alone) for name, alone in summary.alone.items()
+            (doc.Name(name), alone) for name, alone in summary.main_effects.items()
         ]
         if summary.interaction is not None:
             shares.append((text("interaction"), summary.interaction))

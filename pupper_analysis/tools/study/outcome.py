@@ -67,11 +67,11 @@ class MetricSummary(Result):
     Attributes:
         metric: Column of the metric.
         unit: Unit; ``1`` for a ratio, empty for a function of the user.
-        least: Smallest value.
+        minimum: Smallest value.
         median: Median.
-        greatest: Largest value.
+        maximum: Largest value.
         designs: Number of designs with a value.
-        alone: {variable: fraction of the variance due to this variable alone, among the designs
+        main_effects: {variable: fraction of the variance due to this variable alone, among the designs
             with a value}; empty for a column ``NAME.KEY``.
         interaction: Fraction of the variance due to several variables together. None for samples,
             for fewer than two variables with several values, and unless all designs of the product
@@ -80,11 +80,11 @@ class MetricSummary(Result):
 
     metric: str
     unit: str
-    least: float = field(metadata={"unit": "varies"})
+    minimum: float = field(metadata={"unit": "varies"})
     median: float = field(metadata={"unit": "varies"})
-    greatest: float = field(metadata={"unit": "varies"})
+    maximum: float = field(metadata={"unit": "varies"})
     designs: int
-    alone: dict[str, float] = field(metadata={"unit": "1"})
+    main_effects: dict[str, float] = field(metadata={"unit": "1"})
     interaction: float | None = field(metadata={"unit": "1"})
 
 
@@ -248,20 +248,20 @@ def _summarise_metric(
 ) -> MetricSummary:
     """Summarise a metric column."""
     column, sampled = table[name].dropna(), study.sampling.samples is not None
-    alone = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
-    is_complete = not sampled and len(column) == len(study) and len(alone) > 1
+    main_effects = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
+    is_complete = not sampled and len(column) == len(study) and len(main_effects) > 1
     metric_by_name = {entry.name: entry for entry in study.metrics}
     study_metric = metric_by_name[name if name in metric_by_name else name.partition(".")[0]]
     return MetricSummary(
         metric=name,
         unit=study_metric.unit,
-        least=float(column.min()),
+        minimum=float(column.min()),
         median=float(column.median()),
-        greatest=float(column.max()),
+        maximum=float(column.max()),
         designs=len(column),
-        alone=alone,
-        interaction=max(0.0, 1 - sum(alone.values()))
-        if is_complete and any(alone.values())
+        main_effects=main_effects,
+        interaction=max(0.0, 1 - sum(main_effects.values()))
+        if is_complete and any(main_effects.values())
         else None,
     )
 

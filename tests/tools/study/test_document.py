@@ -49,7 +49,7 @@ def test_study_report_counts_equal_the_table() -> None:
     assert "500.0 mm" in unreachable.reason
     sag = next(one for one in found.measured if one.metric == "servo_sag")
     known = table["servo_sag"].dropna()
-    assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
+    assert (sag.minimum, sag.median, sag.maximum) == (known.min(), known.median(), known.max())
     assert sag.designs == len(known) == 12
     assert sag.unit == "m"
     assert found.robot == "v3"
@@ -77,8 +77,8 @@ def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Pat
     study = pa.Study("v3", {"kp": [4.0, 8.0], "leg_scale": [0.9, 1.1]}, ["servo_sag"])
     found = study_with(tmp_path, study)
     (sag,) = found.measured
-    assert sag.interaction == pytest.approx(1 - sum(sag.alone.values()), abs=1e-12)
-    assert sag.alone["kp"] > sag.alone["leg_scale"] > 0.05
+    assert sag.interaction == pytest.approx(1 - sum(sag.main_effects.values()), abs=1e-12)
+    assert sag.main_effects["kp"] > sag.main_effects["leg_scale"] > 0.05
     missing = replace(found, measured=(replace(sag, designs=3, interaction=None),))
     rows = [write_markdown(Report("", (study_document(one),))) for one in (found, missing)]
     assert "interaction" in rows[0]
