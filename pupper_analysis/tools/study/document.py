@@ -307,9 +307,9 @@ def written_document(written: WrittenDesign) -> doc.Document:
         (
             doc.Name(format_column_label(name)),
             doc.number_cell(value, ".6g"),
-            doc.number_cell(written.found[name], ".6g"),
+            doc.number_cell(written.file_values[name], ".6g"),
         )
-        for name, value in written.measured.items()
+        for name, value in written.study_values.items()
     )
     columns = (
         _text_column("metric"),

@@ -55,8 +55,8 @@ class WrittenDesign(Result):
         mjcf: MJCF of the design.
         stance: Stance of the design, for ``--stance``.
         numbers: {variable: value}.
-        measured: {metric: value in the study}.
-        found: {metric: value from the written files}.
+        study_values: {metric: value in the study}.
+        file_values: {metric: value from the written files}.
         command: Command that computes the stand from the written files.
         failures: Metrics whose values differ.
     """
@@ -66,8 +66,8 @@ class WrittenDesign(Result):
     mjcf: Path
     stance: Path
     numbers: Mapping[str, float] = field(metadata={"unit": "varies"})
-    measured: Mapping[str, float] = field(metadata={"unit": "varies"})
-    found: Mapping[str, float] = field(metadata={"unit": "varies"})
+    study_values: Mapping[str, float] = field(metadata={"unit": "varies"})
+    file_values: Mapping[str, float] = field(metadata={"unit": "varies"})
     command: str
     failures: tuple[Diagnostic, ...]
 
@@ -137,8 +137,8 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         mjcf=mjcf,
         stance=stance,
         numbers=numbers,
-        measured=measured,
-        found=remeasured,
+        study_values=measured,
+        file_values=remeasured,
         command=shlex.join(options),
         failures=tuple(
             diagnose(

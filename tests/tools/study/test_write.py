@@ -37,10 +37,10 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
 def test_written_design_has_the_measured_values(heavy: WrittenDesign) -> None:
     assert heavy.passed
     assert heavy.numbers == {"leg_scale": 1.2, "mass:*_1": 1.1, "kp": 10.0}
-    assert len(heavy.measured) == 4 + 12
-    for name, value in heavy.measured.items():
-        assert heavy.found[name] == pytest.approx(value, rel=1e-6, abs=1e-9)
-    assert heavy.measured["servo_sag"] > 1e-3  # not all are zeros that agree
+    assert len(heavy.study_values) == 4 + 12
+    for name, value in heavy.study_values.items():
+        assert heavy.file_values[name] == pytest.approx(value, rel=1e-6, abs=1e-9)
+    assert heavy.study_values["servo_sag"] > 1e-3  # not all are zeros that agree
 
 
 @pytest.mark.slow
