@@ -277,9 +277,13 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 
     `build_document` calls this function for a `Recording`.
     """
-    counts = {"taken": len(recording.taken), "had": len(recording.had), "left": len(recording.left)}
+    counts = {
+        "taken": len(recording.recorded_stands),
+        "had": len(recording.existing_stands),
+        "left": len(recording.missing_stands),
+    }
     values = {name: str(count) for name, count in counts.items()}
-    message = "stands-taken" if recording.left else "all-stands-taken"
+    message = "stands-taken" if recording.missing_stands else "all-stands-taken"
     return doc.Document(
         text("recording-of-stands"),
         doc.Name(recording.name),

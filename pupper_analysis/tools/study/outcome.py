@@ -71,8 +71,8 @@ class MetricSummary(Result):
         median: Median.
         maximum: Largest value.
         designs: Number of designs with a value.
-        main_effects: {variable: fraction of the variance due to this variable alone, among the designs
-            with a value}; empty for a column ``NAME.KEY``.
+        main_effects: {variable: fraction of the variance due to this variable alone, among the
+            designs with a value}; empty for a column ``NAME.KEY``.
         interaction: Fraction of the variance due to several variables together. None for samples,
             for fewer than two variables with several values, and unless all designs of the product
             have a value.

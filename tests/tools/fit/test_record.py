@@ -73,7 +73,7 @@ def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
     path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
     found = record_stands(robot, plan, path, one, one)
     assert found.complete
-    assert found.taken == ("s0", "s1", "s2", "s3")
+    assert found.recorded_stands == ("s0", "s1", "s2", "s3")
     read, planned = read_stands(path).order_joints(robot), read_stands(plan)
     np.testing.assert_allclose(read.command, planned.command)
     np.testing.assert_allclose(read.heading, planned.heading)
@@ -90,7 +90,7 @@ def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
     # The same command goes on with nothing, and writes nothing.
     before = path.read_bytes()
     again = SimulatedRobot(robot, 3)
-    assert record_stands(robot, plan, path, again, again).taken == ()
+    assert record_stands(robot, plan, path, again, again).recorded_stands == ()
     assert path.read_bytes() == before
 
 
@@ -213,15 +213,15 @@ def test_recording_holds_on_a_fault_and_resumes_later(
     found = record_stands(robot, plan, path, one, one)
     assert not found.complete
     assert [finding.code for finding in found.findings] == codes
-    assert len(found.taken) == taken
+    assert len(found.recorded_stands) == taken
     rows = path.read_text().splitlines() if path.exists() else []
     assert len(rows) == (1 + taken if taken else 0)
     # What was commanded last is commanded again, and nothing else.
     np.testing.assert_array_equal(one.sent[-1], one.sent[-2])
     whole = SimulatedRobot(robot, 3)
     later = record_stands(robot, plan, path, whole, whole)
-    assert later.had == found.taken
-    assert later.taken == found.left
+    assert later.existing_stands == found.recorded_stands
+    assert later.recorded_stands == found.missing_stands
     assert later.complete
     assert path.read_text().splitlines()[: len(rows)] == rows
     read = dict(zip(read_stands(path).names, read_stands(path).position, strict=True))
@@ -272,7 +272,7 @@ def test_second_recording_into_one_file_is_refused_before_motion(
     assert not lock.exists()
     run([sys.executable, "-c", HELD, str(lock), "kill"], check=False)
     assert lock.exists()
-    assert len(record_stands(robot, plan, path, one, one).had) == 4
+    assert len(record_stands(robot, plan, path, one, one).existing_stands) == 4
     assert not lock.exists()
 
 
@@ -308,7 +308,7 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     os.write(ours, ("\n".join(lines) + "\n").encode())
     bridge, person = open_bridge("typed", robot)
     found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
-    assert found.taken == ("s0", "s2")
+    assert found.recorded_stands == ("s0", "s2")
     assert [one.code for one in found.findings] == ["recording-left-out"] * 2
     read = read_stands(tmp_path / "stands.csv").order_joints(robot)
     np.testing.assert_allclose(

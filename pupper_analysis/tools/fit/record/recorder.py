@@ -88,23 +88,23 @@ class Recording(Result):
     Attributes:
         name: Robot name.
         file: Output file.
-        taken: Stands that were recorded now.
-        had: Stands that were in the file before.
-        left: Stands that are still missing.
+        recorded_stands: Stands that were recorded now.
+        existing_stands: Stands that were in the file before.
+        missing_stands: Stands that are still missing.
         findings: Reasons for skipped stands, or for the end of the recording.
     """
 
     name: str
     file: str
-    taken: tuple[str, ...]
-    had: tuple[str, ...]
-    left: tuple[str, ...]
+    recorded_stands: tuple[str, ...]
+    existing_stands: tuple[str, ...]
+    missing_stands: tuple[str, ...]
     findings: tuple[Diagnostic, ...]
 
     @property
     def complete(self) -> bool:
         """True if no stand is missing."""
-        return not self.left
+        return not self.missing_stands
 
 
 class _RecordingEndedError(Exception):
