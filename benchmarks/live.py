@@ -41,7 +41,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
     wall = taken["all, by the clock"] = []
     try:
         scene = Scene(server.scene)
-        panels = Panels(server, model, Still(), render.Language())
+        panels = Panels(server, model, Still(), render.Translator())
         for angle in np.sin(np.linspace(0.0, 12.0, moves)):
             begun, since = time.perf_counter(), time.thread_time()
             answer = model.solve_state(State(roll=float(12 * angle), height=130.0))

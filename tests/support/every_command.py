@@ -229,7 +229,7 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     """The simulation that the page of ``live`` shows."""
     from pupper_analysis.tools.live import model as live
     from pupper_analysis.tools.live.documents import simulation_document
-    from pupper_analysis.tools.live.render import Language, render_panel
+    from pupper_analysis.tools.live.render import Translator, render_panel
     from pupper_analysis.tools.live.state import State
 
     try:
@@ -239,7 +239,7 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
         stance = live.simulate_stance(asked)
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
-    page = render_panel(simulation_document(stance), Language())
+    page = render_panel(simulation_document(stance), Translator())
     return replace(_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
 
 

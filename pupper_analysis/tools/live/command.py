@@ -44,7 +44,7 @@ _OPTIONS_OF_MODE = {
         *_ROBOT_OPTIONS,
         "policy",
         "contract",
-        "asked",
+        "command_text",
         "language",
         "host",
         "port",
@@ -107,7 +107,7 @@ def command(
     words: tuple[str, ...],
     policy: Path | None,
     contract: Path | None,
-    asked: str,
+    command_text: str,
     stance: Path | None,
     language: str,
     host: str,
@@ -145,7 +145,7 @@ def command(
     meant = which.select_robot(words) or "v3"
     where: ServeOptions = {"language": language, "host": host, "port": port}
     if policy is not None:
-        _open_walk(meant, policy, contract, asked, browser=not no_browser, **where)
+        _open_walk(meant, policy, contract, command_text, browser=not no_browser, **where)
         return
     if mode != "the page":
         from pupper_analysis.tools.live import window
@@ -216,7 +216,7 @@ def _open_walk(
     meant: str | VariantSpec | RobotFiles,
     policy: Path,
     contract: Path | None,
-    asked: str,
+    command_text: str,
     *,
     browser: bool,
     **where: Unpack[ServeOptions],
@@ -229,7 +229,7 @@ def _open_walk(
 
     import_viser()  # before anything is loaded
     command, loaded_policy = (
-        check_command(shared.parse_point("command", asked, 3)),
+        check_command(shared.parse_point("command", command_text, 3)),
         Policy.load(policy, contract),
     )
     robot = load_walking_robot(meant, "text", everything=False)

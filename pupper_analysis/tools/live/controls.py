@@ -25,7 +25,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_units
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, find_contact_factor
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Controls:
     Args:
         gui: viser's interface of the page.
         robot: Robot of the initial page.
-        say: Language of the page.
+        translator: Translator into the language of the page.
         changed: Function that is called when the state has changed.
     """
 
@@ -51,10 +51,10 @@ class Controls:
         self,
         gui: Any,
         robot: Robot,
-        say: Language,
+        translator: Translator,
         changed: Callable[[], None],
     ) -> None:
-        self._gui, self._say, self._changed = gui, say, changed
+        self._gui, self._translator, self._changed = gui, translator, changed
         self._robot = robot
         self._lock = threading.RLock()
         self._state = State()
@@ -64,22 +64,26 @@ class Controls:
 
     def add_stance_controls(self) -> None:
         """Add the controls of the stance to the current container of viser."""
-        gui, say = self._gui, self._say
-        self._name_of_place = {say(label): name for name, label in PLACE_LABELS.items()}
+        gui, translator = self._gui, self._translator
+        self._name_of_place = {translator(label): name for name, label in PLACE_LABELS.items()}
         for folder in _list_folders(FIELDS):
-            with gui.add_folder(term(folder, say.code)):
+            with gui.add_folder(term(folder, translator.code)):
                 if folder == "Where":
-                    self.place = gui.add_dropdown(say("what-counts"), list(self._name_of_place))
+                    self.place = gui.add_dropdown(
+                        translator("what-counts"), list(self._name_of_place)
+                    )
                 if folder == "Feet":
                     self.foot = gui.add_dropdown(
-                        say("foot"), list(self._feet), hint=say("hint-foot")
+                        translator("foot"), list(self._feet), hint=translator("hint-foot")
                     )
                 self._add_folder_sliders(folder, LIFT_SLIDER)
                 if folder == "Feet":
-                    self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
+                    self.lifted = gui.add_checkbox(
+                        translator("lifted"), False, hint=translator("hint-lifted")
+                    )
                     self._add_slider(CONTROL_BY_NAME[LIFT_SLIDER])
                     self.contacts = gui.add_text(
-                        say("contacts"), "", multiline=True, hint=say("hint-contacts")
+                        translator("contacts"), "", multiline=True, hint=translator("hint-contacts")
                     )
         self.place.on_update(
             self._make_callback(lambda s: s.having(place=self._name_of_place[self.place.value]))
@@ -92,7 +96,7 @@ class Controls:
         """Add the sliders of the posture: joints that carry no foot."""
         gui, robot = self._gui, self._robot
         free, home = free_joints(robot), robot.home[-robot.nu :]
-        with gui.add_folder(term("Posture", self._say.code), visible=bool(free)):
+        with gui.add_folder(term("Posture", self._translator.code), visible=bool(free)):
             self.posture = JointSliders(gui, robot, free, home, self._set_joint)
 
     def _set_joint(self, joint: str, position: float) -> None:
@@ -103,9 +107,9 @@ class Controls:
 
     def add_body_controls(self) -> None:
         """Add the controls of payload and servo gains."""
-        gui, say = self._gui, self._say
+        gui, translator = self._gui, self._translator
         for folder in ("Payload", "Servos"):
-            with gui.add_folder(term(folder, say.code)):
+            with gui.add_folder(term(folder, translator.code)):
                 self._add_folder_sliders(folder)
 
     def _add_folder_sliders(self, folder: str, *excluded: str) -> None:
@@ -116,7 +120,7 @@ class Controls:
 
     def _add_slider(self, control: Control) -> None:
         """Add a slider."""
-        span, code = self._ranges[control.name], self._say.code
+        span, code = self._ranges[control.name], self._translator.code
         handle = self._gui.add_slider(
             control.label(code),
             span.low,
@@ -265,7 +269,7 @@ class Controls:
 
     def _show_place(self) -> None:
         """Show the place mode of the state."""
-        self.place.value = self._say(PLACE_LABELS[self._state.place])
+        self.place.value = self._translator(PLACE_LABELS[self._state.place])
 
     def _find_posture(self, state: State) -> Mapping[str, float]:
         """Return the joint positions of a state; empty if the robot lacks a joint."""

@@ -157,8 +157,8 @@ def stop_server(server: Any) -> None:
 class NumberPanel:
     """Panel of numbers left of the controls; on a phone, a folded section above the controls."""
 
-    def __init__(self, gui: Any, say: Language, waiting: str, width: int = 380) -> None:
-        left, self._title = gui.add_panel(), say("what-it-takes")
+    def __init__(self, gui: Any, translator: Translator, waiting: str, width: int = 380) -> None:
+        left, self._title = gui.add_panel(), translator("what-it-takes")
         with left.add_tab(self._title):
             self._panel_html = gui.add_html("")
         left.dock_left()
@@ -166,7 +166,7 @@ class NumberPanel:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(360)
         self._phone_html = gui.add_html("")
-        self.content = render_waiting(text(waiting), say)
+        self.content = render_waiting(text(waiting), translator)
 
     @property
     def content(self) -> str:
@@ -188,11 +188,11 @@ _PHONE_STYLE = (
 )
 
 
-# Language of a page. The texts are those of the catalogues, as in reports.
+# Translator for a page. The texts are those of the catalogues, as in reports.
 
 
 @dataclass(frozen=True)
-class Language:
+class Translator:
     """Translates texts into a single language.
 
     Attributes:
@@ -251,20 +251,20 @@ _BOX_CLASSES = {"good": "good", "bad": "bad", "warn": "wait"}
 """CSS class of a box for each emphasis."""
 
 
-def render_panel(document: Document, say: Language) -> str:
+def render_panel(document: Document, translator: Translator) -> str:
     """Render a document: title, verdict with reasons, and blocks."""
-    parts = [_render_heading(document.title, say), render_verdict(document, say)]
-    parts += [_render_block(block, say) for block in document.blocks]
+    parts = [_render_heading(document.title, translator), render_verdict(document, translator)]
+    parts += [_render_block(block, translator) for block in document.blocks]
     return join_parts(*parts)
 
 
-def render_verdict(document: Document, say: Language) -> str:
+def render_verdict(document: Document, translator: Translator) -> str:
     """Render the verdict with the reasons as a box; empty without verdict."""
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
     messages = (*verdict, *document.failures, *document.findings, *document.details)
-    return _render_box(document.mark, "; ".join(say.translate(words) for words in messages))
+    return _render_box(document.mark, "; ".join(translator.translate(words) for words in messages))
 
 
 def join_parts(*parts: str) -> str:
@@ -272,19 +272,19 @@ def join_parts(*parts: str) -> str:
     return f'{PANEL_STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
-def render_waiting(words: Words, say: Language) -> str:
+def render_waiting(words: Words, translator: Translator) -> str:
     """Render a message about work in progress."""
-    return join_parts(_render_box("warn", say.translate(words)))
+    return join_parts(_render_box("warn", translator.translate(words)))
 
 
-def render_hint(words: Words, say: Language) -> str:
+def render_hint(words: Words, translator: Translator) -> str:
     """Render a hint, if there is no result."""
-    return join_parts(f"<div>{_escape_text(say.translate(words))}</div>")
+    return join_parts(f"<div>{_escape_text(translator.translate(words))}</div>")
 
 
-def _render_heading(words: Words, say: Language) -> str:
+def _render_heading(words: Words, translator: Translator) -> str:
     """Render a heading; empty for an empty text."""
-    message = say.translate(words)
+    message = translator.translate(words)
     return f"<h4>{_escape_text(message)}</h4>" if message else ""
 
 
@@ -299,38 +299,42 @@ def _render_box(mark: str, text: str) -> str:
 
 
 @singledispatch
-def _render_block(_: object, __: Language) -> str:
+def _render_block(_: object, __: Translator) -> str:
     """Render a block; plots and views are left out, since the scene shows both."""
     return ""
 
 
 @_render_block.register
-def _render_lines(block: Lines, say: Language) -> str:
+def _render_lines(block: Lines, translator: Translator) -> str:
     """Render lines, or boxes if the block has an emphasis."""
-    title = "" if block.title is None else _render_heading(block.title, say)
-    messages = [say.translate(words) for words in block.lines]
+    title = "" if block.title is None else _render_heading(block.title, translator)
+    messages = [translator.translate(words) for words in block.lines]
     if block.mark:
         return title + "".join(_render_box(block.mark, message) for message in messages)
     return title + "".join(f"<div>{_escape_text(message)}</div>" for message in messages)
 
 
 @_render_block.register
-def _render_table(block: Table, say: Language) -> str:
+def _render_table(block: Table, translator: Translator) -> str:
     """Render a table; the header is shown if a column has a unit."""
     rows = []
     if any(column.unit for column in block.columns):
-        heads = [say.translate(column.name) + _format_unit(column) for column in block.columns]
+        heads = [
+            translator.translate(column.name) + _format_unit(column) for column in block.columns
+        ]
         classes = ["" if column.left else ' class="n"' for column in block.columns]
         cells = (
             f"<th{table_class}>{_escape_text(head)}</th>"
             for table_class, head in zip(classes, heads, strict=True)
         )
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    rows += [f"<tr>{''.join(_render_cell(cell, say) for cell in row)}</tr>" for row in block.rows]
+    rows += [
+        f"<tr>{''.join(_render_cell(cell, translator) for cell in row)}</tr>" for row in block.rows
+    ]
     has_bars = any(isinstance(cell, Number) and cell.bar_fraction is not None
                  for row in block.rows for cell in row)  # fmt: skip
     table_class = ' class="barred"' if has_bars else ""
-    return f"{_render_heading(block.title, say)}<table{table_class}>{''.join(rows)}</table>"
+    return f"{_render_heading(block.title, translator)}<table{table_class}>{''.join(rows)}</table>"
 
 
 def _format_unit(column: Column) -> str:
@@ -339,10 +343,10 @@ def _format_unit(column: Column) -> str:
     return f" ({unit})" if unit not in ("", "1") else ""
 
 
-def _render_cell(cell: Cell, say: Language) -> str:
+def _render_cell(cell: Cell, translator: Translator) -> str:
     """Render a cell; a number with a share gets a bar."""
     if not isinstance(cell, Number):
-        return f"<td>{_escape_text(say.translate(cell))}</td>"
+        return f"<td>{_escape_text(translator.translate(cell))}</td>"
     number = f'<td class="n">{_escape_text(cell.text)}</td>'
     if cell.bar_fraction is None:
         return number

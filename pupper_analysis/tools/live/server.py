@@ -15,7 +15,7 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import StanceSolver
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.session import Session
 from pupper_analysis.tools.live.state import State, check_page_robot
 
@@ -66,13 +66,13 @@ class ServedPage:
         self,
         robot: str,
         size: float,
-        session: Callable[[Any, Language], Any],
+        session: Callable[[Any, Translator], Any],
         *,
         language: str = "en",
         host: str = DEFAULT_HOST,
         port: int | None = None,
     ) -> None:
-        self._language, self._make_session = Language(language), session
+        self._language, self._make_session = Translator(language), session
         self.sessions: dict[int, Any] = {}
         self._lock, self._closed = threading.Lock(), False
         access, free_port = Access(host), render.find_free_port(host, port)
@@ -140,7 +140,7 @@ class Page(ServedPage):
         super().__init__(
             robot.name,
             robot.stand_height,
-            lambda client, say: Session(client, model, initial_state, say),
+            lambda client, translator: Session(client, model, initial_state, translator),
             **where,
         )
 

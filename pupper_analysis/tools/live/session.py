@@ -33,7 +33,7 @@ from pupper_analysis.tools.live.documents import (
     unexpected_document,
 )
 from pupper_analysis.tools.live.model import Answer, StanceSolver
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State, write_stance_file
 
@@ -45,24 +45,26 @@ class Panels:
         client: viser's client.
         model: Solver of the robot's states.
         session: Session of the browser, called by buttons.
-        say: Language of the page.
+        translator: Translator into the language of the page.
     """
 
-    def __init__(self, client: Any, model: StanceSolver, session: Session, say: Language) -> None:
-        self._client, self._session, self.say = client, session, say
+    def __init__(
+        self, client: Any, model: StanceSolver, session: Session, translator: Translator
+    ) -> None:
+        self._client, self._session, self.translator = client, session, translator
         gui = client.gui
         robot = model.load_robot(State())
-        self._numbers = render.NumberPanel(gui, say, "solving", 330)
-        self.controls = Controls(gui, robot, say, session.changed)
+        self._numbers = render.NumberPanel(gui, translator, "solving", 330)
+        self.controls = Controls(gui, robot, translator, session.changed)
         tabs = gui.add_tab_group()
-        with tabs.add_tab(say("stance")):
+        with tabs.add_tab(translator("stance")):
             self.controls.add_stance_controls()
-            self._nearest = gui.add_button(say("go-to-the-nearest-stance"), visible=False)
-            save = gui.add_button(say("save-the-stance"))
-            reset = gui.add_button(say("reset-all"), color="gray")
-        with tabs.add_tab(say("joints-title")):
+            self._nearest = gui.add_button(translator("go-to-the-nearest-stance"), visible=False)
+            save = gui.add_button(translator("save-the-stance"))
+            reset = gui.add_button(translator("reset-all"), color="gray")
+        with tabs.add_tab(translator("joints-title")):
             self.controls.add_joint_controls()
-        with tabs.add_tab(say("body-title")):
+        with tabs.add_tab(translator("body-title")):
             self.controls.add_body_controls()
         with tabs.add_tab("MuJoCo"):
             self._add_simulation_controls(gui, robot.total_mass)
@@ -72,20 +74,20 @@ class Panels:
 
     def _add_simulation_controls(self, gui: Any, mass: float) -> None:
         """Add the controls of simulations and pushes."""
-        session, say = self._session, self.say
-        simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
+        session, translator = self._session, self.translator
+        simulate = gui.add_button(translator("simulate"), hint=translator("hint-simulate"))
         max_impulse = max(
             1.0, round(2.0 * mass, 1)
         )  # N s: 2 m/s topple a robot of about the height of v3
-        with gui.add_folder(say("push")):
+        with gui.add_folder(translator("push")):
             self._impulse = gui.add_slider(
-                say("impulse-n"), 0.0, max_impulse, max_impulse / 100, max_impulse / 10
+                translator("impulse-n"), 0.0, max_impulse, max_impulse / 100, max_impulse / 10
             )
             self._direction = gui.add_slider(
-                say("towards-deg"), -180.0, 180.0, 5.0, 90.0, hint=say("hint-towards")
+                translator("towards-deg"), -180.0, 180.0, 5.0, 90.0, hint=translator("hint-towards")
             )
-            push = gui.add_button(say("push-it"))
-        self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
+            push = gui.add_button(translator("push-it"))
+        self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), translator))
         simulate.on_click(lambda _: session.simulate())
         push.on_click(lambda _: session.push())
 
@@ -101,15 +103,15 @@ class Panels:
 
     def status(self, document: Document) -> None:
         """Show the report of the stance (loads, sag, contact forces) in the number panel."""
-        self._numbers.content = render.render_panel(document, self.say)
+        self._numbers.content = render.render_panel(document, self.translator)
 
     def result(self, document: Document) -> None:
         """Show the results of a simulation."""
-        self._result.content = render.render_panel(document, self.say)
+        self._result.content = render.render_panel(document, self.translator)
 
     def wait(self, key: str) -> None:
         """Show that a simulation is running."""
-        self._result.content = render.render_waiting(text(key), self.say)
+        self._result.content = render.render_waiting(text(key), self.translator)
 
     def hint(self, key: str) -> None:
         """Show a message instead of a simulation result.
@@ -117,7 +119,7 @@ class Panels:
         Args:
             key: Key of the message in the catalogue of texts.
         """
-        self._result.content = render.render_hint(text(key), self.say)
+        self._result.content = render.render_hint(text(key), self.translator)
 
     def answered(self) -> None:
         """Clear the simulation result, and hide the button of the nearest reachable stance.
@@ -146,7 +148,7 @@ class Session:
         client: viser's client.
         model: Solver of the robot's states.
         state: Initial state.
-        say: Language of the page.
+        translator: Translator into the language of the page.
 
     Attributes:
         threads: Threads of the session.
@@ -157,7 +159,7 @@ class Session:
         client: Any,
         model: StanceSolver,
         state: State,
-        say: Language,
+        translator: Translator,
     ) -> None:
         self._client, self._model = client, model
         self._state_changed, self._work_pending = threading.Event(), threading.Event()
@@ -168,7 +170,7 @@ class Session:
         self._pending_job: Callable[[Answer], None] | None
         self._reset_results(None, None)
         self._scene = Scene(client.scene)
-        self._panels = Panels(client, model, self, say)
+        self._panels = Panels(client, model, self, translator)
         self._panels.controls.set_state(state, notify=False)
         self.threads = [
             threading.Thread(target=work, name=f"live-{name}", daemon=True)

@@ -16,7 +16,7 @@ from pupper_analysis.present.document import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import unexpected_document
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.scene import RobotFigure, make_body_meshes
 from pupper_analysis.tools.live.server import ServedPage, ServeOptions
 from pupper_analysis.tools.walk.gait import describe_fall, evaluate_tracking, joint_torques
@@ -48,20 +48,20 @@ class WalkSession:
         client: viser's client.
         stage: Policy on the robot.
         command: Initial command, shape (3,).
-        say: Language of the page.
+        translator: Translator into the language of the page.
     """
 
-    def __init__(self, client: Any, stage: Stage, command: Array, say: Language) -> None:
-        self._client, self._stage, self._say = client, stage, say
+    def __init__(self, client: Any, stage: Stage, command: Array, translator: Translator) -> None:
+        self._client, self._stage, self._translator = client, stage, translator
         self._closed, self._restart = threading.Event(), threading.Event()
         self._lock = threading.Lock()
         self._requested_push: tuple[float, float] | None = None
         self.fall: Diagnostic | None = None
         gui, scene = client.gui, client.scene
-        self._numbers = render.NumberPanel(gui, say, "walking-begins")
+        self._numbers = render.NumberPanel(gui, translator, "walking-begins")
         self.sliders = [
             gui.add_slider(
-                say.translate(text(f"walking-slider-{name}")),
+                translator.translate(text(f"walking-slider-{name}")),
                 -bound,
                 bound,
                 0.01 * bound,
@@ -75,12 +75,12 @@ class WalkSession:
             )
         ]
         self.impulse = gui.add_slider(
-            say("walking-slider-push"), 0.0, _MAX_PUSH, 0.01 * _MAX_PUSH, 0.5
+            translator("walking-slider-push"), 0.0, _MAX_PUSH, 0.01 * _MAX_PUSH, 0.5
         )
         for name, (x, y) in PUSH_DIRECTIONS.items():
-            button = gui.add_button(say.translate(text(f"walking-push-to-{name}")))
+            button = gui.add_button(translator.translate(text(f"walking-push-to-{name}")))
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
-        restart = gui.add_button(say("walking-again"))
+        restart = gui.add_button(translator("walking-again"))
         restart.on_click(lambda _: self.begin_again())
         robot = stage.robot
         self._figure = RobotFigure(scene, "/walking", robot, make_body_meshes(robot.mj_model))
@@ -127,7 +127,7 @@ class WalkSession:
             except Exception as error:  # unexpected: shown on the page
                 if not self._closed.is_set():
                     self._numbers.content = render.render_panel(
-                        unexpected_document(error), self._say
+                        unexpected_document(error), self._translator
                     )
             self._restart.wait()  # a fallen robot remains until a restart is requested
 
@@ -163,7 +163,7 @@ class WalkSession:
                 self._draw_robot(runs.current[0])
             if runs.tick % table_interval == 0 or fallen:
                 page = walking_document(stage, window, runs.tick * action, self.fall)
-                self._numbers.content = render.render_panel(page, self._say)
+                self._numbers.content = render.render_panel(page, self._translator)
             if fallen:
                 return
             due = max(
@@ -254,6 +254,6 @@ class WalkPage(ServedPage):
         super().__init__(
             robot.name,
             robot.stand_height,
-            lambda client, say: WalkSession(client, stage, command, say),
+            lambda client, translator: WalkSession(client, stage, command, translator),
             **where,
         )

@@ -79,7 +79,7 @@ def command(
     words: tuple[str, ...],
     policy: Path,
     contract: Path | None,
-    asked: str,
+    command_text: str,
     seeds: int | None,
     seconds: float | None,
     vary: str | None,
@@ -108,7 +108,7 @@ def command(
     --orders, no interpretation walks better than the stated one), 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if orders:
-        refuse_idle("--orders", "asked", "seeds", "vary", "fitted")
+        refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
     if vary is None:
         refuse_alone(["--vary"], "fitted")
     from pupper_analysis.tools.walk.gait import simulate_walk
@@ -120,7 +120,7 @@ def command(
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy
 
-    checked_command = shared.parse_point("command", asked, 3)
+    checked_command = shared.parse_point("command", command_text, 3)
     loaded_policy = Policy.load(policy, contract)
     source = which.select_robot(words) or "v3"
     robot = load_walking_robot(source, style, everything=everything)

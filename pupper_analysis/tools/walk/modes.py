@@ -39,7 +39,7 @@ CONTRACT_OPTION = shared.file_option(
 )
 COMMAND_OPTION = click.option(
     "--command",
-    "asked",
+    "command_text",
     default="0.5,0,0",
     show_default=True,
     metavar="VX,VY,W",
@@ -115,7 +115,7 @@ def _run_policy_mode(
     words: tuple[str, ...],
     policy: Path,
     contract: Path | None,
-    asked: str,
+    command_text: str,
     seeds: int | None,
     seconds: float | None,
     style: str,
@@ -128,7 +128,7 @@ def _run_policy_mode(
     from pupper_analysis.tools.walk.intervals import tracked_intervals
     from pupper_analysis.tools.walk.policy import Policy
 
-    command = shared.parse_point("command", asked, 3)
+    command = shared.parse_point("command", command_text, 3)
     loaded_policy = Policy.load(policy, contract)
     is_push = name == "push"
     sources = (which.select_robots(words) if is_push else [which.select_robot(words) or "v3"]) or [

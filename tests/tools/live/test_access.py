@@ -18,7 +18,7 @@ from pupper_analysis.tools.live.access import (
     Access,
     strip_folders,
 )
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.server import Page
 from tests.support.stubs import problem
 
@@ -98,7 +98,7 @@ def test_remote_access_requires_the_token() -> None:
 )
 def test_page_shows_no_folders_of_the_server(text: str, shown: str) -> None:
     assert strip_folders(text) == shown
-    assert Language("en").format_diagnostic(problem(text)) == shown
+    assert Translator("en").format_diagnostic(problem(text)) == shown
 
 
 @pytest.fixture(scope="module")

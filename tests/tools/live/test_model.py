@@ -33,7 +33,7 @@ from pupper_analysis.tools.live.model import (
     push_stand,
     simulate_stance,
 )
-from pupper_analysis.tools.live.render import Language, render_panel
+from pupper_analysis.tools.live.render import Translator, render_panel
 from pupper_analysis.tools.live.scene import (
     NO_LIMIT_COLOUR,
     OVERLOAD_COLOUR,
@@ -70,7 +70,7 @@ RICH = State(
 )
 
 
-ENGLISH = Language("en")
+ENGLISH = Translator("en")
 
 
 def model_of(name: str = "v3") -> StanceSolver:
@@ -269,7 +269,9 @@ def test_overloaded_motors_give_no_passing_verdict() -> None:
 def test_errors_are_in_the_units_of_the_page(state: State, said: str) -> None:
     found = model_of().solve_state(state)
     assert said in str(found.refusal)
-    assert re.search("[\u4e00-\u9fff]", Language("zh").format_diagnostic(found.refusal.diagnostic))
+    assert re.search(
+        "[\u4e00-\u9fff]", Translator("zh").format_diagnostic(found.refusal.diagnostic)
+    )
 
 
 def test_colour_depends_on_motor_utilisation() -> None:

@@ -16,7 +16,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.model import StanceSolver
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.support.variants import load
@@ -50,7 +50,7 @@ class Open:
     def __init__(self, server: Any) -> None:
         self.browser = Browser(server)
         model = StanceSolver(load("v3"))
-        self.session = Session(self.browser, model, State(), Language())
+        self.session = Session(self.browser, model, State(), Translator())
         self.controls = self.session._panels.controls
 
     def ask(self, state: State) -> None:

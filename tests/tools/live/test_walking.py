@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.walking import WalkSession
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
@@ -30,7 +30,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 @pytest.fixture
 def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
     stage = prepare_stage(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
-    one = WalkSession(Browser(server), stage, np.zeros(3), Language("en"))
+    one = WalkSession(Browser(server), stage, np.zeros(3), Translator("en"))
     yield one
     end(one)
 
